@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The capture value that every reader makes and every stage reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.capture.camera import Camera
+
+Split = Literal["train", "held_out"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """One photograph with its camera.
+
+    Attributes:
+        name: Unique within the capture, fit for a file name.
+        image_display: (H, W, 3) uint8, display-referred, straight (not multiplied by the mask).
+        mask: (H, W) uint8, coverage of the object, 255 inside.
+        camera: Camera of exactly this image size.
+        split: "train" views are fitted, "held_out" views only judge.
+    """
+
+    name: str
+    image_display: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    camera: Camera
+    split: Split
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """Bounding sphere of the object, in the capture's own frame and unit.
+
+    Attributes:
+        centre: (3,) float64.
+        radius: In the capture's unit, > 0.
+        origin: How it was found, one sentence for the user.
+    """
+
+    centre: NDArray[np.float64]
+    radius: float
+    origin: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Something `robir check` tells the user.
+
+    Attributes:
+        level: "note" informs, "warning" lowers the result, "error" refuses the capture.
+        code: Short stable name such as "missing-images".
+        message: What was found, where.
+        cure: What to do about it.
+        files: File names concerned, at most a dozen.
+    """
+
+    level: Literal["note", "warning", "error"]
+    code: str
+    message: str
+    cure: str = ""
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capture:
+    """Posed, masked photographs of one object.
+
+    Attributes:
+        source: Folder or file it was read from.
+        format: Name of the format as recognised, for example "nerf-synthetic".
+        views: Photographs in the capture's own frame.
+        bounds: Bounding sphere of the object.
+        findings: What the readers and checks noticed.
+    """
+
+    source: Path
+    format: str
+    views: tuple[View, ...]
+    bounds: Bounds
+    findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def train(self) -> tuple[View, ...]:
+        """Views that are fitted."""
+        return tuple(view for view in self.views if view.split == "train")
+
+    @property
+    def held_out(self) -> tuple[View, ...]:
+        """Views kept aside to judge the result."""
+        return tuple(view for view in self.views if view.split == "held_out")
+
+    def normalised(self) -> Capture:
+        """The capture in the frame where its bounding sphere is the unit sphere at the origin."""
+        bounds = self.bounds
+        views = tuple(
+            replace(view, camera=view.camera.normalised(bounds.centre, bounds.radius))
+            for view in self.views
+        )
+        unit = Bounds(centre=np.zeros(3), radius=1.0, origin=bounds.origin)
+        return replace(self, views=views, bounds=unit)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mesh value: triangles with vertex normals and, once unwrapped, texture coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.jobs.paths import replacing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mesh:
+    """Triangle mesh, counter-clockwise seen from outside.
+
+    Attributes:
+        vertices: (Nv, 3) float32.
+        faces: (Nf, 3) int32, indices into vertices.
+        normals: (Nv, 3) float32, unit, outward.
+        uvs: (Nu, 2) float32 in [0, 1], v upwards; empty before unwrapping.
+        uv_faces: (Nf, 3) int32, indices into uvs; empty before unwrapping.
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    uv_faces: NDArray[np.int32]
+
+    @property
+    def is_unwrapped(self) -> bool:
+        """Whether every face has texture coordinates."""
+        return len(self.uv_faces) == len(self.faces)
+
+    def save(self, path: Path) -> None:
+        """Write as .npz, atomically."""
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(
+                file,
+                vertices=self.vertices,
+                faces=self.faces,
+                normals=self.normals,
+                uvs=self.uvs,
+                uv_faces=self.uv_faces,
+            )
+
+    @classmethod
+    def load(cls, path: Path) -> Mesh:
+        """Read what `save` wrote."""
+        with np.load(path, allow_pickle=False) as arrays:
+            return cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
+
+
+def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Area-weighted vertex normals.
+
+    Args:
+        vertices: (Nv, 3).
+        faces: (Nf, 3), counter-clockwise seen from outside.
+
+    Returns:
+        (Nv, 3) float32, unit; (0, 0, 1) for vertices of no face.
+    """
+    corners = vertices[faces].astype(np.float64)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros((len(vertices), 3))
+    for corner in range(3):
+        np.add.at(total, faces[:, corner], areas)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    safe = np.where(length > 0, total / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+    return safe.astype(np.float32)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a stage is handed when it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from robir.jobs.paths import JobPaths
+
+ConfigT = TypeVar("ConfigT")
+
+
+class Reporter(Protocol):
+    """Where a stage says how far it is."""
+
+    def progress(self, fraction: float, message: str) -> None:
+        """Report progress of the running stage.
+
+        Args:
+            fraction: Share of the stage's work that is done, in [0, 1].
+            message: What is being done, a few words.
+
+        Raises:
+            CancelledError: If the user asked the run to stop.
+        """
+
+    def warn(self, message: str) -> None:
+        """Tell the user something that lowers the result but does not stop the run."""
+
+    def metric(self, name: str, value: Any) -> None:
+        """Record a number worth following while the stage runs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageContext(Generic[ConfigT]):
+    """Everything a stage may depend on besides the files of the stages before it.
+
+    Attributes:
+        paths: Names of the result folder's files.
+        config: The stage's own configuration.
+        source: Capture as given by the user; read by the capture stage only.
+        masks: Folder of masks given by the user, or None; read by the capture stage only.
+        seed: Seed of every random generator of the stage.
+        device: Torch device, "cpu" or "cuda".
+        reporter: Progress, warnings and the request to stop.
+    """
+
+    paths: JobPaths
+    config: ConfigT
+    source: Path
+    masks: Path | None
+    seed: int
+    device: str
+    reporter: Reporter

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every file name of a result folder, and the one way to write a file there."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+STAGES = ("capture", "geometry", "transport", "appearance", "export")
+
+
+@dataclass(frozen=True, slots=True)
+class JobPaths:
+    """Names of a result folder's files; nothing else may spell them.
+
+    Attributes:
+        root: The result folder, OUT on the command line.
+    """
+
+    root: Path
+
+    @property
+    def run(self) -> Path:
+        """Who made the result: versions, device, seed, capture, times."""
+        return self.root / "run.json"
+
+    @property
+    def config(self) -> Path:
+        """The resolved configuration, every value."""
+        return self.root / "config.toml"
+
+    @property
+    def status(self) -> Path:
+        """Where the run stands; replaced as a whole."""
+        return self.root / "status.json"
+
+    @property
+    def events(self) -> Path:
+        """What happened, one JSON line each; only ever appended to."""
+        return self.root / "events.jsonl"
+
+    @property
+    def log(self) -> Path:
+        """The log for people."""
+        return self.root / "log.txt"
+
+    @property
+    def cancel(self) -> Path:
+        """Touch this file to ask the run to stop."""
+        return self.root / "cancel"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the one process that works in the folder."""
+        return self.root / "lock"
+
+    @property
+    def stale(self) -> Path:
+        """Where results of another configuration are moved, never deleted."""
+        return self.root / "stages" / ".stale"
+
+    def stage(self, name: str) -> Path:
+        """Folder of a stage."""
+        return self.root / "stages" / name
+
+    def manifest(self, name: str) -> Path:
+        """A stage's manifest, written last: it makes the stage count as done."""
+        return self.stage(name) / "stage.json"
+
+    @property
+    def export(self) -> Path:
+        """What the user takes away."""
+        return self.root / "export"
+
+    @property
+    def textures(self) -> Path:
+        """Texture images of the asset."""
+        return self.export / "textures"
+
+    @property
+    def asset(self) -> Path:
+        """The asset as glTF binary."""
+        return self.export / "asset.glb"
+
+    @property
+    def environment(self) -> Path:
+        """Recovered light, lat-long, linear Rec.709, Blender's world frame."""
+        return self.export / "environment.exr"
+
+    @property
+    def light(self) -> Path:
+        """Recovered light as lobes."""
+        return self.export / "light.json"
+
+    @property
+    def tone_curve(self) -> Path:
+        """Recovered tone curve: family, parameters, samples."""
+        return self.export / "tone_curve.json"
+
+    @property
+    def tone_lut(self) -> Path:
+        """Recovered tone curve as a look-up table that OpenColorIO reads."""
+        return self.export / "tone_curve.cube"
+
+    @property
+    def tone_plot(self) -> Path:
+        """Plot of the recovered tone curve against the other candidates."""
+        return self.export / "tone_curve.png"
+
+    @property
+    def cameras(self) -> Path:
+        """Capture cameras in the capture's own frame, for Blender."""
+        return self.export / "cameras.json"
+
+    @property
+    def scene(self) -> Path:
+        """Blender scene with the asset, its light and the capture cameras."""
+        return self.export / "scene.blend"
+
+    @property
+    def renders(self) -> Path:
+        """Cycles renders: re-renders of held-out views, relit views, turntables."""
+        return self.root / "renders"
+
+    @property
+    def report(self) -> Path:
+        """The report as one page."""
+        return self.root / "report" / "index.html"
+
+    @property
+    def report_json(self) -> Path:
+        """The report's numbers."""
+        return self.root / "report" / "report.json"
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that replaces it if the block ends well.
+
+    The file is flushed to disk before the exchange, so a killed process leaves either the old
+    file or the new one, never half of one.
+
+    Args:
+        path: File to write.
+
+    Yields:
+        Path to write to; same suffix, same folder.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a JSON file as a whole, readable by a person; NaN is refused.
+
+    Args:
+        path: File to replace.
+        value: Plain dictionaries, lists, strings, numbers, booleans and None.
+    """
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file written by `write_json`."""
+    return json.loads(path.read_text(encoding="utf-8"))
