@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of images: albedo under each usual alignment, structure, baked shadows, roughness, light.
+
+Letters: N pixels, H W image rows and columns. A is the truth, B the estimate, both linear Rec.709
+unless a name says otherwise. PSNR is 10 log10(1 / mean squared error) with peak 1, the mean taken
+over all given pixels and the three channels together. An alignment is one factor (or three) for
+all given pixels of all views, never one per view, so a shadow or a wrong object cannot hide in it.
+Aligned estimates are clipped to [0, 1], where albedo lives, before they are compared.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
+from skimage.metrics import structural_similarity
+
+Array = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+
+ALIGNMENTS = ("raw", "one_scalar", "per_channel_lsq", "per_channel_median")
+_MATERIAL_STEP = 1.0 / 16.0
+_MIN_MATERIAL_PIXELS = 20
+_PSNR_CEILING = 100.0
+
+
+def srgb_from_linear(linear: Array) -> Array:
+    """The sRGB curve of IEC 61966-2-1, after clipping to [0, 1]."""
+    value = np.clip(linear, 0.0, 1.0)
+    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+
+
+def linear_from_srgb(encoded: Array) -> Array:
+    """Inverse of `srgb_from_linear` on [0, 1]."""
+    value = np.clip(encoded, 0.0, 1.0)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def psnr(estimate: Array, truth: Array) -> float:
+    """Peak signal-to-noise ratio in dB for peak 1, at most 100 (equal images); any equal shapes."""
+    error = float(np.mean((np.asarray(estimate, np.float64) - truth) ** 2))
+    return min(_PSNR_CEILING, -10.0 * float(np.log10(max(error, 1e-30))))
+
+
+def alignment_scale(estimate_linear: Array, truth_linear: Array, alignment: str) -> Array:
+    """Factor that brings the estimate to the truth.
+
+    Args:
+        estimate_linear: (N, 3) B.
+        truth_linear: (N, 3) A.
+        alignment: "raw" is 1; "one_scalar" is sum(A B) / sum(B B) over all channels;
+            "per_channel_lsq" the same for each channel (NeRFactor); "per_channel_median" is the
+            median of A_c / max(B_c, 1e-6) (TensoIR).
+
+    Returns:
+        (3,) factors.
+    """
+    a, b = np.asarray(truth_linear, np.float64), np.asarray(estimate_linear, np.float64)
+    if alignment == "raw":
+        return np.ones(3)
+    if alignment == "one_scalar":
+        return np.full(3, np.sum(a * b) / max(float(np.sum(b * b)), 1e-12))
+    if alignment == "per_channel_lsq":
+        return np.sum(a * b, axis=0) / np.maximum(np.sum(b * b, axis=0), 1e-12)
+    if alignment == "per_channel_median":
+        return np.median(a / np.maximum(b, 1e-6), axis=0)
+    raise ValueError(f"alignment {alignment!r} is none of {', '.join(ALIGNMENTS)}")
+
+
+def albedo_scores(estimate_linear: Array, truth_linear: Array) -> dict[str, dict[str, Any]]:
+    """Albedo PSNR under every alignment, linear and sRGB-encoded.
+
+    Args:
+        estimate_linear: (N, 3), linear Rec.709.
+        truth_linear: (N, 3), linear Rec.709 in [0, 1], the same pixels.
+
+    Returns:
+        {"psnr_linear": {alignment: dB}, "psnr_srgb": {alignment: dB},
+        "scale": {alignment: [r, g, b]}}.
+    """
+    scores: dict[str, dict[str, Any]] = {"psnr_linear": {}, "psnr_srgb": {}, "scale": {}}
+    for alignment in ALIGNMENTS:
+        scale = alignment_scale(estimate_linear, truth_linear, alignment)
+        aligned = np.clip(np.asarray(estimate_linear) * scale, 0.0, 1.0)
+        scores["psnr_linear"][alignment] = psnr(aligned, truth_linear)
+        encoded = srgb_from_linear(aligned), srgb_from_linear(truth_linear)
+        scores["psnr_srgb"][alignment] = psnr(*encoded)
+        scores["scale"][alignment] = [float(s) for s in scale]
+    return scores
+
+
+def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
+    """Structural similarity, mean of its map over the mask.
+
+    Gaussian window of standard deviation 1.5 (Wang 2004), data range 1; what lies outside the
+    mask is set to 0 in both images first.
+
+    Args:
+        estimate: (H, W, 3) in [0, 1].
+        truth: (H, W, 3) in [0, 1].
+        mask: (H, W).
+
+    Returns:
+        Mean over the mask's pixels and the channels, at most 1.
+    """
+    a, b = truth * mask[..., None], estimate * mask[..., None]
+    _, similarity = structural_similarity(
+        a,
+        b,
+        data_range=1.0,
+        channel_axis=-1,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )
+    return float(similarity[mask].mean())
+
+
+def lmse(estimate_linear: Array, truth_linear: Array, mask: Mask, window: int = 20) -> float | None:
+    """Local mean squared error of Grosse et al. 2009; lower is better, an all-zero guess has 1.
+
+    In every full window alpha = sum(m A B) / sum(m B^2), or 0 where that divisor is at most 1e-5;
+    the score is the sum over windows of sum m (A - alpha B)^2 over the sum over windows of
+    sum m A^2. Windows step by half their size; one alpha a channel, mean over the channels.
+
+    Args:
+        estimate_linear: (H, W, 3).
+        truth_linear: (H, W, 3).
+        mask: (H, W), pixels that count.
+        window: Side in pixels; 20 belongs to images of about 500 pixels.
+
+    Returns:
+        The score, or None if no window holds anything.
+    """
+    step = window // 2
+    m = mask[..., None].astype(np.float64)
+    products = (m * truth_linear**2, m * truth_linear * estimate_linear, m * estimate_linear**2)
+    aa, ab, bb = (_window_sums(product, window, step) for product in products)
+    total = aa.sum(axis=(0, 1))
+    if aa.size == 0 or not np.all(total > 0):
+        return None
+    alpha = np.where(bb > 1e-5, ab / np.maximum(bb, 1e-5), 0.0)
+    squares = aa - 2.0 * alpha * ab + alpha**2 * bb
+    return float(np.mean(squares.sum(axis=(0, 1)) / total))
+
+
+def _window_sums(image: Array, window: int, step: int) -> Array:
+    """Sums over all full windows, (rows, columns, C), by a summed-area table."""
+    table = np.pad(image.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
+    low, high = table[:-window, :-window], table[window:, window:]
+    inner = high - table[:-window, window:] - table[window:, :-window] + low
+    return inner[::step, ::step]
+
+
+def shadow_regions(
+    sun_visibility: Array, normal: Array, mask: Mask, sun_direction: Array
+) -> tuple[Mask, Mask]:
+    """Pixels safely in the true sun and safely in its cast shadow.
+
+    Left out: pixels that face away from the sun or graze it (cosine at most 0.1, there shadow is
+    shading, not cast), pixels at the mask's border, pixels next to a shadow's edge (visibility
+    varies by more than 0.1 in the 3x3 neighbourhood) and penumbrae (visibility in 0.05..0.95).
+
+    Args:
+        sun_visibility: (H, W), share of the sun that the surface sees, in [0, 1], true.
+        normal: (H, W, 3), unit, world, true.
+        mask: (H, W), foreground.
+        sun_direction: (3,), unit, world, towards the sun.
+
+    Returns:
+        In the sun (H, W) and in shadow (H, W).
+    """
+    # background pixels must not read as shadow's edges: the border is dropped by the erosion
+    inside = binary_erosion(mask, np.ones((3, 3), bool))
+    varies = maximum_filter(sun_visibility, 3) - minimum_filter(sun_visibility, 3) > 0.1
+    usable = inside & ~varies & (normal @ sun_direction > 0.1)
+    return usable & (sun_visibility > 0.95), usable & (sun_visibility < 0.05)
+
+
+def shadow_ratio(
+    estimate_linear: Array, truth_linear: Array, in_sun: Mask, in_shadow: Mask
+) -> dict[str, Any]:
+    """Brightness of the estimate in true sun shadow over that in the sun, material by material.
+
+    Materials are cells of the true albedo: sRGB-encoded, each channel cut into 16 steps. For a
+    material g(S) = sum of the estimate over S / sum of the truth over S (all channels), so that
+    texture inside a cell cancels; its ratio is g(shadow) / g(sun). The score is the mean over
+    materials weighted with the smaller of the two pixel counts; materials with fewer than 20
+    pixels on either side are left out. Needs no alignment: a common factor cancels.
+
+    Args:
+        estimate_linear: (..., 3).
+        truth_linear: (..., 3), the same pixels.
+        in_sun: (...), of `shadow_regions`.
+        in_shadow: (...), of `shadow_regions`.
+
+    Returns:
+        {"ratio": 1 nothing baked, below shadow baked in, above over-corrected, None if no material
+        has both sides; "materials", "pixels_in_shadow", "pixels_in_sun": what it rests on}.
+    """
+    cell = np.minimum((srgb_from_linear(truth_linear) / _MATERIAL_STEP).astype(np.int64), 15)
+    label = cell[..., 0] * 256 + cell[..., 1] * 16 + cell[..., 2]
+    ours, true = np.sum(estimate_linear, axis=-1), np.sum(truth_linear, axis=-1)
+
+    def totals(region: Mask) -> tuple[Array, Array, Array]:
+        keys = label[region]
+        return tuple(  # type: ignore[return-value]
+            np.bincount(keys, weights, minlength=4096)
+            for weights in (np.ones(len(keys)), ours[region], true[region])
+        )
+
+    (sun_n, sun_b, sun_a), (shade_n, shade_b, shade_a) = totals(in_sun), totals(in_shadow)
+    weight = np.minimum(sun_n, shade_n)
+    used = (weight >= _MIN_MATERIAL_PIXELS) & (sun_b > 0) & (sun_a > 0) & (shade_a > 0)
+    facts = {
+        "materials": int(used.sum()),
+        "pixels_in_shadow": int(shade_n[used].sum()),
+        "pixels_in_sun": int(sun_n[used].sum()),
+    }
+    if not used.any():
+        return {"ratio": None, **facts}
+    ratios = (shade_b[used] / shade_a[used]) / (sun_b[used] / sun_a[used])
+    return {"ratio": float(np.average(ratios, weights=weight[used])), **facts}
+
+
+def roughness_scores(estimate: Array, truth: Array) -> dict[str, float]:
+    """Root mean square error of roughness, and that of the best constant.
+
+    Args:
+        estimate: (N,), perceptual roughness as in Blender.
+        truth: (N,), the same pixels.
+
+    Returns:
+        {"rmse", "mae", "best_constant_rmse"}; the best constant is the true mean.
+    """
+    difference = np.asarray(estimate, np.float64) - truth
+    return {
+        "rmse": float(np.sqrt(np.mean(difference**2))),
+        "mae": float(np.mean(np.abs(difference))),
+        "best_constant_rmse": float(np.std(truth)),
+    }
+
+
+def environment_log_rmse(estimate_linear: Array, truth_linear: Array) -> float:
+    """Error of an environment image in log radiance after one common factor.
+
+    With d = ln(B + e) - ln(A + e), e a thousandth of each image's own mean, the score is the
+    standard deviation of d over solid angle and channels: the factor is the one that suits best.
+
+    Args:
+        estimate_linear: (H, W, 3) lat-long radiance.
+        truth_linear: (H, W, 3) of the same size and frame.
+
+    Returns:
+        Natural-log units; 0.69 is a typical error of a factor 2.
+    """
+    rows = truth_linear.shape[0]
+    solid = np.sin((np.arange(rows) + 0.5) * np.pi / rows)[:, None, None]
+    weight = np.broadcast_to(solid, truth_linear.shape) / np.sum(
+        np.broadcast_to(solid, truth_linear.shape)
+    )
+
+    def log(image: Array) -> Array:
+        floor = 1e-3 * max(float(np.sum(weight * image)), 1e-12)
+        return np.log(np.maximum(image, 0.0) + floor)
+
+    difference = log(np.asarray(estimate_linear, np.float64)) - log(
+        np.asarray(truth_linear, np.float64)
+    )
+    mean = np.sum(weight * difference)
+    return float(np.sqrt(np.sum(weight * (difference - mean) ** 2)))
+
+
+def direction_error(estimate: Array, truth: Array) -> float:
+    """Angle between two directions in degrees, 0..180; neither needs to be unit."""
+    a, b = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
+    # atan2 keeps its precision at small angles, where arccos of the cosine loses half its digits
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b))))

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each score against its definition written out another way, on random input."""
+
+import numpy as np
+import pytest
+from robir.evaluation import metrics
+from scipy.optimize import minimize_scalar
+from skimage.metrics import peak_signal_noise_ratio
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def test_srgb_agrees_with_its_table_and_inverts(rng):
+    # values of IEC 61966-2-1 as printed in many tables
+    assert metrics.srgb_from_linear(np.array(0.18)) == pytest.approx(0.46135, abs=1e-5)
+    assert metrics.srgb_from_linear(np.array(0.002)) == pytest.approx(0.02584, abs=1e-5)
+    value = rng.random(1000)
+    assert metrics.linear_from_srgb(metrics.srgb_from_linear(value)) == pytest.approx(value)
+
+
+def test_psnr_is_scikit_images(rng):
+    a, b = rng.random((2, 40, 3))
+    assert metrics.psnr(b, a) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=1.0))
+    assert metrics.psnr(a, a) == 100.0
+
+
+@pytest.mark.parametrize("channel", range(3))
+def test_least_squares_scale_minimises(rng, channel):
+    a = rng.random((500, 3))
+    b = a * rng.uniform(0.3, 0.6, 3) + 0.05 * rng.random((500, 3))
+    scale = metrics.alignment_scale(b, a, "per_channel_lsq")[channel]
+    best = minimize_scalar(lambda s: np.sum((a[:, channel] - s * b[:, channel]) ** 2))
+    assert scale == pytest.approx(best.x, rel=1e-6)
+
+
+def test_one_scalar_minimises_over_all_channels(rng):
+    a, b = rng.random((2, 500, 3))
+    best = minimize_scalar(lambda s: np.sum((a - s * b) ** 2))
+    scale = metrics.alignment_scale(b, a, "one_scalar")
+    assert scale == pytest.approx(np.full(3, best.x), rel=1e-6)
+
+
+def test_median_scale_ignores_a_minority(rng):
+    a = 0.2 + 0.5 * rng.random((1000, 3))
+    b = a / np.array([2.0, 3.0, 4.0])
+    b[:400] *= rng.random((400, 1))  # dark outliers: the median of the ratio moves, by rank only
+    scale = metrics.alignment_scale(b, a, "per_channel_median")
+    ratios = np.sort(a / b, axis=0)
+    assert scale == pytest.approx(0.5 * (ratios[499] + ratios[500]))
+    clean = metrics.alignment_scale(b[400:], a[400:], "per_channel_median")
+    assert clean == pytest.approx([2.0, 3.0, 4.0])
+
+
+def test_albedo_scores_undo_exactly_what_each_alignment_can(rng):
+    a = 0.1 + 0.4 * rng.random((300, 3))
+    scores = metrics.albedo_scores(a * [0.5, 0.6, 0.9], a)["psnr_linear"]
+    assert scores["per_channel_lsq"] == scores["per_channel_median"] == 100.0
+    assert scores["raw"] < scores["one_scalar"] < 60.0
+    grey = metrics.albedo_scores(a * 0.5, a)
+    assert grey["psnr_linear"]["one_scalar"] == 100.0
+    direct = 10 * np.log10(1 / np.mean((0.5 * a) ** 2))
+    assert grey["psnr_linear"]["raw"] == pytest.approx(direct)
+    encoded = 1.055 * (a * 0.5) ** (1 / 2.4) - (1.055 * a ** (1 / 2.4))
+    assert grey["psnr_srgb"]["raw"] == pytest.approx(10 * np.log10(1 / np.mean(encoded**2)))
+
+
+def test_albedo_scores_clip_what_leaves_the_range():
+    truth = np.full((10, 3), 1.0)
+    assert metrics.albedo_scores(truth * 1.7, truth)["psnr_linear"]["raw"] == 100.0
+
+
+def test_ssim_is_its_formula(rng):
+    a, b = rng.random((2, 32, 32, 3))
+    mask = np.zeros((32, 32), bool)
+    mask[12:20, 11:22] = True
+    x = np.arange(-5, 6)
+    kernel = np.exp(-(x**2) / (2 * 1.5**2))
+    kernel = np.outer(kernel, kernel) / kernel.sum() ** 2
+    total = []
+    for i, j in zip(*np.nonzero(mask), strict=True):
+        for c in range(3):
+            rows, columns = slice(i - 5, i + 6), slice(j - 5, j + 6)
+            p = (a[..., c] * mask)[rows, columns]
+            q = (b[..., c] * mask)[rows, columns]
+            mp, mq = (kernel * p).sum(), (kernel * q).sum()
+            vp, vq = (kernel * p * p).sum() - mp**2, (kernel * q * q).sum() - mq**2
+            cov = (kernel * p * q).sum() - mp * mq
+            c1, c2 = 0.01**2, 0.03**2
+            top = (2 * mp * mq + c1) * (2 * cov + c2)
+            total.append(top / ((mp**2 + mq**2 + c1) * (vp + vq + c2)))
+    assert metrics.masked_ssim(b, a, mask) == pytest.approx(np.mean(total), abs=1e-9)
+
+
+def grosse(a, b, m, k=20):
+    """Grosse's local_error of one channel, window by window."""
+    ssq = total = 0.0
+    for i in range(0, a.shape[0] - k + 1, k // 2):
+        for j in range(0, a.shape[1] - k + 1, k // 2):
+            w = np.s_[i : i + k, j : j + k]
+            bb = np.sum(m[w] * b[w] ** 2)
+            alpha = np.sum(m[w] * a[w] * b[w]) / bb if bb > 1e-5 else 0.0
+            ssq += np.sum(m[w] * (a[w] - alpha * b[w]) ** 2)
+            total += np.sum(m[w] * a[w] ** 2)
+    return ssq / total
+
+
+@pytest.mark.parametrize("shape", [(47, 63), (40, 40), (20, 20)])
+def test_lmse_is_grosses(rng, shape):
+    a, b = rng.random((2, *shape, 3))
+    mask = rng.random(shape) < 0.7
+    mask[:15, :15] = False
+    expected = np.mean([grosse(a[..., c], b[..., c], mask) for c in range(3)])
+    assert metrics.lmse(b, a, mask) == pytest.approx(expected, rel=1e-9)
+
+
+def test_lmse_corner_cases(rng):
+    a = rng.random((50, 50, 3))
+    mask = np.ones((50, 50), bool)
+    assert metrics.lmse(np.zeros_like(a), a, mask) == pytest.approx(1.0)
+    assert metrics.lmse(0.3 * a, a, mask) == pytest.approx(0.0, abs=1e-12)
+    assert metrics.lmse(a, a, ~mask) is None
+    assert metrics.lmse(a[:19], a[:19], mask[:19]) is None
+
+
+def shadow_scene(rng, baked):
+    """Two textured materials, each half in shadow; the estimate keeps `baked` of the light there."""
+    truth = np.empty((60, 60, 3))
+    truth[:30] = [0.55, 0.2, 0.2]
+    truth[30:] = [0.2, 0.5, 0.3]
+    truth *= 1 + 0.01 * rng.random((60, 60, 1))
+    shade = np.zeros((60, 60), bool)
+    shade[:, 30:] = True
+    estimate = 0.7 * truth * np.where(shade, baked, 1.0)[..., None]
+    return estimate, truth, shade
+
+
+@pytest.mark.parametrize("baked", [0.4, 1.0, 1.3])
+def test_shadow_ratio_reads_what_was_baked(rng, baked):
+    estimate, truth, shade = shadow_scene(rng, baked)
+    found = metrics.shadow_ratio(estimate, truth, ~shade, shade)
+    assert found["ratio"] == pytest.approx(baked)
+    assert found["materials"] >= 2
+
+
+def test_shadow_ratio_compares_within_materials_only():
+    # a dark material in shadow beside a bright one in the sun is no baked shadow
+    truth = np.full((40, 40, 3), 0.6)
+    truth[:, 20:] = 0.1
+    shade = np.zeros((40, 40), bool)
+    shade[:, 20:] = True
+    assert metrics.shadow_ratio(truth, truth, ~shade, shade)["ratio"] is None
+    truth[:, 15:20] = 0.1
+    found = metrics.shadow_ratio(truth, truth, ~shade, shade)
+    assert (found["ratio"], found["materials"]) == (pytest.approx(1.0), 1)
+    assert found["pixels_in_sun"] == 5 * 40
+
+
+def test_shadow_ratio_weighs_by_the_smaller_side():
+    truth = np.concatenate([np.full((100, 3), 0.5), np.full((1000, 3), 0.1)])
+    shade = np.zeros(1100, bool)
+    shade[:40] = shade[100:120] = True  # 40 of 100 pixels, 20 of 1000
+    estimate = truth.copy()
+    estimate[:40] *= 0.5
+    found = metrics.shadow_ratio(estimate, truth, ~shade, shade)
+    assert found["ratio"] == pytest.approx((40 * 0.5 + 20 * 1.0) / 60)
+
+
+def test_shadow_regions_leave_out_edges_and_attached_shadow():
+    visibility = np.ones((40, 40))
+    visibility[:, 20:] = 0.0
+    mask = np.zeros((40, 40), bool)
+    mask[2:38, 2:38] = True
+    normal = np.zeros((40, 40, 3))
+    normal[..., 2] = 1.0
+    normal[:10] = [0.0, 0.0, -1.0]
+    sun = np.array([0.0, 0.0, 1.0])
+    in_sun, in_shadow = metrics.shadow_regions(visibility, normal, mask, sun)
+    expected = np.zeros((40, 40), bool)
+    expected[10:37, 3:19] = True
+    np.testing.assert_array_equal(in_sun, expected)
+    np.testing.assert_array_equal(in_shadow, expected[:, ::-1])
+
+
+def test_roughness_scores(rng):
+    truth = rng.random(200)
+    scores = metrics.roughness_scores(truth + 0.1, truth)
+    assert scores["rmse"] == pytest.approx(0.1) and scores["mae"] == pytest.approx(0.1)
+    best = minimize_scalar(lambda c: np.sqrt(np.mean((c - truth) ** 2)))
+    assert scores["best_constant_rmse"] == pytest.approx(best.fun)
+
+
+def test_environment_error_has_no_scale_and_weighs_solid_angle(rng):
+    truth = rng.uniform(0.5, 2.0, (16, 32, 3))
+    assert metrics.environment_log_rmse(7.0 * truth, truth) == pytest.approx(0.0, abs=1e-9)
+    upper = truth.copy()
+    upper[:8] *= np.e**2
+    # half the sphere off by 2 in the logarithm: standard deviation 1, up to the floor's effect
+    assert metrics.environment_log_rmse(upper, truth) == pytest.approx(1.0, abs=0.01)
+    pole = truth.copy()
+    pole[:1] *= np.e**2
+    share = (1 - np.cos(np.pi / 16)) / 2
+    assert metrics.environment_log_rmse(pole, truth) == pytest.approx(
+        2 * np.sqrt(share * (1 - share)), rel=0.02
+    )
+
+
+def test_direction_error(rng):
+    for angle in (0.0, 1e-5, 30.0, 90.0, 179.99):
+        a = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
+        assert metrics.direction_error(3 * a, np.array([2.0, 0, 0])) == pytest.approx(angle)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ray casting, texture look-up and surface distances against closed forms and brute force."""
+
+import numpy as np
+import pytest
+import trimesh
+from robir.capture.camera import Camera
+from robir.evaluation import surfaces
+from robir.geometry.mesh import Mesh, vertex_normals
+
+
+def mesh_of(solid, uvs=None, uv_faces=None):
+    vertices = np.asarray(solid.vertices, np.float32)
+    faces = np.asarray(solid.faces, np.int32)
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        normals=vertex_normals(vertices, faces),
+        uvs=np.zeros((0, 2), np.float32) if uvs is None else uvs,
+        uv_faces=np.zeros((0, 3), np.int32) if uv_faces is None else uv_faces,
+    )
+
+
+def camera_at(distance, size=41):
+    pose = np.eye(4)
+    pose[2, 3] = distance
+    focal = size * 1.2
+    return Camera(
+        width=size, height=size, fx=focal, fy=focal, cx=size / 2, cy=size / 2, camera_to_world=pose
+    )
+
+
+def test_a_sphere_is_seen_as_a_sphere():
+    seen = surfaces.MeshCaster(mesh_of(trimesh.creation.icosphere(5))).cast(camera_at(4.0))
+    camera = camera_at(4.0)
+    _, direction = camera.rays(camera.pixel_centres())
+    half = camera.position @ direction.T
+    discriminant = half**2 - (16.0 - 1.0)
+    expected = (discriminant > 0).reshape(41, 41)
+    assert np.mean(seen.hit == expected) > 0.995
+    both = seen.hit & expected
+    t = -half - np.sqrt(np.maximum(discriminant, 0))
+    point = (camera.position + t[:, None] * direction).reshape(41, 41, 3)
+    inner = both & (discriminant.reshape(41, 41) > 0.05)
+    assert np.abs(seen.position - point)[inner].max() < 2e-3
+    assert np.abs(seen.normal - point)[inner].max() < 1e-2
+
+
+def test_texture_coordinates_are_seen_upright():
+    # a quad facing +z with u to the right and v up: the picture shows the texture as stored
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    mesh = Mesh(
+        vertices=corners,
+        faces=faces,
+        normals=vertex_normals(corners, faces),
+        uvs=uvs,
+        uv_faces=faces,
+    )
+    pose = np.eye(4)
+    pose[2, 3] = 10.0
+    camera = Camera(width=8, height=8, fx=40, fy=40, cx=4, cy=4, camera_to_world=pose)
+    texture = np.random.default_rng(0).random((8, 8, 3))
+    seen = surfaces.MeshCaster(mesh).cast(camera)
+    assert seen.hit.all()
+    looked_up = surfaces.sample_texture(texture, seen.uv.reshape(-1, 2))
+    assert looked_up.reshape(8, 8, 3) == pytest.approx(texture, abs=1e-4)
+
+
+def test_texture_sampling_is_linear_and_blind_to_empty_texels():
+    rows, columns = np.mgrid[:16, :16] + 0.5
+    texture = np.stack([columns / 16, 1 - rows / 16], axis=-1)
+    uv = np.random.default_rng(1).uniform(0.1, 0.9, (200, 2))
+    assert surfaces.sample_texture(texture, uv) == pytest.approx(uv, abs=1e-9)
+    inside = np.ones((16, 16), bool)
+    inside[:, 8:] = False
+    texture[~inside] = 1e6
+    near = np.array([[0.4999, 0.5], [0.48, 0.5]])
+    value = surfaces.sample_texture(texture, near, inside)[:, 0]
+    assert value == pytest.approx([7.5 / 16, 7.5 / 16], abs=0.02)
+
+
+def test_distance_is_the_nearest_triangles():
+    rng = np.random.default_rng(2)
+    solid = trimesh.creation.torus(1.0, 0.3, 24, 12)
+    points = rng.uniform(-1.5, 1.5, (200, 3))
+    every = np.stack(
+        [
+            np.linalg.norm(
+                trimesh.triangles.closest_point(solid.triangles, np.tile(p, (len(solid.faces), 1)))
+                - p,
+                axis=1,
+            ).min()
+            for p in points
+        ]
+    )
+    found = surfaces.surface_distance(points, solid.vertices, solid.faces)
+    assert found == pytest.approx(every, abs=1e-9)
+
+
+def test_chamfer_of_two_spheres_is_their_gap():
+    inner, outer = trimesh.creation.icosphere(5), trimesh.creation.icosphere(5, radius=1.02)
+    scores = surfaces.chamfer(
+        inner.vertices, outer.vertices, mesh_of(inner), mesh_of(outer), radius=2.0
+    )
+    for name in ("chamfer", "accuracy", "completeness"):
+        assert scores[name] == pytest.approx(10.0, rel=0.02)
+
+
+def test_chamfer_sees_missing_parts_in_completeness_only():
+    box = trimesh.creation.box()
+    half = trimesh.Trimesh(box.vertices, box.faces[box.triangles_center[:, 2] < 0.4])
+    points = box.sample(2000, seed=0)
+    kept = points[points[:, 2] < 0.499]
+    scores = surfaces.chamfer(kept, points, mesh_of(half), mesh_of(box), radius=1.0)
+    assert scores["accuracy"] < 1e-3
+    assert scores["completeness"] > 10
+
+
+def test_normal_scores_count_misses():
+    rng = np.random.default_rng(4)
+    truth = rng.normal(size=(1000, 3))
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    side = np.cross(truth, rng.normal(size=(1000, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    tilt = np.radians(10.0)
+    estimate = np.cos(tilt) * truth + np.sin(tilt) * side
+    hit = np.arange(1000) >= 250
+    scores = surfaces.normal_scores(estimate, truth, hit)
+    assert scores["mean_degrees"] == pytest.approx(0.75 * 10 + 0.25 * 90)
+    assert scores["median_degrees"] == pytest.approx(10.0)
+
+
+def test_iou():
+    a, b = np.zeros((2, 10, 10), bool)
+    a[:6], b[3:] = True, True
+    assert surfaces.intersection_over_union(a, b) == pytest.approx(0.3)
+    assert surfaces.intersection_over_union(a & False, a & False) == 1.0
