@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The object's bounding sphere from masks: the visual hull, carved coarse to fine.
+
+The hull is every point that no mask calls background. Cells of a coarse grid are kept if a mask
+is nearer to their projected centre than their projected half diagonal, so thin parts survive;
+then only the outermost cells, which alone decide the sphere, are divided further.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from robir.capture.camera import Camera
+from robir.capture.capture import Bounds, View
+from robir.capture.frames import Sphere
+
+Array = NDArray[np.float64]
+
+GRID = 48
+"""Cells along each side of the coarse grid."""
+
+MARGIN = 1.02
+"""Factor on the sphere's radius for what masks and poses do not know exactly."""
+
+INSIDE = 64
+"""Mask value from which a pixel counts as object; low, so that thin parts survive."""
+
+_LEVELS = 3
+_AGREEMENT = 0.9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hull:
+    """The visual hull of the masks.
+
+    Attributes:
+        sphere: Its bounding sphere with margin.
+        agreement: (V,) share of each mask that the hull covers, 1 where masks and poses agree.
+        dissent: How many masks may call a point of the hull background; 0 where all agree.
+    """
+
+    sphere: Sphere
+    agreement: Array
+    dissent: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Silhouette:
+    camera: Camera
+    distance: NDArray[np.float32]
+    """(H, W) pixels to the nearest object pixel, 0 on it."""
+
+
+def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | None:
+    """Bounding sphere of the visual hull.
+
+    Args:
+        views: Photographs with masks; those with empty masks are left out.
+        start: Where to look first, or None to start from the directions of the masks' centres.
+
+    Returns:
+        The hull, or None if the masks have nothing in common.
+    """
+    silhouettes = [_silhouette(view) for view in views if (view.mask >= INSIDE).any()]
+    if len(silhouettes) < 2:
+        return None
+    where = start or _first_guess(silhouettes)
+    if where is None:
+        return None
+    limit = start if start is not None and start.is_limit else None
+    budgets = sorted({0, 1, *(int(share * len(silhouettes)) for share in (0.05, 0.1, 0.2))})
+    best: Hull | None = None
+    for dissent in budgets:
+        cells, half = _coarse(silhouettes, where, limit, dissent)
+        if len(cells) == 0:
+            continue
+        agreement = _agreement(silhouettes, cells, half)
+        if best is None or np.median(agreement) > np.median(best.agreement) + 0.02:
+            sphere = _refined(silhouettes, cells, half, dissent)
+            best = Hull(sphere=sphere, agreement=agreement, dissent=dissent)
+        if np.median(agreement) >= _AGREEMENT:
+            break
+    return best
+
+
+def bounds_of(sphere: Sphere) -> Bounds:
+    """The value that goes into a capture."""
+    return Bounds(centre=sphere.centre, radius=sphere.radius, origin=sphere.origin)
+
+
+def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
+    """Bounding sphere of the sparse points that lie inside the masks.
+
+    A point counts if nine in ten of the masks that have it in frame contain it.
+
+    Args:
+        points: (N, 3), capture frame.
+        views: Photographs with masks.
+
+    Returns:
+        Sphere about the central 98 % of the points, or None if fewer than 20 count.
+    """
+    inside, seen = np.zeros(len(points)), np.zeros(len(points))
+    for view in views:
+        row, column, depth = _pixels_of(view.camera, points)
+        in_frame = depth > 0
+        seen += in_frame
+        inside += in_frame & (view.mask[row, column] >= INSIDE)
+    kept = points[(seen >= 2) & (inside >= 0.9 * seen)]
+    if len(kept) < 20:
+        return None
+    centre = np.median(kept, axis=0)
+    radius = float(np.quantile(np.linalg.norm(kept - centre, axis=1), 0.98))
+    return Sphere(
+        centre=centre,
+        radius=1.3 * radius,
+        origin=f"{len(kept)} sparse points inside the masks",
+        is_limit=False,
+    )
+
+
+def enclosing_sphere(points: Array) -> tuple[Array, float]:
+    """Smallest enclosing sphere to about a thousandth (Badoiu and Clarkson 2003).
+
+    Args:
+        points: (N, 3), N >= 1.
+
+    Returns:
+        Centre (3,) and radius.
+    """
+    if len(points) > 16:
+        try:
+            points = points[ConvexHull(points).vertices]
+        except QhullError:
+            pass  # flat sets have no hull; all their points will do
+    centre = points.mean(axis=0)
+    for step in range(1, 1001):
+        farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
+        centre = centre + (farthest - centre) / (step + 1)
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
+
+def _silhouette(view: View) -> _Silhouette:
+    distance = ndimage.distance_transform_edt(view.mask < INSIDE)
+    return _Silhouette(camera=view.camera, distance=distance.astype(np.float32))
+
+
+def _first_guess(silhouettes: Sequence[_Silhouette]) -> Sphere | None:
+    """The point nearest to the rays through the masks' centres, and a generous radius."""
+    system, right = np.zeros((3, 3)), np.zeros(3)
+    for silhouette in silhouettes:
+        rows, columns = np.nonzero(silhouette.distance == 0)
+        middle = np.array([[columns.mean() + 0.5, rows.mean() + 0.5]])
+        origin, direction = silhouette.camera.rays(middle)
+        across = np.eye(3) - np.outer(direction[0], direction[0])
+        system += across
+        right += across @ origin[0]
+    if np.linalg.cond(system) > 1e6:
+        return None
+    centre = np.linalg.solve(system, right)
+    radii = []
+    for silhouette in silhouettes:
+        rows, columns = np.nonzero(silhouette.distance == 0)
+        pixel, depth = silhouette.camera.project(centre[None])
+        offset = np.hypot(columns + 0.5 - pixel[0, 0], rows + 0.5 - pixel[0, 1]).max()
+        focal = min(silhouette.camera.fx, silhouette.camera.fy)
+        if depth[0] > 0:
+            radii.append(offset / focal * depth[0])
+    if not radii:
+        return None
+    return Sphere(centre=centre, radius=1.2 * float(np.median(radii)), origin="", is_limit=False)
+
+
+def _coarse(
+    silhouettes: Sequence[_Silhouette], where: Sphere, limit: Sphere | None, dissent: int
+) -> tuple[Array, float]:
+    """Kept cells of the coarse grid about the hull: centres (N, 3) and half their side.
+
+    The cube grows while the hull touches its walls (unless a format promises a sphere), and then
+    shrinks onto the hull once.
+    """
+    centre, reach = where.centre, where.radius
+    for _ in range(4):
+        cells, half = _carved_cube(silhouettes, centre, reach, dissent)
+        cells = _within(cells, half, limit)
+        if len(cells) == 0 or limit is not None:
+            break
+        if np.abs(cells - centre).max() < reach - 1.5 * half:
+            break
+        reach *= 1.6
+    if len(cells) == 0:
+        return cells, half
+    middle = 0.5 * (cells.min(axis=0) + cells.max(axis=0))
+    reach = float(np.abs(cells - middle).max()) + 2 * half
+    cells, half = _carved_cube(silhouettes, middle, reach, dissent)
+    return _within(cells, half, limit), half
+
+
+def _carved_cube(
+    silhouettes: Sequence[_Silhouette], centre: Array, reach: float, dissent: int
+) -> tuple[Array, float]:
+    half = reach / GRID
+    ticks = np.linspace(-reach + half, reach - half, GRID)
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = grid + centre
+    return cells[_kept(silhouettes, cells, half, dissent)], half
+
+
+def _within(cells: Array, half: float, limit: Sphere | None) -> Array:
+    if limit is None:
+        return cells
+    return cells[np.linalg.norm(cells - limit.centre, axis=1) <= limit.radius + half]
+
+
+def _kept(
+    silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int
+) -> NDArray[np.bool_]:
+    """Which cells at most `dissent` masks call background and a quarter of the views see."""
+    diagonal = np.sqrt(3.0) * half
+    alive = np.arange(len(cells))
+    against = np.zeros(len(cells), dtype=np.int32)
+    seen = np.zeros(len(cells), dtype=np.int32)
+    for silhouette in silhouettes:
+        camera = silhouette.camera
+        row, column, depth = _pixels_of(camera, cells[alive])
+        in_frame = depth > 0
+        slack = np.maximum(diagonal * max(camera.fx, camera.fy) / np.maximum(depth, 1e-12), 0.75)
+        seen[alive] += in_frame
+        against[alive] += in_frame & (silhouette.distance[row, column] > slack)
+        alive = alive[against[alive] <= dissent]
+    kept = np.zeros(len(cells), dtype=bool)
+    kept[alive] = seen[alive] >= max(2, len(silhouettes) // 4)
+    return kept
+
+
+def _pixels_of(
+    camera: Camera, points: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Row, column and depth of points; the depth is -1 for those out of frame."""
+    pixels, depth = camera.project(points)
+    column = np.floor(np.clip(pixels[:, 0], -1, camera.width)).astype(np.int64)
+    row = np.floor(np.clip(pixels[:, 1], -1, camera.height)).astype(np.int64)
+    out = (column < 0) | (column >= camera.width) | (row < 0) | (row >= camera.height)
+    depth = np.where(out, -1.0, depth)
+    return (
+        np.clip(row, 0, camera.height - 1),
+        np.clip(column, 0, camera.width - 1),
+        depth,
+    )
+
+
+def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) -> Array:
+    """Share of each mask's pixels whose rays meet a kept cell, (V,).
+
+    Each cell is splatted as a disc that covers it, so that no gaps remain between cells.
+    """
+    shares = []
+    for silhouette in silhouettes:
+        camera = silhouette.camera
+        row, column, depth = _pixels_of(camera, cells)
+        empty = np.ones((camera.height, camera.width), dtype=bool)
+        visible = depth > 0
+        empty[row[visible], column[visible]] = False
+        inside = silhouette.distance == 0
+        if not visible.any():
+            shares.append(0.0)
+            continue
+        reach = np.sqrt(3.0) * half * max(camera.fx, camera.fy) / np.median(depth[visible])
+        near = ndimage.distance_transform_edt(empty) <= max(float(reach), 1.0)
+        shares.append(float((near & inside).sum() / inside.sum()))
+    return np.array(shares)
+
+
+def _refined(
+    silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int
+) -> Sphere:
+    """Bounding sphere of the hull after dividing the outermost cells `_LEVELS` times."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    centre, radius = enclosing_sphere(cells)
+    for _ in range(_LEVELS):
+        # The sphere shrinks by a cell's diagonal at most, so deeper cells cannot decide it.
+        outer = np.linalg.norm(cells - centre, axis=1) >= radius - 4 * np.sqrt(3.0) * half
+        half = 0.5 * half
+        children = (cells[outer][:, None, :] + half * corners).reshape(-1, 3)
+        children = children[_kept(silhouettes, children, half, dissent)]
+        if len(children) == 0:
+            break
+        cells = children
+        centre, radius = enclosing_sphere(cells)
+    return Sphere(
+        centre=centre,
+        radius=MARGIN * (radius + float(np.sqrt(3.0)) * half),
+        origin=f"visual hull of {len(silhouettes)} masks",
+        is_limit=False,
+    )

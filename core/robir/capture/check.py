@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`robir check`: findings about a capture before an hour is spent on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from robir.capture.capture import Capture, Finding
+from robir.capture.config import CaptureConfig
+from robir.capture.recognise import read_capture
+from robir.capture.refusal import CaptureRefused
+
+
+def check_capture(
+    source: Path, masks: Path | None, config: CaptureConfig
+) -> tuple[Capture | None, tuple[Finding, ...]]:
+    """Read a capture and say what was noticed; a bad capture is no exception here.
+
+    Args:
+        source: Folder of the capture, or its file of poses; never written to.
+        masks: Folder of masks, or None.
+        config: Settings of the capture stage.
+
+    Returns:
+        The capture, or None if errors are among the findings; all findings, errors first.
+    """
+    try:
+        capture = read_capture(source, masks, config)
+    except CaptureRefused as refusal:
+        return None, _sorted(refusal.findings)
+    return capture, _sorted(capture.findings)
+
+
+def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    order = ("error", "warning", "note")
+    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))

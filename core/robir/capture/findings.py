@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a capture: checks of poses, photographs, masks and the object's place."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.capture.capture import Bounds, Finding, View
+from robir.capture.frames import Frame, FrameSet, pose_fault
+from robir.capture.refusal import error, note, warning
+
+MIN_VIEWS = 3
+"""Fewer views cannot fix a surface."""
+
+FEW_VIEWS = 12
+"""Below this many views, hidden sides stay guesses."""
+
+_OBJECT = 128
+_SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
+
+
+def check_frames(frames: FrameSet) -> list[Finding]:
+    """Counts, missing files, poses and focal lengths, before a pixel is read.
+
+    Args:
+        frames: What the format says.
+
+    Returns:
+        Findings; errors among them mean that reading on is useless.
+    """
+    everything = frames.frames
+    tests = sum(frame.split == "test" for frame in everything)
+    found = [
+        note(
+            "counts",
+            f"{frames.format} capture with {len(everything)} posed photographs, "
+            f"{tests} of them test views",
+        )
+    ]
+    if len(everything) - tests < MIN_VIEWS:
+        found.append(
+            error(
+                "too-few-views",
+                f"{frames.root} has {len(everything) - tests} posed photographs to learn from; "
+                f"at least {MIN_VIEWS} are needed, 30 or more are good",
+                "Add photographs from other directions.",
+            )
+        )
+    elif len(everything) - tests < FEW_VIEWS:
+        found.append(
+            warning(
+                "few-views",
+                f"Only {len(everything) - tests} views to learn from",
+                "Expect guesses on sides that few views see; 30 or more views are good.",
+            )
+        )
+    missing = [frame.relative for frame in everything if not frame.image.is_file()]
+    if missing:
+        found.append(
+            error(
+                "missing-images",
+                f"{len(missing)} of {len(everything)} posed photographs are missing "
+                f"below {frames.root}",
+                "Put the photographs there under the names the poses use, or remove their poses.",
+                *missing,
+            )
+        )
+    return found + _check_poses(everything) + _check_lenses(everything)
+
+
+def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
+    faults: dict[str, list[str]] = defaultdict(list)
+    places: dict[bytes, list[str]] = defaultdict(list)
+    for frame in frames:
+        fault = pose_fault(frame.camera_to_world)
+        if fault is not None:
+            faults[fault].append(frame.relative)
+        else:
+            places[np.round(frame.camera_to_world, 9).tobytes()].append(frame.relative)
+    found = [
+        error(
+            "bad-pose",
+            f"The pose of {len(names)} photographs {fault}",
+            "Estimate the poses again, or remove these photographs.",
+            *names,
+        )
+        for fault, names in faults.items()
+    ]
+    twins = [name for names in places.values() if len(names) > 1 for name in names]
+    if twins:
+        found.append(
+            warning(
+                "duplicate-poses",
+                f"{len(twins)} photographs share their pose with another",
+                "Remove repeated photographs; if they differ, their poses are wrong.",
+                *twins,
+            )
+        )
+    return found
+
+
+def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
+    stated = [(f.lens.fx, f.relative) for f in frames if f.lens.fx is not None]
+    stated += [(1 / f.lens.angle_x, f.relative) for f in frames
+               if f.lens.fx is None and f.lens.angle_x is not None]
+    if not stated:
+        return []
+    middle = float(np.median([value for value, _ in stated]))
+    odd = [name for value, name in stated if not 0.5 <= value / middle <= 2]
+    if not odd:
+        return []
+    return [
+        warning(
+            "focal-lengths",
+            f"{len(odd)} photographs have a focal length less than half or more than twice "
+            "that of the others",
+            _SIDES_CURE,
+            *odd,
+        )
+    ]
+
+
+def check_photographs(views: Sequence[View]) -> list[Finding]:
+    """Black, white and repeated photographs, and exposure of the object.
+
+    Args:
+        views: Read photographs; where masks are missing, the mask is full.
+
+    Returns:
+        Findings.
+    """
+    found = []
+    black, white, over, under = [], [], [], []
+    same: dict[bytes, list[str]] = defaultdict(list)
+    for view in views:
+        same[hashlib.sha256(view.image_display.tobytes()).digest()].append(view.name)
+        pixels = _object_pixels(view)
+        if pixels.max() <= 2:
+            black.append(view.name)
+        elif pixels.min() >= 253:
+            white.append(view.name)
+        else:
+            brightest = pixels.max(axis=1)
+            over += [view.name] if (brightest == 255).mean() > 0.05 else []
+            under += [view.name] if (brightest <= 3).mean() > 0.2 else []
+    for names, what in ((black, "black"), (white, "white")):
+        if names:
+            found.append(
+                error(
+                    f"all-{what}",
+                    f"{len(names)} photographs are {what} all over the object",
+                    "Replace them, or remove them together with their poses.",
+                    *names,
+                )
+            )
+    twins = [name for names in same.values() if len(names) > 1 for name in names]
+    if twins and not black and not white:
+        found.append(
+            warning(
+                "duplicate-images",
+                f"{len(twins)} photographs are equal to another, pixel by pixel",
+                "Remove the repeated ones; two poses for one photograph contradict each other.",
+                *twins,
+            )
+        )
+    if over:
+        found.append(
+            warning(
+                "over-exposed",
+                f"{len(over)} photographs are clipped (255) on more than 5 % of the object; "
+                f"{100 * clipped_share(views):.1f} % of all object pixels are",
+                "Clipped pixels only tell how bright the object is at least; "
+                "photograph or render with less exposure.",
+                *over,
+            )
+        )
+    if under:
+        found.append(
+            warning(
+                "under-exposed",
+                f"{len(under)} photographs are black on more than 20 % of the object",
+                "Photograph or render with more exposure.",
+                *under,
+            )
+        )
+    if has_spike(views):
+        found.append(
+            note("clipping", "Object pixels pile up at 255: the tone curve clips")
+        )
+    return found
+
+
+def check_masks(views: Sequence[View]) -> list[Finding]:
+    """Empty, full, tiny, inverted and cut-off masks.
+
+    Args:
+        views: Photographs with masks.
+
+    Returns:
+        Findings.
+    """
+    shares = {view.name: float((view.mask >= _OBJECT).mean()) for view in views}
+    border = {view.name: _border_share(view.mask) for view in views}
+    empty = [name for name, share in shares.items() if share == 0]
+    full = [name for name, share in shares.items() if share > 0.999]
+    tiny = [name for name, share in shares.items() if 0 < share < 0.005]
+    cut = [name for name, share in border.items() if share > 0.02 and name not in full]
+    found = [
+        note(
+            "mask-share",
+            f"Masks cover {100 * np.mean(list(shares.values())):.1f} % of the photographs "
+            f"({100 * min(shares.values()):.1f} to {100 * max(shares.values()):.1f} %)",
+        )
+    ]
+    for names, what, means in ((empty, "empty", "no"), (full, "full", "every")):
+        if names:
+            found.append(
+                error(
+                    f"{what}-masks",
+                    f"{len(names)} of {len(views)} masks are {what}: they call {means} pixel "
+                    "object",
+                    "Draw these masks (white = object), or remove the photographs and poses.",
+                    *names,
+                )
+            )
+    if tiny:
+        found.append(
+            warning(
+                "tiny-masks",
+                f"{len(tiny)} masks cover less than 0.5 % of their photographs",
+                "Check these masks, or crop the photographs.",
+                *tiny,
+            )
+        )
+    centre = np.mean([view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] >= _OBJECT
+                      for view in views])
+    if np.mean(list(border.values())) > 0.8 and centre < 0.5 and not full:
+        found.append(
+            warning(
+                "inverted-masks",
+                "The masks are white at the border and black in the middle",
+                "Invert them if they mark the background: white must be the object.",
+            )
+        )
+    elif cut:
+        found.append(
+            note("cut-off", f"The object is cut off by the border of {len(cut)} photographs", *cut)
+        )
+    return found
+
+
+def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
+    """How the object was found, and cameras inside it.
+
+    Args:
+        views: Photographs.
+        bounds: The object's sphere.
+
+    Returns:
+        Findings.
+    """
+    x, y, z = bounds.centre
+    found = [
+        note(
+            "bounds",
+            f"Bounding sphere by {bounds.origin}: centre ({x:.4g}, {y:.4g}, {z:.4g}), "
+            f"radius {bounds.radius:.4g}",
+        )
+    ]
+    inside = [
+        view.name
+        for view in views
+        if np.linalg.norm(view.camera.position - bounds.centre) < bounds.radius
+    ]
+    if inside:
+        found.append(
+            warning(
+                "cameras-inside",
+                f"{len(inside)} cameras are inside the object's bounding sphere",
+                "Check that poses and masks belong together; "
+                "masks should hold one object, not its surroundings.",
+                *inside,
+            )
+        )
+    return found
+
+
+def clipped_share(views: Iterable[View]) -> float:
+    """Share of the object's pixels with a channel at 255."""
+    clipped = total = 0
+    for view in views:
+        pixels = _object_pixels(view)
+        clipped += int((pixels == 255).any(axis=1).sum())
+        total += len(pixels)
+    return clipped / max(total, 1)
+
+
+def mask_share(views: Iterable[View]) -> float:
+    """Mean share of the photographs that the masks cover."""
+    return float(np.mean([view.mask.mean() / 255 for view in views]))
+
+
+def has_spike(views: Iterable[View]) -> bool:
+    """Whether object values pile up at 255 against the ten values below: a clipping curve."""
+    counts = np.zeros(256, dtype=np.int64)
+    for view in views:
+        counts += np.bincount(_object_pixels(view).ravel(), minlength=256)
+    below = counts[245:255].mean()
+    return bool(counts[255] > 4 * max(below, 1.0) and counts[255] > 0.002 * counts.sum())
+
+
+def _object_pixels(view: View) -> NDArray[np.uint8]:
+    """(N, 3) pixels of the object, or of the whole photograph if the mask is empty."""
+    inside = view.mask >= _OBJECT
+    return view.image_display[inside] if inside.any() else view.image_display.reshape(-1, 3)
+
+
+def _border_share(mask: NDArray[np.uint8]) -> float:
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return float((border >= _OBJECT).mean())

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a reader hands over: photographs that are named and posed but not yet read.
+
+Lens distortion is the polynomial and rational model of Brown and Conrady as OpenCV, COLMAP and
+nerfstudio write it. With (x, y) the undistorted image point at focal length one, y down, and
+r2 = x^2 + y^2:
+
+    q  = (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4) / (1 + d1 r2 + d2 r2^2 + d3 r2^3)
+    x' = q x + 2 p1 x y + p2 (r2 + 2 x^2)
+    y' = q y + p1 (r2 + 2 y^2) + 2 p2 x y
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.capture.camera import Camera
+from robir.capture.capture import Finding
+from robir.capture.refusal import refuse
+
+Array = NDArray[np.float64]
+
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distortion:
+    """Brown-Conrady lens distortion; all zero means none.
+
+    Attributes:
+        radial: k1, k2, k3, k4 of the numerator.
+        rational: d1, d2, d3 of the denominator (OpenCV's k4, k5, k6).
+        tangential: p1, p2.
+    """
+
+    radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    rational: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether the lens distorts nothing."""
+        return not any((*self.radial, *self.rational, *self.tangential))
+
+    def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Distorted image points of undistorted ones, both at focal length one, y down."""
+        k1, k2, k3, k4 = self.radial
+        d1, d2, d3 = self.rational
+        p1, p2 = self.tangential
+        r2 = x * x + y * y
+        q = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
+        q = q / (1 + r2 * (d1 + r2 * (d2 + r2 * d3)))
+        return (
+            q * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            q * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """Intrinsics as a format states them; what it leaves open follows from the image size.
+
+    Attributes:
+        width: Declared image width in pixels, or None.
+        height: Declared image height in pixels, or None.
+        fx: Focal length along the row in pixels, or None if only `angle_x` is known.
+        fy: Focal length along the column in pixels, or None for square pixels.
+        cx: Principal point from the left edge in pixels, or None for the middle.
+        cy: Principal point from the top edge in pixels, or None for the middle.
+        angle_x: Horizontal field of view in radians, used where fx is None.
+        angle_y: Vertical field of view in radians, used where fx and fy are None.
+        distortion: Lens distortion.
+    """
+
+    width: int | None = None
+    height: int | None = None
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    angle_x: float | None = None
+    angle_y: float | None = None
+    distortion: Distortion = field(default_factory=Distortion)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Declared (width, height), or None if the format does not state it."""
+        if self.width is None or self.height is None:
+            return None
+        return self.width, self.height
+
+    def camera(self, camera_to_world: Array, width: int, height: int) -> Camera:
+        """The pinhole camera of an image of this size, distortion aside."""
+        fx, fy = self.fx, self.fy
+        if fx is None:
+            assert self.angle_x is not None, "readers give fx or angle_x"
+            fx = 0.5 * width / np.tan(0.5 * self.angle_x)
+            if fy is None and self.angle_y is not None:
+                fy = 0.5 * height / np.tan(0.5 * self.angle_y)
+        return Camera(
+            width=width,
+            height=height,
+            fx=float(fx),
+            fy=float(fx if fy is None else fy),
+            cx=0.5 * width if self.cx is None else self.cx,
+            cy=0.5 * height if self.cy is None else self.cy,
+            camera_to_world=camera_to_world,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One photograph on disk with its pose.
+
+    Attributes:
+        name: Unique within the capture, fit for a file name.
+        image: The photograph.
+        relative: The photograph's path as the format names it; masks are found by it.
+        mask: Mask the format names itself, or None.
+        lens: Intrinsics as stated.
+        camera_to_world: 4x4, OpenGL axes, as stated; not yet checked.
+        split: "test" if the format keeps the view aside, else "train".
+    """
+
+    name: str
+    image: Path
+    relative: str
+    mask: Path | None = None
+    lens: Lens
+    camera_to_world: Array
+    split: Literal["train", "test"] = "train"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere:
+    """Where a format says the object is.
+
+    Attributes:
+        centre: (3,), capture frame.
+        radius: Capture unit.
+        origin: How it is known, one clause for the user.
+        is_limit: Whether the object is promised to lie inside.
+    """
+
+    centre: Array
+    radius: float
+    origin: str
+    is_limit: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSet:
+    """Everything a format says, before a pixel is read.
+
+    Attributes:
+        root: Folder that holds the capture.
+        format: Name of the format, for example "colmap".
+        frames: Posed photographs.
+        sphere: Where the format says the object is, or None.
+        points: (N, 3) sparse surface points, capture frame; empty if the format has none.
+        findings: What the reader noticed.
+    """
+
+    root: Path
+    format: str
+    frames: tuple[Frame, ...]
+    sphere: Sphere | None = None
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    findings: tuple[Finding, ...] = ()
+
+
+def pose_fault(pose: Array) -> str | None:
+    """What is wrong with a camera-to-world matrix, in words, or None.
+
+    A common scale of the three axes is allowed, as Blender writes it for scaled cameras.
+    """
+    if not np.isfinite(pose).all():
+        return "holds NaN or infinite numbers"
+    axes = pose[:3, :3]
+    lengths = np.linalg.norm(axes, axis=0)
+    if lengths.min() < 1e-9 or abs(np.linalg.det(axes / lengths)) < 1e-3:
+        return "is singular (its axes do not span space)"
+    if lengths.max() > 1.01 * lengths.min() or not np.allclose(
+        (axes / lengths).T @ (axes / lengths), np.eye(3), atol=1e-2
+    ):
+        return "is no rotation (its axes are sheared or of unequal length)"
+    if np.linalg.det(axes) < 0:
+        return "mirrors space (its determinant is negative)"
+    return None
+
+
+def rigid(pose: Array) -> Array:
+    """The nearest rigid transform of a pose without fault, shape (4, 4)."""
+    u, _, vt = np.linalg.svd(pose[:3, :3])
+    result = np.eye(4)
+    result[:3, :3] = u @ vt
+    result[:3, 3] = pose[:3, 3]
+    return result
+
+
+def unique_names(relatives: list[str]) -> list[str]:
+    """Short names for photographs: paths without suffix and without folders shared by all.
+
+    Args:
+        relatives: Paths as the format names them, "/" between folders.
+
+    Returns:
+        One name each, fit for a file name.
+
+    Raises:
+        CaptureError: If two photographs have the same path.
+    """
+    parts = [[p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")]
+             for r in relatives]
+    while parts and all(len(p) > 1 and p[0] == parts[0][0] for p in parts):
+        parts = [p[1:] for p in parts]
+    full = ["_".join(p) for p in parts]
+    stems = [name.rsplit(".", 1)[0] if _has_image_suffix(name) else name for name in full]
+    names = stems if len(set(stems)) == len(stems) else full
+    if len(set(names)) < len(names):
+        twice = sorted({r for r in relatives if relatives.count(r) > 1})
+        raise refuse(
+            "duplicate-images",
+            f"{len(twice)} photographs are named more than once, with one pose each",
+            "Keep one entry a photograph.",
+            *twice,
+        )
+    return names
+
+
+def _has_image_suffix(name: str) -> bool:
+    return name.lower().endswith(IMAGE_SUFFIXES)
+
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+"""Kinds of photographs that are read."""

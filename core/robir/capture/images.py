@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photographs and masks from disk: 8-bit, display-referred, one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy import ndimage
+
+from robir.capture.camera import Camera
+from robir.capture.frames import Distortion
+from robir.capture.refusal import refuse
+
+Bytes = NDArray[np.uint8]
+
+_EXIF_ORIENTATION = 0x0112
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photo:
+    """A photograph as stored.
+
+    Attributes:
+        image_display: (H, W, 3) uint8, display-referred, straight.
+        alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
+        is_turned: Whether the EXIF orientation was applied.
+    """
+
+    image_display: Bytes
+    alpha: Bytes | None
+    is_turned: bool
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.image_display.shape[1], self.image_display.shape[0]
+
+
+def read_photo(path: Path, declared: tuple[int, int] | None) -> Photo:
+    """Read a photograph.
+
+    Programs that write poses with an image size ignore the EXIF orientation, so it is applied
+    only if the pixels as stored do not have the declared size, or none is declared.
+
+    Args:
+        path: PNG, JPEG, TIFF or whatever else Pillow reads; 8 or 16 bits.
+        declared: (width, height) that belongs to the pose, or None.
+
+    Returns:
+        The photograph; its size may still differ from the declared one.
+
+    Raises:
+        CaptureError: If the file is missing, truncated or no photograph.
+    """
+    with _opened(path) as picture:
+        turned = picture.getexif().get(_EXIF_ORIENTATION, 1) not in (0, 1)
+        if turned and picture.size != declared:
+            picture = ImageOps.exif_transpose(picture)
+        else:
+            turned = False
+        return _photo(picture, path, turned)
+
+
+def has_transparency(path: Path) -> bool:
+    """Whether a file can hold a mask in its alpha channel, from its head alone."""
+    with _opened(path, head_only=True) as picture:
+        return picture.has_transparency_data
+
+
+def read_mask(path: Path) -> Bytes:
+    """Read a mask: alpha where it varies, else brightness; 255 is the object.
+
+    Masks of zeros and ones are stretched to 0 and 255.
+
+    Args:
+        path: Mask file.
+
+    Returns:
+        (H, W) uint8 coverage.
+
+    Raises:
+        CaptureError: If the file is missing, truncated or no picture.
+    """
+    with _opened(path) as picture:
+        photo = _photo(ImageOps.exif_transpose(picture), path, False)
+    mask = photo.image_display.max(axis=2) if photo.alpha is None else photo.alpha
+    return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+
+
+def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes | None:
+    """A mask brought to the size of its photograph, or None if their shapes differ.
+
+    Args:
+        mask: (h, w) uint8.
+        size: Width and height of the photograph.
+
+    Returns:
+        (H, W) uint8; smaller or larger masks of the same shape (within a pixel) are resampled.
+    """
+    width, height = size
+    rows, columns = mask.shape
+    if (columns, rows) == size:
+        return mask
+    if abs(columns * height - rows * width) > max(width, height):
+        return None
+    return np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
+
+
+def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
+    """Area average of a photograph and its mask.
+
+    Colours are weighted by the mask, so that the background (or the black under a transparent
+    alpha) does not bleed into the object's edge. Averages display values: the tone curve is not
+    known yet.
+
+    Args:
+        image: (H, W, 3) uint8, straight.
+        mask: (H, W) uint8.
+        width: New width in pixels.
+        height: New height in pixels.
+
+    Returns:
+        Image (height, width, 3) uint8, straight, and mask (height, width) uint8.
+    """
+    if (width, height) == (image.shape[1], image.shape[0]):
+        return image, mask
+
+    def average(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+        resized = Image.fromarray(layer).resize((width, height), Image.Resampling.BOX)
+        return np.asarray(resized)
+
+    # A grain of weight keeps the picture where there is no object at all.
+    weight = mask.astype(np.float32) + np.float32(1e-3)
+    total = average(weight)
+    layers = [average(image[:, :, c] * weight) / total for c in range(3)]
+    return _bytes(np.stack(layers, axis=2)), _bytes(total)
+
+
+def undistort(
+    image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion
+) -> tuple[Bytes, Bytes, Camera]:
+    """Take out the lens distortion by bilinear remapping.
+
+    The field of view shrinks just so much that no pixel lies outside the photograph.
+
+    Args:
+        image: (H, W, 3) uint8 as photographed.
+        mask: (H, W) uint8.
+        camera: Its camera, distortion aside.
+        distortion: Lens distortion.
+
+    Returns:
+        Undistorted image, mask and camera, of the same size.
+
+    Raises:
+        CaptureError: If the distortion folds the picture over itself.
+    """
+    zoom = _zoom_without_gaps(camera, distortion)
+    straight = Camera(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx * zoom,
+        fy=camera.fy * zoom,
+        cx=camera.cx,
+        cy=camera.cy,
+        camera_to_world=camera.camera_to_world,
+    )
+    at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion)
+    rows_columns = (at - 0.5).T[::-1].reshape(2, camera.height, camera.width)
+
+    def remap(layer: Bytes) -> Bytes:
+        moved = ndimage.map_coordinates(
+            layer.astype(np.float32), rows_columns, order=1, mode="nearest"
+        )
+        return _bytes(moved)
+
+    return np.dstack([remap(image[:, :, c]) for c in range(3)]), remap(mask), straight
+
+
+def _distorted_pixels(
+    pixels: NDArray[np.float64], straight: Camera, camera: Camera, distortion: Distortion
+) -> NDArray[np.float64]:
+    """Where points of the undistorted picture lie in the photograph, (N, 2) pixels."""
+    x = (pixels[:, 0] - straight.cx) / straight.fx
+    y = (pixels[:, 1] - straight.cy) / straight.fy
+    x, y = distortion.apply(x, y)
+    return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=1)
+
+
+def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
+    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph."""
+    u = np.linspace(0.0, camera.width, 65)
+    v = np.linspace(0.0, camera.height, 65)
+    border = np.concatenate([
+        np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(camera.height))
+    ] + [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(camera.width))])
+    size = np.array([camera.width, camera.height], dtype=np.float64)
+
+    def fits(zoom: float) -> bool:
+        straight = Camera(
+            width=camera.width, height=camera.height, fx=camera.fx * zoom, fy=camera.fy * zoom,
+            cx=camera.cx, cy=camera.cy, camera_to_world=camera.camera_to_world,
+        )
+        at = _distorted_pixels(border, straight, camera, distortion)
+        if not ((at >= -0.5) & (at <= size + 0.5)).all():
+            return False
+        # Along every ray from the middle the distorted radius has to grow.
+        middle = np.array([straight.cx, straight.cy])
+        steps = np.linspace(0.0, 1.0, 17)[:, None, None]
+        fan = _distorted_pixels(
+            (middle + steps * (border - middle)).reshape(-1, 2), straight, camera, distortion
+        ).reshape(17, len(border), 2)
+        radii = np.linalg.norm(fan - fan[0], axis=2)
+        return bool((np.diff(radii, axis=0) > 0).all())
+
+    for zoom in np.geomspace(1.0, 2.0, 141):
+        if fits(float(zoom)):
+            return float(zoom)
+    raise refuse(
+        "distortion",
+        "The lens distortion folds the picture over itself: "
+        f"radial {distortion.radial}, rational {distortion.rational}, "
+        f"tangential {distortion.tangential}",
+        "Undistort the photographs (for example with `colmap image_undistorter`) "
+        "and give that folder.",
+    )
+
+
+def _bytes(values: NDArray[np.float32]) -> Bytes:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+class _opened:
+    """A picture file, opened and (unless only its head is wanted) decoded, or a refusal."""
+
+    def __init__(self, path: Path, head_only: bool = False) -> None:
+        self._path = path
+        self._head_only = head_only
+
+    def __enter__(self) -> Image.Image:
+        path = self._path
+        try:
+            self._picture = Image.open(path)
+            if not self._head_only:
+                self._picture.load()
+        except FileNotFoundError:
+            raise refuse(
+                "missing-images", f"{path} does not exist", "Put it there.", path.name
+            ) from None
+        except UnidentifiedImageError:
+            raise refuse(
+                "unreadable-images",
+                f"{path} is not a photograph that can be read",
+                "Save it as PNG, JPEG or TIFF.",
+                path.name,
+            ) from None
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as fault:
+            raise refuse(
+                "unreadable-images",
+                f"{path} is truncated or damaged ({fault})",
+                "Copy it again from the camera, or remove it and its pose.",
+                path.name,
+            ) from None
+        return self._picture
+
+    def __exit__(self, *_: object) -> None:
+        self._picture.close()
+
+
+def _photo(picture: Image.Image, path: Path, turned: bool) -> Photo:
+    """Pixels of a decoded picture as 8-bit RGB and alpha."""
+    if picture.mode == "F":
+        raise refuse(
+            "unreadable-images",
+            f"{path} holds floating-point pixels, not display values",
+            "Save it as 8- or 16-bit PNG, JPEG or TIFF.",
+            path.name,
+        )
+    if picture.mode.startswith("I"):
+        # 16-bit grey; 65535 / 255 = 257.
+        grey = np.clip(np.rint(np.asarray(picture).astype(np.float64) / 257), 0, 255)
+        return Photo(
+            image_display=np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2),
+            alpha=None,
+            is_turned=turned,
+        )
+    if not picture.has_transparency_data:
+        image = np.array(picture.convert("RGB"))
+        return Photo(image_display=image, alpha=None, is_turned=turned)
+    pixels = np.array(picture.convert("RGBA"))
+    alpha = np.ascontiguousarray(pixels[:, :, 3])
+    return Photo(
+        image_display=np.ascontiguousarray(pixels[:, :, :3]),
+        alpha=None if alpha.min(initial=255) == 255 else alpha,
+        is_turned=turned,
+    )

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which mask belongs to which photograph."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+from robir.capture.frames import IMAGE_SUFFIXES, Frame
+from robir.capture.refusal import refuse
+
+_AFFIX = re.compile(
+    r"^(?:dynamic_)?(?:mask|alpha|matte|seg)[-_.]|"
+    r"[-_.](?:mask|masks|alpha|matte|matted|seg|segmentation|rgba|removebg-preview|removebg)$"
+)
+
+HOW_TO_SUPPLY = (
+    "Supply one mask for each photograph (white = object) with --masks DIR, named like the "
+    "photographs, or save the photographs as PNG with a transparent background."
+)
+"""The cure for missing masks, in one place."""
+
+
+def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
+    """Match the masks of a folder to photographs by name.
+
+    A mask fits by its path below the folder, by its stem, by its stem without the usual
+    additions ("_mask", "mask_", "-removebg-preview", a doubled suffix as in "a.jpg.png"), and
+    last by its number ("000.png" for "000000.png"); a fit that is not unique does not count.
+
+    Args:
+        folder: Folder of masks, searched with its subfolders.
+        frames: Photographs.
+
+    Returns:
+        Mask of each frame, by frame name.
+
+    Raises:
+        CaptureError: If the folder is missing or a photograph has no mask.
+    """
+    frames = tuple(frames)
+    if not folder.is_dir():
+        raise refuse(
+            "missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY
+        )
+    index: dict[str, set[Path]] = defaultdict(set)
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+            for key in _keys(path.relative_to(folder).as_posix()):
+                index[key].add(path)
+    found = {}
+    for frame in frames:
+        for key in _keys(frame.relative):
+            if len(index.get(key, ())) == 1:
+                (found[frame.name],) = index[key]
+                break
+    missing = [frame.relative for frame in frames if frame.name not in found]
+    if missing:
+        raise refuse(
+            "missing-masks",
+            f"{len(missing)} of {len(frames)} photographs have no mask in {folder}",
+            "Name each mask like its photograph (IMG_1.png or IMG_1_mask.png for IMG_1.jpg).",
+            *missing,
+        )
+    shared = [f.relative for f in frames if list(found.values()).count(found[f.name]) > 1]
+    if shared:
+        raise refuse(
+            "missing-masks",
+            f"{len(shared)} photographs share a mask in {folder}",
+            "Give each photograph a mask of its own, in the same subfolder as the photograph.",
+            *shared,
+        )
+    return found
+
+
+def _keys(relative: str) -> list[str]:
+    """What a path can be found by, the strictest first."""
+    path = _without_suffixes(relative.lower())
+    parts = path.split("/")
+    stem = parts[-1]
+    bare = _AFFIX.sub("", _without_suffixes(_AFFIX.sub("", stem)))
+    keys = [f"path:{path}"]
+    keys += [f"path:{'/'.join(parts[i:-1] + [bare])}" for i in range(len(parts))]
+    keys += [f"stem:{stem}", f"bare:{bare}"]
+    if bare.isdigit():
+        keys.append(f"number:{int(bare)}")
+    return list(dict.fromkeys(keys))
+
+
+def _without_suffixes(name: str) -> str:
+    while name.endswith(IMAGE_SUFFIXES):
+        name = name.rsplit(".", 1)[0]
+    return name

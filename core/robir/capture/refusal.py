@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a capture is refused: an error that carries its findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from robir.capture.capture import Finding
+from robir.errors import CaptureError
+
+MAX_FILES = 12
+"""Files a finding names at most; the message holds the count."""
+
+
+class CaptureRefused(CaptureError):
+    """The capture cannot be reconstructed; the findings say why and what to do.
+
+    Attributes:
+        findings: All findings so far, notes and warnings included.
+    """
+
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        """Make the message from the errors among the findings."""
+        self.findings = tuple(findings)
+        errors = [finding for finding in self.findings if finding.level == "error"]
+        super().__init__("\n".join(describe(finding) for finding in errors))
+
+
+def describe(finding: Finding) -> str:
+    """A finding as one line: message, files, cure."""
+    files = f" ({', '.join(finding.files)})" if finding.files else ""
+    cure = f" {finding.cure}" if finding.cure else ""
+    return f"{finding.message}{files}.{cure}"
+
+
+def refuse(code: str, message: str, cure: str, *files: str) -> CaptureRefused:
+    """A refusal for one reason."""
+    return CaptureRefused([error(code, message, cure, *files)])
+
+
+def error(code: str, message: str, cure: str, *files: str) -> Finding:
+    """A finding that refuses the capture."""
+    return Finding(level="error", code=code, message=message, cure=cure, files=files[:MAX_FILES])
+
+
+def warning(code: str, message: str, cure: str, *files: str) -> Finding:
+    """A finding that lowers the result."""
+    return Finding(level="warning", code=code, message=message, cure=cure, files=files[:MAX_FILES])
+
+
+def note(code: str, message: str, *files: str) -> Finding:
+    """A finding that informs."""
+    return Finding(level="note", code=code, message=message, files=files[:MAX_FILES])

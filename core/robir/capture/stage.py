@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The capture stage: any known format in, undistorted views of one size class out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robir.capture.config import CaptureConfig
+from robir.capture.findings import clipped_share, mask_share
+from robir.capture.recognise import read_capture
+from robir.capture.refusal import describe
+from robir.capture.store import save_capture
+from robir.jobs.context import StageContext
+
+REVISION = 1
+"""Raised by hand when the results of this stage change."""
+
+
+def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
+    """Read, check and store the capture.
+
+    Args:
+        context: Source, masks and settings.
+
+    Returns:
+        Metrics: format, views and held_out (counts), mask_share and clipped_share (in [0, 1]),
+        bounds_radius (capture unit).
+
+    Raises:
+        CaptureError: If the capture cannot be reconstructed; nothing is stored.
+        CancelledError: If the user asked to stop.
+    """
+    capture = read_capture(
+        context.source,
+        context.masks,
+        context.config,
+        lambda fraction, message: context.reporter.progress(0.9 * fraction, message),
+    )
+    for finding in capture.findings:
+        if finding.level == "warning":
+            context.reporter.warn(describe(finding))
+    save_capture(context.paths.stage("capture"), capture)
+    context.reporter.progress(1.0, "capture stored")
+    return {
+        "format": capture.format,
+        "views": len(capture.train),
+        "held_out": len(capture.held_out),
+        "mask_share": mask_share(capture.views),
+        "clipped_share": clipped_share(capture.views),
+        "bounds_radius": capture.bounds.radius,
+    }

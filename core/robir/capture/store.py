@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The capture stage's files: capture.json and one RGBA picture a view."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from robir.capture.camera import Camera
+from robir.capture.capture import Bounds, Capture, Finding, View
+from robir.errors import StorageError
+from robir.jobs.paths import read_json, replacing, write_json
+
+
+def save_capture(folder: Path, capture: Capture) -> None:
+    """Write a capture; capture.json last, every file as a whole.
+
+    Args:
+        folder: Folder of the capture stage.
+        capture: In the capture's own frame.
+    """
+    for view in capture.views:
+        # Separate layers keep the colour under a transparent mask.
+        picture = Image.fromarray(np.dstack([view.image_display, view.mask]), "RGBA")
+        with replacing(view_path(folder, view.name)) as temporary:
+            picture.save(temporary, format="PNG", compress_level=1)
+    bounds = capture.bounds
+    write_json(
+        folder / "capture.json",
+        {
+            "format": capture.format,
+            "source": str(capture.source),
+            "bounds": {
+                "centre": bounds.centre.tolist(),
+                "radius": bounds.radius,
+                "origin": bounds.origin,
+            },
+            "views": [_plain_view(view) for view in capture.views],
+            "findings": [asdict(finding) for finding in capture.findings],
+        },
+    )
+
+
+def load_capture(folder: Path) -> Capture:
+    """Read what `save_capture` wrote.
+
+    Args:
+        folder: Folder of the capture stage.
+
+    Returns:
+        The capture in its own frame.
+
+    Raises:
+        StorageError: If a file is missing or damaged.
+    """
+    try:
+        plain = read_json(folder / "capture.json")
+        views = tuple(_view(folder, entry) for entry in plain["views"])
+        bounds = plain["bounds"]
+        return Capture(
+            source=Path(plain["source"]),
+            format=plain["format"],
+            views=views,
+            bounds=Bounds(
+                centre=np.array(bounds["centre"], dtype=np.float64),
+                radius=float(bounds["radius"]),
+                origin=bounds["origin"],
+            ),
+            findings=tuple(
+                Finding(**{**entry, "files": tuple(entry["files"])})
+                for entry in plain["findings"]
+            ),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as fault:
+        raise StorageError(
+            f"The capture stage's files in {folder} cannot be read ({fault}). "
+            "Run the capture stage again."
+        ) from fault
+
+
+def view_path(folder: Path, name: str) -> Path:
+    """Picture of a view: RGBA, display-referred, straight alpha = mask."""
+    return folder / "views" / f"{name}.png"
+
+
+def _plain_view(view: View) -> dict[str, Any]:
+    camera = view.camera
+    return {
+        "name": view.name,
+        "split": view.split,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "camera_to_world": camera.camera_to_world.tolist(),
+    }
+
+
+def _view(folder: Path, entry: dict[str, Any]) -> View:
+    with Image.open(view_path(folder, entry["name"])) as picture:
+        if picture.mode != "RGBA" or picture.size != (entry["width"], entry["height"]):
+            raise ValueError(f"{entry['name']}.png is {picture.mode} of size {picture.size}")
+        pixels = np.array(picture)
+    return View(
+        name=entry["name"],
+        image_display=np.ascontiguousarray(pixels[:, :, :3]),
+        mask=np.ascontiguousarray(pixels[:, :, 3]),
+        camera=Camera(
+            width=entry["width"],
+            height=entry["height"],
+            fx=entry["fx"],
+            fy=entry["fy"],
+            cx=entry["cx"],
+            cy=entry["cy"],
+            camera_to_world=np.array(entry["camera_to_world"], dtype=np.float64),
+        ),
+        split=entry["split"],
+    )

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From posed files to views: choosing what is kept aside, reading one photograph at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robir.capture.capture import Finding, Split, View
+from robir.capture.config import CaptureConfig
+from robir.capture.frames import Frame, rigid
+from robir.capture.images import fitted_mask, read_mask, read_photo, shrink, undistort
+from robir.capture.refusal import CaptureRefused, note, refuse
+
+Progress = Callable[[float, str], None]
+"""Told the share of the work done, in [0, 1], and what is being done."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loaded:
+    """Photographs that could be read.
+
+    Attributes:
+        views: In the order of the frames; a view without a mask has a full one.
+        maskless: Names of the views without a mask.
+        findings: One error a photograph that could not be read, and notes.
+    """
+
+    views: tuple[View, ...]
+    maskless: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+
+def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:
+    """Which frames are read, and which of them only judge.
+
+    Test views of the format are thinned evenly to `max_held_out`; without any, every
+    `held_out_every`-th view is kept aside, at least one of four.
+
+    Args:
+        frames: All frames of the capture.
+        config: Settings of the stage.
+
+    Returns:
+        Frames to read with their split, in the order given.
+    """
+    tests = [i for i, frame in enumerate(frames) if frame.split == "test"]
+    trains = [i for i, frame in enumerate(frames) if frame.split == "train"]
+    if tests:
+        held_out = _thinned(tests, config.max_held_out)
+    else:
+        held_out = _thinned(trains[config.held_out_every // 2 :: config.held_out_every],
+                            config.max_held_out)
+        if not held_out and len(trains) >= 4:
+            held_out = [trains[len(trains) // 2]]
+    kept = sorted({*trains, *held_out})
+    return [(frames[i], "held_out" if i in held_out else "train") for i in kept]
+
+
+def _thinned(indices: list[int], most: int) -> list[int]:
+    if len(indices) <= most:
+        return indices
+    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def load_views(
+    chosen: Sequence[tuple[Frame, Split]],
+    masks: dict[str, Path],
+    config: CaptureConfig,
+    progress: Progress,
+) -> Loaded:
+    """Read, undistort and shrink photographs one by one.
+
+    Args:
+        chosen: Frames with their split; poses without fault.
+        masks: Mask files by frame name; they win over the format's own and over alpha.
+        config: Settings of the stage.
+        progress: Told after every photograph.
+
+    Returns:
+        What could be read, and what could not.
+    """
+    views, maskless, findings, turned = [], [], [], []
+    for done, (frame, split) in enumerate(chosen):
+        try:
+            view, has_mask, is_turned = _load(frame, split, masks.get(frame.name), config)
+        except CaptureRefused as refusal:
+            findings.extend(refusal.findings)
+        else:
+            views.append(view)
+            maskless += [] if has_mask else [frame.name]
+            turned += [frame.name] if is_turned else []
+        progress((done + 1) / len(chosen), f"reading {frame.name}")
+    if turned:
+        findings.append(
+            note(
+                "exif-orientation",
+                f"{len(turned)} photographs were turned upright as their EXIF data says",
+                *turned,
+            )
+        )
+    if any(not frame.lens.distortion.is_null for frame, _ in chosen):
+        findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
+    return Loaded(views=tuple(views), maskless=tuple(maskless), findings=tuple(findings))
+
+
+def _load(
+    frame: Frame, split: Split, mask_path: Path | None, config: CaptureConfig
+) -> tuple[View, bool, bool]:
+    """A view, whether it has a mask, and whether EXIF turned it."""
+    declared = frame.lens.size
+    photo = read_photo(frame.image, declared)
+    width, height = photo.size
+    if declared is not None and photo.size != declared:
+        raise refuse(
+            "wrong-size",
+            f"{frame.image} is {width}x{height} pixels, but its pose is for "
+            f"{declared[0]}x{declared[1]}",
+            "Give the photographs the poses were made for, or correct the stated size.",
+            frame.image.name,
+        )
+    mask_path = mask_path or frame.mask
+    mask = photo.alpha
+    if mask_path is not None:
+        drawn = read_mask(mask_path)
+        mask = fitted_mask(drawn, photo.size)
+        if mask is None:
+            raise refuse(
+                "wrong-size",
+                f"The mask {mask_path} is {drawn.shape[1]}x{drawn.shape[0]} pixels, but its "
+                f"photograph {frame.image.name} is {width}x{height}",
+                "Draw the mask on the photograph itself, uncropped.",
+                mask_path.name,
+            )
+    has_mask = mask is not None
+    if mask is None:
+        mask = np.full((height, width), 255, dtype=np.uint8)
+    image = photo.image_display
+    camera = frame.lens.camera(rigid(frame.camera_to_world), width, height)
+    scale = min(1.0, config.max_side / max(width, height))
+    target = (max(1, round(width * scale)), max(1, round(height * scale)))
+    if not frame.lens.distortion.is_null:
+        # Remapping at twice the final size costs little and blurs nothing that will be kept.
+        between = (min(width, 2 * target[0]), min(height, 2 * target[1]))
+        image, mask = shrink(image, mask, *between)
+        image, mask, camera = undistort(
+            image, mask, camera.resized(*between), frame.lens.distortion
+        )
+    image, mask = shrink(image, mask, *target)
+    view = View(
+        name=frame.name,
+        image_display=image,
+        mask=mask,
+        camera=camera.resized(*target),
+        split=split,
+    )
+    return view, has_mask, photo.is_turned
