@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every tone curve offers, the sRGB transfer function, and planar helpers.
+
+A tone curve takes linear Rec.709 scene radiance to sRGB display codes (0..1, 8-bit code / 255) and
+back; tensors are (..., 3). A curve may mix channels. Exposure is no part of it: that is the scale
+of the light.
+
+The inverse of a code from `saturation_level` up is a lower bound ("at least this bright"), never
+more than MAX_LINEAR. Codes that no non-negative colour reaches give a sensible colour nearby, never
+a negative one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from robir.maths.lattice import Planes
+
+MAX_LINEAR = 16.0
+# The half code below white: anything brighter is written as 255.
+SATURATION_LEVEL = 254.5 / 255.0
+# Few enough that all intermediate planes stay in the CPU's second-level cache.
+_CHUNK = 1 << 15
+
+
+def srgb_from_linear(linear: Tensor) -> Tensor:
+    """sRGB code of linear light (IEC 61966-2-1), 0..1; negative light gives 0."""
+    low = 12.92 * linear.clamp_min(0.0)
+    high = 1.055 * linear.clamp_min(0.0031308).pow(1.0 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, low, high)
+
+
+def linear_from_srgb(code: Tensor) -> Tensor:
+    """Linear light of an sRGB code (IEC 61966-2-1), 0..1."""
+    high = ((code.clamp_min(0.04045) + 0.055) / 1.055).pow(2.4)
+    return torch.where(code <= 0.04045, code / 12.92, high)
+
+
+class AbstractToneCurve(ABC):
+    """One family of tone curves with its parameters fixed.
+
+    Attributes:
+        name: Identifier of the family, as in tone_curve.json.
+        blender_view_transform: Name of Blender's view transform that does the same, or None.
+        saturation_level: Display code from which a value means "at least this bright".
+        mixes_channels: Whether a display channel depends on more than its own linear one.
+    """
+
+    name: ClassVar[str]
+    blender_view_transform: ClassVar[str | None]
+    saturation_level: ClassVar[float] = SATURATION_LEVEL
+    mixes_channels: ClassVar[bool] = False
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Free numbers of the family by name, for tone_curve.json."""
+        return {}
+
+    @property
+    def is_clipping(self) -> bool:
+        """Whether the curve runs into white at a visible slope, piling pixels up at code 255."""
+        return False
+
+    @abstractmethod
+    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
+        """Display codes 0..1 of scene radiance, linear Rec.709, at least 0, (..., 3)."""
+
+    @abstractmethod
+    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
+        """Scene radiance, linear Rec.709, 0..MAX_LINEAR, of display codes 0..1, (..., 3)."""
+
+    def slope(self, rgb_linear: Tensor) -> Tensor:
+        """Derivative of each display code by its linear value when exposure changes, (..., 3).
+
+        A noise of s in the code is a noise of s / slope in the radiance. Zero where clipped.
+        """
+        base = rgb_linear.clamp_min(1e-5)
+        up, down = 2.0**0.05, 2.0**-0.05
+        rise = self.display_from_linear(base * up) - self.display_from_linear(base * down)
+        return rise / (base * (up - down))
+
+
+def chunked(function: Callable[[Planes], Planes], rgb: Tensor) -> Tensor:
+    """Apply a planar function to (..., 3) in pieces that fit the cache."""
+    flat = rgb.reshape(-1, 3)
+    pieces = []
+    for start in range(0, flat.shape[0], _CHUNK):
+        red, green, blue = flat[start : start + _CHUNK].unbind(-1)
+        pieces.append(torch.stack(function((red, green, blue)), dim=-1))
+    return torch.cat(pieces).reshape(rgb.shape) if pieces else rgb.clone()
+
+
+def each(function: Callable[[Tensor], Tensor], rgb: Planes) -> Planes:
+    """Apply a function to each of three planes."""
+    return function(rgb[0]), function(rgb[1]), function(rgb[2])

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tone curves given by formulas: Standard, RobIR's ACES, Khronos PBR Neutral.
+
+The two of Blender repeat Blender 4.5, its table interpolation included, so that a curve found here
+is the view transform to select there.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from robir.errors import ConfigError
+from robir.maths import lattice
+from robir.maths.lattice import Lattice, Planes
+from robir.maths.tone_curve import (
+    MAX_LINEAR,
+    AbstractToneCurve,
+    chunked,
+    each,
+    linear_from_srgb,
+    srgb_from_linear,
+)
+
+LOG2_RANGE_KHRONOS = (-9.0, 10.0)
+# Display code per stop at white above which a curve piles pixels up there.
+_CLIPPING_SLOPE = 0.05
+
+
+class StandardToneCurve(AbstractToneCurve):
+    """Blender's Standard: the sRGB transfer function, clipped at 1."""
+
+    name = "standard"
+    blender_view_transform = "Standard"
+
+    @property
+    def is_clipping(self) -> bool:
+        """White is a hard clip."""
+        return True
+
+    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        return srgb_from_linear(rgb_linear).clamp(max=1.0)
+
+    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        return linear_from_srgb(rgb_display.clamp(0.0, 1.0))
+
+
+class AcesToneCurve(AbstractToneCurve):
+    """RobIR's scene-specific ACES fit, per channel, followed by the power 1 / 2.2.
+
+    display = min(g^-0.2 F(e), 1)^(1/2.2) with F(e) = e (2.51 e + 0.03) / (e (2.43 e + 0.59) + 0.14)
+    and one scalar g. The inverse is the positive root of the quadratic.
+
+    Attributes:
+        tone_gamma: g, scalar tensor in (0, 1]; may require gradients.
+
+    References:
+        RobIR (NeurIPS 2024) Eq. 6-8; the fit is Narkowicz 2015.
+    """
+
+    name = "robir_aces"
+    blender_view_transform = None
+
+    def __init__(self, tone_gamma: float | Tensor = 0.5) -> None:
+        """Fix g; raises ConfigError outside (0, 1]."""
+        self.tone_gamma = torch.as_tensor(tone_gamma)
+        if not 0.0 < float(self.tone_gamma) <= 1.0:
+            raise ConfigError(
+                f"tone curve robir_aces: tone_gamma is {float(self.tone_gamma):g}; "
+                "give a number above 0 and at most 1"
+            )
+
+    @classmethod
+    def from_parameter(cls, parameter: Tensor) -> AcesToneCurve:
+        """Curve of a free real number, g = 1e-4 + (1 - 1e-4) sigmoid(parameter).
+
+        Unlike RobIR's clamp, this keeps a gradient everywhere; 0 gives RobIR's start, g = 0.5.
+        """
+        return cls(1e-4 + (1.0 - 1e-4) * torch.sigmoid(parameter))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The scalar g."""
+        return {"tone_gamma": float(self.tone_gamma)}
+
+    @property
+    def is_clipping(self) -> bool:
+        """True for small g, where the stretched curve crosses white steeply."""
+        white = self.linear_from_display(torch.ones(3, dtype=torch.float64))
+        below = self.display_from_linear(white * 0.5**0.1)
+        return bool(((1.0 - below) / 0.1).max() > _CLIPPING_SLOPE)
+
+    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        e = rgb_linear.clamp_min(0.0)
+        mapped = e * (2.51 * e + 0.03) / (e * (2.43 * e + 0.59) + 0.14)
+        light = mapped * self._stretch(rgb_linear) ** -1.0
+        # The floor keeps the gradient of the power finite at black; it is 0.003 of an 8-bit code.
+        return light.clamp(1e-11, 1.0).pow(1.0 / 2.2)
+
+    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        c = rgb_display.clamp(0.0, 1.0).pow(2.2) * self._stretch(rgb_display)
+        half = 0.59 * c - 0.03
+        denominator = 2.51 - 2.43 * c
+        root = torch.sqrt(half * half + 0.56 * c * denominator)
+        # For half < 0 the textbook root cancels; its conjugate form does not.
+        plain = (half + root) / (2.0 * denominator)
+        conjugate = 0.28 * c / (root - half).clamp_min(1e-12)
+        return torch.where(half > 0.0, plain, conjugate).clamp(max=MAX_LINEAR)
+
+    def _stretch(self, like: Tensor) -> Tensor:
+        return self.tone_gamma.to(like) ** 0.2
+
+
+class KhronosNeutralToneCurve(AbstractToneCurve):
+    """Blender's Khronos PBR Neutral: the published formula at 57^3 nodes, interpolated as Blender.
+
+    With x = min(rgb), o = x - 6.25 x^2 for x < 0.08 else 0.04, and p = max(rgb) - o, a peak p from
+    0.76 on is compressed to q = 1 - 0.24^2 / (p - 0.52), and the colour is mixed towards q by
+    1 - 1 / (0.15 (p - q) + 1). Interpolation moves single codes by up to 0.03, so the inverse
+    corrects the closed form by evaluating it.
+
+    References:
+        Khronos PBR Neutral Tone Mapper specification, 2024.
+    """
+
+    name = "khronos_pbr_neutral"
+    blender_view_transform = "Khronos PBR Neutral"
+    mixes_channels = True
+    _num_corrections = 3
+    _nodes = 57
+
+    def __init__(self) -> None:
+        """Evaluate the formula at the nodes."""
+        low, high = LOG2_RANGE_KHRONOS
+        grid = torch.exp2(torch.linspace(low, high, self._nodes, dtype=torch.float64))
+        red, green, blue = torch.meshgrid(grid, grid, grid, indexing="ij")
+        light = self._formula((red, green, blue))
+        self._lattice = Lattice.from_nodes(torch.stack(light, dim=-1).float())
+
+    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        table = self._lattice.like(rgb_linear)
+        light = chunked(lambda rgb: self._interpolated(table, rgb), rgb_linear)
+        return srgb_from_linear(light).clamp(max=1.0)
+
+    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        table = self._lattice.like(rgb_display)
+
+        def invert(display: Planes) -> Planes:
+            wanted = self._formula_inverse(each(linear_from_srgb, display))
+            found = wanted
+            for _ in range(self._num_corrections):
+                reached = self._formula_inverse(self._interpolated(table, found))
+                moved = [x + w - r for x, w, r in zip(found, wanted, reached, strict=True)]
+                found = each(lambda x: x.clamp(0.0, MAX_LINEAR), (moved[0], moved[1], moved[2]))
+            return found
+
+        return chunked(invert, rgb_display.clamp(0.0, 1.0))
+
+    def _interpolated(self, table: Lattice, rgb: Planes) -> Planes:
+        low, high = LOG2_RANGE_KHRONOS
+        scale = (self._nodes - 1) / (high - low)
+        return lattice.interpolate(
+            table, each(lambda x: (torch.log2(x.clamp_min(2.0**low)) - low) * scale, rgb)
+        )
+
+    @staticmethod
+    def _formula(rgb: Planes) -> Planes:
+        red, green, blue = rgb
+        least = torch.minimum(torch.minimum(red, green), blue)
+        offset = torch.where(least < 0.08, least - 6.25 * least * least, 0.04)
+        peak = torch.maximum(torch.maximum(red, green), blue) - offset
+        over = peak.clamp_min(0.76)
+        compressed = 1.0 - 0.24 * 0.24 / (over - 0.52)
+        scale = torch.where(peak > 0.76, compressed / over, 1.0)
+        white = 1.0 - 1.0 / (0.15 * (over - compressed) + 1.0)
+        return each(lambda x: (x - offset) * scale * (1.0 - white) + white * compressed, rgb)
+
+    @staticmethod
+    def _formula_inverse(light: Planes) -> Planes:
+        red, green, blue = light
+        peak = torch.maximum(torch.maximum(red, green), blue)
+        # MAX_LINEAR after the offset is 1 - 0.0576 / 15.44; beyond, the formula has a pole.
+        compressed = peak.clamp(0.76, 1.0 - 0.24 * 0.24 / (MAX_LINEAR + 1.0))
+        over = 0.24 * 0.24 / (1.0 - compressed) + 0.52
+        white = 1.0 - 1.0 / (0.15 * (over - compressed) + 1.0)
+        scale = over / (compressed * (1.0 - white))
+        rest = each(lambda x: ((x - white * compressed) * scale).clamp_min(0.0), light)
+        least = torch.minimum(torch.minimum(rest[0], rest[1]), rest[2])
+        dark = torch.sqrt(least.clamp_min(1e-12) / 6.25) - least
+        offset = torch.where(least < 0.04, dark, 0.04)
+        return each(lambda x: x + offset, rest)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Directions: unit vectors, frames, spreads over the sphere and the lat-long map.
+
+The lat-long (equirectangular) map follows Blender's World texture: z is up, the centre of the map
+is +X, u = 0.25 is +Y, the top row is +Z:
+
+    u = 1/2 - atan2(y, x) / (2 pi),    v = 1/2 - asin(z) / pi  (v = 0 at the top).
+
+Pixel centres lie at half integers; a map of height H is 2H wide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+
+
+def dot(first: Tensor, second: Tensor) -> Tensor:
+    """Inner product over the last axis, which is dropped; leading axes broadcast."""
+    return (first * second).sum(-1)
+
+
+def normalise(vector: Tensor, smallest: float = 1e-12) -> Tensor:
+    """Unit vectors along the last axis; vectors shorter than `smallest` stay short, never NaN."""
+    length = torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+    return vector / length.clamp_min(smallest)
+
+
+def reflect(direction: Tensor, normal: Tensor) -> Tensor:
+    """Mirror image of a direction that points away from the surface, again pointing away.
+
+    Args:
+        direction: (..., 3), away from the surface; any length, which is kept.
+        normal: (..., 3), unit; leading axes broadcast.
+    """
+    return 2.0 * dot(normal, direction)[..., None] * normal - direction
+
+
+def orthonormal_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
+    """Two tangents that complete unit normals to right-handed frames.
+
+    Without branches and stable for every normal; the tangents jump where z changes sign.
+
+    Args:
+        normal: (..., 3), unit.
+
+    Returns:
+        Tangent and bitangent (..., 3), unit, with tangent x bitangent = normal.
+
+    References:
+        Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017, listing 3.
+    """
+    x, y, z = normal.unbind(-1)
+    sign = torch.where(z >= 0.0, torch.ones_like(z), -torch.ones_like(z))
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    tangent = torch.stack([1.0 + sign * x * x * a, sign * b, -sign * x], dim=-1)
+    bitangent = torch.stack([b, sign + y * y * a, -y], dim=-1)
+    return tangent, bitangent
+
+
+def fibonacci_sphere(
+    count: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+) -> Tensor:
+    """Near-uniform unit directions on a golden spiral, from +Z down to -Z.
+
+    Each direction stands for the solid angle 4 pi / count; heights are the midpoints of equal
+    slices, which makes means over them exact for functions linear in z.
+
+    Args:
+        count: Number of directions, at least 1.
+        dtype: Floating type of the result; angles are always formed in float64.
+        device: Where the result lies.
+
+    Returns:
+        (count, 3).
+    """
+    index = torch.arange(count, dtype=torch.float64)
+    z = 1.0 - (2.0 * index + 1.0) / count
+    radius = torch.sqrt((1.0 - z * z).clamp_min(0.0))
+    azimuth = GOLDEN_ANGLE * index
+    directions = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), z], dim=-1)
+    return directions.to(device=device, dtype=dtype)
+
+
+def uv_from_direction(direction: Tensor) -> Tensor:
+    """Lat-long map coordinates of unit directions.
+
+    Args:
+        direction: (..., 3), unit, world, z up.
+
+    Returns:
+        (..., 2): u in [0, 1] from the left, v in [0, 1] from the top. The seam u = 0 = 1 is -X.
+    """
+    x, y, z = direction.unbind(-1)
+    u = 0.5 - torch.atan2(y, x) / (2.0 * math.pi)
+    # atan2 keeps its precision and finite slope at the poles, where asin loses both.
+    v = 0.5 - torch.atan2(z, torch.hypot(x, y)) / math.pi
+    return torch.stack([u, v], dim=-1)
+
+
+def direction_from_uv(uv: Tensor) -> Tensor:
+    """Unit directions (..., 3), world, z up, of lat-long coordinates (u left, v from the top)."""
+    azimuth = (0.5 - uv[..., 0]) * (2.0 * math.pi)
+    elevation = (0.5 - uv[..., 1]) * math.pi
+    cosine = elevation.cos()
+    return torch.stack([cosine * azimuth.cos(), cosine * azimuth.sin(), elevation.sin()], dim=-1)
+
+
+def equirect_directions(
+    height: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+) -> Tensor:
+    """Unit directions (H, 2H, 3) of the pixel centres of a lat-long map, row 0 on top."""
+    row = (torch.arange(height, dtype=torch.float64) + 0.5) / height
+    column = (torch.arange(2 * height, dtype=torch.float64) + 0.5) / (2 * height)
+    v, u = torch.meshgrid(row, column, indexing="ij")
+    return direction_from_uv(torch.stack([u, v], dim=-1)).to(device=device, dtype=dtype)
+
+
+def equirect_solid_angles(
+    height: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+) -> Tensor:
+    """Exact solid angles (H, 2H) in steradian of the pixels of a lat-long map; they sum to 4 pi."""
+    edge = torch.sin((0.5 - torch.arange(height + 1, dtype=torch.float64) / height) * math.pi)
+    row = (edge[:-1] - edge[1:]) * (math.pi / height)
+    return row[:, None].repeat(1, 2 * height).to(device=device, dtype=dtype)
