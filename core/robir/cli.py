@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: `robir reconstruct|check|relight|evaluate|bench`.
+
+Standard output carries the result alone (a path, or JSON where asked for); progress and messages
+go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
+out of memory, 5 the fit failed its own quality check, 130 cancelled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from robir import __version__, commands
+from robir.errors import CancelledError, RobirError
+from robir.presets import PRESETS
+
+_log = logging.getLogger("robir")
+
+_EXIT_CODES = (
+    "exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or out of memory, "
+    "5 the fit failed its own quality check, 130 cancelled"
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: Words of the command line; None takes those of the process.
+
+    Returns:
+        The exit code.
+    """
+    # Idle OpenMP threads that spin count as CPU seconds; this must be set before torch loads.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    logging.captureWarnings(True)
+    for logger in (_log, logging.getLogger("py.warnings")):
+        logger.setLevel(logging.INFO)
+        logger.propagate = False
+        logger.addHandler(logging.NullHandler())
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except RobirError as error:
+        return _fail(options, str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _fail(options, "stopped", CancelledError.exit_code)
+    except Exception as error:
+        return _fail(options, commands.describe_bug(options, error), 1)
+
+
+def _fail(options: argparse.Namespace, message: str, exit_code: int) -> int:
+    commands.show_failure(options, message, exit_code)
+    return exit_code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="robir",
+        description="Photographs in, a relightable Blender asset out.",
+        epilog=_EXIT_CODES,
+    )
+    parser.add_argument("--version", action="version", version=f"robir {__version__}")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_reconstruct(subparsers)
+    _add_check(subparsers)
+    _add_relight(subparsers)
+    _add_evaluate(subparsers)
+    _add_bench(subparsers)
+    return parser
+
+
+def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "reconstruct", help="make an asset from a capture", epilog=_EXIT_CODES
+    )
+    parser.set_defaults(command=commands.reconstruct)
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder of posed images")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="result folder")
+    parser.add_argument(
+        "--preset",
+        choices=sorted(PRESETS),
+        help="what it may cost; default draft, or the folder's own settings with --resume",
+    )
+    parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file of changed settings")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="assignments",
+        metavar="SECTION.KEY=VALUE",
+        help="change one setting; may be given more than once",
+    )
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
+    parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
+    parser.add_argument("--threads", type=_positive, help="threads of torch, default all cores")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on in an unfinished result folder"
+    )
+    parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
+
+
+def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser("check", help="look at a capture before time is spent on it")
+    parser.set_defaults(command=commands.check)
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder of posed images")
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
+    parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
+
+
+def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser("relight", help="render a result under another light in Cycles")
+    parser.set_defaults(command=commands.relight)
+    parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
+    parser.add_argument(
+        "--environment", type=Path, required=True, metavar="FILE", help="lat-long .hdr or .exr"
+    )
+    parser.add_argument("--rotation", type=float, help="degrees about the up axis")
+    parser.add_argument(
+        "--turntable", type=_positive, metavar="N", help="frames of a turning light"
+    )
+    parser.add_argument("--samples", type=_positive, help="Cycles samples per pixel")
+    parser.add_argument("--max-side", type=_positive, help="longer side of the pictures, pixels")
+
+
+def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser("evaluate", help="compare a result with the truth")
+    parser.set_defaults(command=commands.evaluate)
+    parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
+    parser.add_argument("--truth", type=Path, required=True, metavar="CAPTURE", help="with truth/")
+    parser.add_argument("--json", action="store_true", help="scores as JSON on standard output")
+
+
+def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser("bench", help="run a list of captures and tabulate their scores")
+    parser.set_defaults(command=commands.bench)
+    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="captures, seeds and variants")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
+    return value

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each command of the command line does; heavy imports happen only where they are used."""
+
+from __future__ import annotations
+
+import json
+import sys
+import traceback
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+from robir.config import RunConfig, resolve
+from robir.errors import UsageError
+from robir.jobs.paths import STAGES, JobPaths
+from robir.presets import PRESETS
+
+
+def reconstruct(options: Namespace) -> int:
+    """Make an asset from a capture; prints the result folder."""
+    from robir.display import display_for
+    from robir.pipeline.device import choose_execution
+    from robir.pipeline.runner import RunRequest, load_stages
+    from robir.pipeline.runner import reconstruct as run
+
+    preset, config, masks = _settings(options)
+    with display_for(options.progress) as display:
+        request = RunRequest(
+            source=options.capture,
+            masks=masks,
+            out=options.out,
+            preset=preset,
+            config=config,
+            execution=choose_execution(options.device, options.threads),
+            is_resume=options.resume,
+        )
+        run(request, display, load_stages())
+    print(options.out.resolve())
+    return 0
+
+
+def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:
+    """Preset name, configuration and masks; with --resume those of the folder are the default."""
+    from robir.pipeline import folder
+
+    paths = JobPaths(options.out)
+    before = folder.read_run(paths) if options.resume else None
+    preset, base, masks = options.preset or "draft", None, options.masks
+    if before is not None and masks is None and before["capture"]["masks"] is not None:
+        masks = Path(before["capture"]["masks"])
+    if before is not None and options.preset is None and paths.config.exists():
+        preset, base = before["preset"], folder.read_config(paths)
+    config = resolve(base or PRESETS[preset](), options.config, options.assignments)
+    if options.seed is not None:
+        config = replace(config, seed=options.seed)
+    return preset, config, masks
+
+
+def _finished(out: Path) -> JobPaths:
+    """Paths of a finished result folder, or UsageError."""
+    paths = JobPaths(out)
+    missing = [stage for stage in STAGES if not paths.manifest(stage).exists()]
+    if missing:
+        raise UsageError(
+            f"{out} is not a finished result folder ({missing[0]} is not done); "
+            "run or resume `robir reconstruct` first"
+        )
+    return paths
+
+
+def show_failure(options: Namespace, message: str, exit_code: int) -> None:
+    """Say on standard error why a command ended; as JSON where progress is."""
+    if getattr(options, "progress", "") == "json":
+        event = {"kind": "failed", "message": message, "exit_code": exit_code}
+        sys.stderr.write(json.dumps(event, ensure_ascii=False) + "\n")
+    else:
+        sys.stderr.write(f"robir: {message}\n")
+
+
+def describe_bug(options: Namespace, error: Exception) -> str:
+    """One sentence about an error that is ours; the traceback goes to the result folder's log."""
+    summary = f"internal error, {type(error).__name__}: {error}"
+    text = "".join(traceback.format_exception(error))
+    out = getattr(options, "out", None)
+    if out is not None and out.is_dir():
+        log = JobPaths(out).log
+        try:
+            with log.open("a", encoding="utf-8") as file:
+                file.write(text)
+            return f"{summary}; please report it with {log}"
+        except OSError:
+            pass
+    return f"{summary}; please report it with the traceback\n{text}"

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One process works in a result folder at a time.
+
+The lock is the operating system's lock on a file, so it goes with the process that holds it: the
+lock of a killed process is free at once and the file it left is taken over.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from robir.errors import UsageError
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR = 1 << 30
+
+    def _try_lock(handle: int) -> None:
+        """Lock one byte far behind the text, which others may then still read."""
+        os.lseek(handle, _FAR, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        os.lseek(handle, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _try_lock(handle: int) -> None:
+        """Lock the whole file."""
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def folder_lock(path: Path) -> Iterator[None]:
+    """Hold the lock file for the length of the block, and remove it at the end.
+
+    Args:
+        path: Lock file; its folder exists.
+
+    Raises:
+        UsageError: If another process holds it; names that process.
+    """
+    handle = _acquire(path)
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, f"{os.getpid()}\n".encode())
+        yield
+    finally:
+        if sys.platform == "win32":
+            os.close(handle)
+            path.unlink(missing_ok=True)
+        else:
+            path.unlink(missing_ok=True)
+            os.close(handle)
+
+
+def _acquire(path: Path) -> int:
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            _try_lock(handle)
+        except OSError as error:
+            holder = os.read(handle, 32).decode(errors="replace").strip() or "unknown"
+            os.close(handle)
+            raise UsageError(
+                f"{path.parent} is in use by process {holder}; wait for it, stop it, "
+                "or give another output folder"
+            ) from error
+        # The holder before us may have removed the file between our open and our lock.
+        if _is_still_at(handle, path):
+            return handle
+        os.close(handle)
+
+
+def _is_still_at(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False

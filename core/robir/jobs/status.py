@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a run stands: `status.json` for pollers, `events.jsonl` for the whole story."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from robir.jobs.paths import JobPaths, read_json, write_json
+
+State = Literal["running", "done", "failed", "cancelled"]
+Kind = Literal["started", "skipped", "progress", "metric", "warning", "finished", "failed"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """Latest state of a run.
+
+    Attributes:
+        state: "running" also when the process died; see `heartbeat` and `pid`.
+        stage: Stage at work or last at work; empty before the first.
+        fraction: Share of the whole run that is done, in [0, 1].
+        message: What is being done, or the sentence that says why the run ended.
+        seconds_left: Estimated wall seconds to the end; None while nothing is known.
+        exit_code: What the process exits with; None while it runs.
+        pid: Process that writes this.
+        heartbeat: Unix time of this writing, seconds.
+    """
+
+    state: State
+    stage: str
+    fraction: float
+    message: str
+    seconds_left: float | None
+    exit_code: int | None
+    pid: int
+    heartbeat: float
+
+
+def read_status(path: Path) -> Status:
+    """Read what `StatusWriter` wrote."""
+    return Status(**read_json(path))
+
+
+class StatusWriter:
+    """The one writer of a run's status and events."""
+
+    def __init__(self, paths: JobPaths) -> None:
+        """Write into the result folder, which exists."""
+        self._paths = paths
+
+    def status(
+        self,
+        state: State,
+        *,
+        stage: str,
+        fraction: float,
+        message: str,
+        seconds_left: float | None = None,
+        exit_code: int | None = None,
+    ) -> None:
+        """Replace `status.json`; arguments as the attributes of `Status`."""
+        status = Status(
+            state=state,
+            stage=stage,
+            fraction=round(fraction, 4),
+            message=message,
+            seconds_left=None if seconds_left is None else round(seconds_left, 1),
+            exit_code=exit_code,
+            pid=os.getpid(),
+            heartbeat=time.time(),
+        )
+        write_json(self._paths.status, asdict(status))
+
+    def event(self, kind: Kind, stage: str, **facts: Any) -> dict[str, Any]:
+        """Append one line to `events.jsonl`.
+
+        Args:
+            kind: What happened.
+            stage: Stage it happened in; empty for the run as a whole.
+            **facts: Plain values that belong to it; they may not be named time, kind or stage.
+
+        Returns:
+            The event as written.
+        """
+        event = {"time": round(time.time(), 3), "kind": kind, "stage": stage, **facts}
+        line = json.dumps(event, ensure_ascii=False) + "\n"
+        with self._paths.events.open("a", encoding="utf-8") as file:
+            file.write(line)
+        return event

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong below a stage, in words for the user."""
+
+from __future__ import annotations
+
+import errno
+import math
+import shutil
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from robir.errors import CancelledError, DeviceError, QualityError, RobirError, StorageError
+
+_DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+_FULL_BELOW_BYTES = 1 << 20
+
+_MEMORY_CURES = {
+    "capture": "lower capture.max_side",
+    "geometry": "lower geometry.resolution or use the preset draft",
+    "transport": "lower transport.num_directions or transport.num_surfels",
+    "appearance": "lower appearance.texture_size or use the preset draft",
+    "export": "lower export.max_side",
+}
+
+
+def translated(error: BaseException, stage: str, out: Path) -> BaseException:
+    """The error as a sentence for the user where it is not a fault of the program.
+
+    Args:
+        error: What ended the run.
+        stage: Stage at work.
+        out: Result folder.
+
+    Returns:
+        A RobirError, or the error itself where it is a bug.
+    """
+    if isinstance(error, RobirError):
+        return error
+    if isinstance(error, KeyboardInterrupt):
+        return CancelledError("stopped; continue with --resume")
+    if isinstance(error, OSError) and (error.errno in _DISK_ERRORS or _is_below(error, out)):
+        return StorageError(
+            f"{error.filename or out} cannot be written in {stage or 'the result folder'}: "
+            f"{error.strerror}; make room or mend the folder, then continue with --resume"
+        )
+    if _is_out_of_memory(error):
+        return DeviceError(
+            f"out of memory in {stage}: {_MEMORY_CURES.get(stage, 'use the preset draft')}, "
+            "then continue with --resume"
+        )
+    if _is_full(out):
+        return StorageError(f"the disk of {out} is full; make room, then continue with --resume")
+    return error
+
+
+def refuse_nan(stage: str, metrics: Mapping[str, Any], folder: Path) -> None:
+    """Stop where a stage ended with numbers that are none.
+
+    Raises:
+        QualityError: If a metric is not finite, or an array of the stage holds a NaN.
+    """
+    import numpy as np
+
+    broken = [
+        name
+        for name, value in metrics.items()
+        if isinstance(value, float) and not math.isfinite(value)
+    ]
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path, allow_pickle=False) as arrays:
+            for name in arrays.files:
+                array = arrays[name]
+                if array.dtype.kind == "f" and np.isnan(array).any():
+                    broken.append(f"{path.name}:{name}")
+    if broken:
+        raise QualityError(
+            f"{stage} ended with numbers that are not finite ({', '.join(broken)}); "
+            "run `robir check` on the capture, or try another --seed"
+        )
+
+
+@contextmanager
+def stop_requested() -> Iterator[None]:
+    """Turn Ctrl-C and SIGTERM into CancelledError for the length of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _frame: object) -> None:
+        raise CancelledError(f"stopped by {signal.Signals(number).name}; continue with --resume")
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    text = str(error)
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError)
+        and ("out of memory" in text or "can't allocate memory" in text)
+    )
+
+
+def _is_below(error: OSError, out: Path) -> bool:
+    return error.filename is not None and Path(str(error.filename)).is_relative_to(out)
+
+
+def _is_full(out: Path) -> bool:
+    try:
+        return shutil.disk_usage(out).free < _FULL_BELOW_BYTES
+    except OSError:
+        return True

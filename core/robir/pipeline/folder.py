@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opens a result folder: whose it is, what is in it, and whether a run may go on in it."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from robir import __version__
+from robir.config import RunConfig
+from robir.errors import ConfigError, StorageError, UsageError
+from robir.jobs.paths import JobPaths, read_json
+from robir.pipeline.device import Execution
+from robir.settings import (
+    changed_settings,
+    read_toml,
+    settings_from_table,
+    table_from_settings,
+)
+
+
+def create(paths: JobPaths) -> None:
+    """Make the result folder, or accept an existing one that is empty or ours.
+
+    Raises:
+        UsageError: If it holds other things.
+        StorageError: If it cannot be made.
+    """
+    root = paths.root
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        ours = {path.name for path in (paths.run, paths.lock, paths.log)}
+        strangers = [
+            path.name
+            for path in root.iterdir()
+            if path.name not in ours and not path.name.startswith(f".{paths.run.stem}-")
+        ]
+    except OSError as error:
+        raise StorageError(
+            f"the output folder {root} cannot be made: {error.strerror}; give another with -o"
+        ) from error
+    if strangers and not paths.run.exists():
+        raise UsageError(
+            f"{root} holds other files ({', '.join(sorted(strangers)[:3])}) and is not a result "
+            "folder; give a new or empty folder with -o"
+        )
+
+
+def read_run(paths: JobPaths) -> dict[str, Any] | None:
+    """What `run.json` says, or None where no run has begun.
+
+    Raises:
+        StorageError: If it is damaged.
+    """
+    if not paths.run.exists():
+        return None
+    try:
+        run = read_json(paths.run)
+        return dict(run) | {"capture": dict(run["capture"]), "seconds": dict(run["seconds"])}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StorageError(f"{paths.run} is damaged; give another output folder with -o") from error
+
+
+def read_config(paths: JobPaths) -> RunConfig:
+    """The resolved configuration that a run wrote.
+
+    Raises:
+        ConfigError: If it is missing, damaged, or from a version with other settings.
+    """
+    return settings_from_table(RunConfig, read_toml(paths.config), str(paths.config))
+
+
+def new_run(
+    *,
+    source: Path,
+    masks: Path | None,
+    capture: str,
+    preset: str,
+    config: RunConfig,
+    execution: Execution,
+) -> dict[str, Any]:
+    """Contents of `run.json` before the first stage.
+
+    Args:
+        source: Capture as given.
+        masks: Masks folder as given.
+        capture: Fingerprint of the capture's contents.
+        preset: Name of the preset the configuration came from.
+        config: Resolved configuration.
+        execution: Device and threads.
+    """
+    return {
+        "robir_version": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "torch": version("torch"),
+        "device": execution.device,
+        "threads": execution.threads,
+        "preset": preset,
+        "seed": config.seed,
+        "state": "running",
+        "capture": {
+            "path": str(source.resolve()),
+            "masks": None if masks is None else str(masks.resolve()),
+            "fingerprint": capture,
+        },
+        "seconds": {},
+        "peak_memory_bytes": {},
+        "warnings": [],
+    }
+
+
+def refuse_other_capture(
+    paths: JobPaths, run: Mapping[str, Any], source: Path, capture: str
+) -> None:
+    """Refuse to mix two captures in one result folder.
+
+    Raises:
+        UsageError: If the folder was made from another capture; names both.
+    """
+    before = run["capture"]
+    if before["path"] != str(source.resolve()) and before["fingerprint"] != capture:
+        raise UsageError(
+            f"{paths.root} holds the result of {before['path']}, not of {source.resolve()}; "
+            "give another output folder with -o"
+        )
+
+
+def refuse_without_resume(
+    paths: JobPaths, run: Mapping[str, Any], capture: str, config: RunConfig
+) -> None:
+    """Refuse to touch a result folder that is not finished as asked, unless told to resume.
+
+    Raises:
+        UsageError: Always; says what differs and how to go on.
+    """
+    if run["state"] == "running":
+        raise UsageError(
+            f"{paths.root} holds an unfinished run; continue it with --resume, "
+            "or give another output folder with -o"
+        )
+    try:
+        before = table_from_settings(read_config(paths))
+        changes = changed_settings(before, table_from_settings(config))
+    except ConfigError:
+        changes = []
+    if run["capture"]["fingerprint"] != capture:
+        changes.insert(0, "the capture's files have changed")
+    what = "; ".join(changes[:5]) or "made by another version, or files of it were changed"
+    raise UsageError(
+        f"{paths.root} holds a finished run that differs from this one ({what}); redo the stages "
+        "concerned with --resume, or give another output folder with -o"
+    )

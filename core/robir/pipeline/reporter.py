@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress of a run: to the result folder for pollers, and to whoever watches."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from robir.errors import CancelledError
+from robir.jobs.paths import JobPaths
+from robir.jobs.status import Kind, StatusWriter
+
+_log = logging.getLogger(__name__)
+
+_SHARES = {
+    "capture": 0.03,
+    "geometry": 0.42,
+    "transport": 0.08,
+    "appearance": 0.27,
+    "export": 0.20,
+}
+"""Typical share of each stage in the time of a draft on two cores; only for the time left."""
+
+_STATUS_PERIOD = 0.5
+_EVENT_PERIOD = 2.0
+
+
+class Display(Protocol):
+    """Something that shows a run while it goes on: a terminal, a log, a pipe."""
+
+    def event(self, event: dict[str, Any], fraction: float, seconds_left: float | None) -> None:
+        """Show one event.
+
+        Args:
+            event: As in `events.jsonl`; "progress" events come as often as the stage reports.
+            fraction: Share of the whole run that is done, in [0, 1].
+            seconds_left: Estimated wall seconds to the end, or None.
+        """
+
+
+class RunReporter:
+    """The reporter handed to every stage of one run."""
+
+    def __init__(self, paths: JobPaths, display: Display, pending: Sequence[str]) -> None:
+        """Begin to count time.
+
+        Args:
+            paths: The result folder, which exists.
+            display: Who watches.
+            pending: Stages that will run; the others count as done.
+        """
+        self._warnings: list[dict[str, str]] = []
+        self._paths = paths
+        self._display = display
+        self._writer = StatusWriter(paths)
+        self._stage = ""
+        self._offset = 1.0 - sum(_SHARES[stage] for stage in pending)
+        self._done = self._offset
+        self._begin = time.monotonic()
+        self._last_status = self._last_event = 0.0
+
+    @property
+    def stage(self) -> str:
+        """Stage at work or last at work."""
+        return self._stage
+
+    def take_warnings(self) -> list[dict[str, str]]:
+        """Warnings since the last call, each with its stage."""
+        taken, self._warnings = self._warnings, []
+        return taken
+
+    def begin(self, stage: str) -> None:
+        """A stage starts."""
+        self._stage = stage
+        self._announce("started", message=f"{stage} started")
+
+    def end(self, stage: str, metrics: dict[str, Any], seconds: dict[str, float]) -> None:
+        """A stage has ended well."""
+        self._done = min(1.0, self._done + _SHARES[stage])
+        self._announce("finished", message=f"{stage} done", metrics=metrics, seconds=seconds)
+
+    def skip(self, stage: str) -> None:
+        """A stage was done before."""
+        self._stage = stage
+        self._announce("skipped", message=f"{stage} was done before")
+
+    def progress(self, fraction: float, message: str) -> None:
+        """See `robir.jobs.context.Reporter.progress`."""
+        if self._paths.cancel.exists():
+            raise CancelledError("stopped on request; continue with --resume")
+        total = self._done + _SHARES[self._stage] * min(max(fraction, 0.0), 1.0)
+        left = self._seconds_left(total)
+        now = time.monotonic()
+        event: dict[str, Any] = {"kind": "progress", "stage": self._stage}
+        event |= {"fraction": round(fraction, 4), "message": message}
+        if now - self._last_event >= _EVENT_PERIOD:
+            self._last_event = now
+            self._writer.event(
+                "progress", self._stage, fraction=round(fraction, 4), message=message
+            )
+        if now - self._last_status >= _STATUS_PERIOD:
+            self._last_status = now
+            self._writer.status(
+                "running", stage=self._stage, fraction=total, message=message, seconds_left=left
+            )
+        self._display.event(event, total, left)
+
+    def warn(self, message: str) -> None:
+        """See `robir.jobs.context.Reporter.warn`."""
+        self._warnings.append({"stage": self._stage, "message": message})
+        _log.warning("%s: %s", self._stage, message)
+        self._emit("warning", message=message)
+
+    def metric(self, name: str, value: Any) -> None:
+        """See `robir.jobs.context.Reporter.metric`."""
+        self._emit("metric", name=name, value=value)
+
+    def finish(self, message: str) -> None:
+        """The run has ended well."""
+        self._done = 1.0
+        self._stage = ""
+        self._writer.status("done", stage="", fraction=1.0, message=message, exit_code=0)
+        _log.info(message)
+        self._emit("finished", message=message)
+
+    def fail(self, message: str, exit_code: int) -> None:
+        """The run has ended early; a full disk does not keep the message from the watcher."""
+        state = "cancelled" if exit_code == CancelledError.exit_code else "failed"
+        _log.error("%s: %s", self._stage, message)
+        try:
+            self._writer.status(
+                state,
+                stage=self._stage,
+                fraction=self._done,
+                message=message,
+                exit_code=exit_code,
+            )
+            self._writer.event("failed", self._stage, message=message, exit_code=exit_code)
+        except OSError as error:
+            _log.error("the status could not be written: %s", error.strerror)
+
+    def _announce(self, kind: Kind, *, message: str, **facts: Any) -> None:
+        _log.info(message)
+        left = self._seconds_left(self._done)
+        self._writer.status(
+            "running", stage=self._stage, fraction=self._done, message=message, seconds_left=left
+        )
+        self._emit(kind, message=message, **facts)
+
+    def _emit(self, kind: Kind, **facts: Any) -> None:
+        event = self._writer.event(kind, self._stage, **facts)
+        self._display.event(event, self._done, self._seconds_left(self._done))
+
+    def _seconds_left(self, total: float) -> float | None:
+        worked = total - self._offset
+        if worked < 0.02:
+            return None
+        return (time.monotonic() - self._begin) * (1.0 - total) / worked

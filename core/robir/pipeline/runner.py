@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs what has to be run of the five stages, in order, in one result folder."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import random
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from robir.config import RunConfig
+from robir.errors import RobirError
+from robir.jobs.context import StageContext
+from robir.jobs.lock import folder_lock
+from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
+from robir.pipeline import folder
+from robir.pipeline.device import Execution
+from robir.pipeline.faults import refuse_nan, stop_requested, translated
+from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import (
+    StageModule,
+    StageState,
+    clear_for_rerun,
+    remove_leftovers,
+    stage_fingerprints,
+    stage_state,
+    write_manifest,
+)
+from robir.pipeline.reporter import Display, RunReporter
+from robir.pipeline.usage import Usage, peak_memory_bytes
+from robir.settings import toml_from_settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRequest:
+    """What the user asked for.
+
+    Attributes:
+        source: Capture.
+        masks: Folder of masks, or None.
+        out: Result folder.
+        preset: Name of the preset the configuration came from.
+        config: Resolved configuration.
+        execution: Device and threads.
+        is_resume: Whether an unfinished or outdated folder may be worked on.
+    """
+
+    source: Path
+    masks: Path | None
+    out: Path
+    preset: str
+    config: RunConfig
+    execution: Execution
+    is_resume: bool
+
+
+def load_stages() -> dict[str, StageModule]:
+    """The real stages; imports torch."""
+    return {
+        stage: cast(StageModule, importlib.import_module(f"robir.{stage}.stage"))
+        for stage in STAGES
+    }
+
+
+def reconstruct(
+    request: RunRequest, display: Display, stages: Mapping[str, StageModule]
+) -> JobPaths:
+    """Bring a result folder to the state the request asks for.
+
+    A folder that is there already is left alone. Whatever ends the run early leaves a folder that
+    `is_resume` continues.
+
+    Args:
+        request: What to do.
+        display: Who watches.
+        stages: Module of each stage, as from `load_stages`.
+
+    Returns:
+        The finished folder.
+
+    Raises:
+        RobirError: With a sentence for the user; see `robir.errors` for the kinds.
+    """
+    paths = JobPaths(request.out)
+    capture = capture_fingerprint(request.source, request.masks, request.out)
+    folder.create(paths)
+    with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
+        expected = stage_fingerprints(
+            request.config, {name: stages[name].REVISION for name in STAGES}, capture
+        )
+        states: dict[str, StageState] = {
+            stage: stage_state(paths, stage, expected[stage]) for stage in STAGES
+        }
+        run = folder.read_run(paths)
+        if run is not None:
+            folder.refuse_other_capture(paths, run, request.source, capture)
+        pending = [stage for stage in STAGES if states[stage] != "done"]
+        reporter = RunReporter(paths, display, pending)
+        if run is not None and not pending:
+            write_json(paths.run, run | {"state": "done"})
+            reporter.finish(f"{request.out} is finished already; nothing to do")
+            return paths
+        is_worth_keeping = any(state in ("done", "stale") for state in states.values())
+        if run is not None and is_worth_keeping and not request.is_resume:
+            folder.refuse_without_resume(paths, run, capture, request.config)
+        _Run(request, paths, reporter, run, capture).work(stages, states, expected)
+    return paths
+
+
+class _Run:
+    """One working pass over a result folder that is ours and locked."""
+
+    def __init__(
+        self,
+        request: RunRequest,
+        paths: JobPaths,
+        reporter: RunReporter,
+        before: dict[str, Any] | None,
+        capture: str,
+    ) -> None:
+        self._request = request
+        self._paths = paths
+        self._reporter = reporter
+        self._facts = folder.new_run(
+            source=request.source,
+            masks=request.masks,
+            capture=capture,
+            preset=request.preset,
+            config=request.config,
+            execution=request.execution,
+        )
+        if before is not None:
+            for key in ("seconds", "peak_memory_bytes", "warnings"):
+                self._facts[key] = before[key]
+
+    def work(
+        self,
+        stages: Mapping[str, StageModule],
+        states: Mapping[str, StageState],
+        expected: Mapping[str, str],
+    ) -> None:
+        """Run every stage that is not done; see `reconstruct` for the errors."""
+        try:
+            self._open()
+            for stage in STAGES:
+                if states[stage] == "done":
+                    self._reporter.skip(stage)
+                    continue
+                clear_for_rerun(self._paths, stage, states[stage])
+                self._work_stage(stage, stages[stage], expected[stage])
+            self._facts["state"] = "done"
+            write_json(self._paths.run, self._facts)
+            self._reporter.finish(f"{self._paths.root} is finished")
+        except BaseException as error:
+            fault = translated(error, self._reporter.stage, self._paths.root)
+            code = fault.exit_code if isinstance(fault, RobirError) else 1
+            self._reporter.fail(str(fault) or type(fault).__name__, code)
+            if fault is error:
+                raise
+            raise fault from error
+
+    def _open(self) -> None:
+        self._paths.cancel.unlink(missing_ok=True)
+        remove_leftovers(self._paths)
+        write_json(self._paths.run, self._facts)
+        with replacing(self._paths.config) as temporary:
+            temporary.write_text(toml_from_settings(self._request.config), encoding="utf-8")
+
+    def _work_stage(self, stage: str, module: StageModule, expected: str) -> None:
+        request, paths = self._request, self._paths
+        self._facts["warnings"] = [w for w in self._facts["warnings"] if w["stage"] != stage]
+        self._reporter.begin(stage)
+        paths.stage(stage).mkdir(parents=True, exist_ok=True)
+        _seed_everything(request.config.seed)
+        before = Usage.now()
+        context = StageContext(
+            paths=paths,
+            config=getattr(request.config, stage),
+            source=request.source,
+            masks=request.masks,
+            seed=request.config.seed,
+            device=request.execution.device,
+            reporter=self._reporter,
+        )
+        metrics = dict(module.run(context))
+        refuse_nan(stage, metrics, paths.stage(stage))
+        seconds = Usage.now().seconds_since(before)
+        memory = peak_memory_bytes()
+        self._facts["seconds"][stage] = seconds
+        self._facts["peak_memory_bytes"][stage] = memory
+        self._facts["warnings"] += self._reporter.take_warnings()
+        write_json(paths.run, self._facts)
+        facts = {"revision": module.REVISION, "fingerprint": expected, "seed": context.seed}
+        costs = {"seconds": seconds, "peak_memory_bytes": memory, "metrics": metrics}
+        write_manifest(paths, stage, facts | costs)
+        self._reporter.end(stage, metrics, seconds)
+
+
+def _seed_everything(seed: int) -> None:
+    """Seed the global generators, for libraries that know no other."""
+    import numpy as np
+    import torch
+
+    random.seed(seed)
+    np.random.seed(seed)
+    torch.manual_seed(seed)
+
+
+@contextmanager
+def _logging_to(path: Path) -> Iterator[None]:
+    """Copy our log and Python's warnings to a file for the length of the block."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    loggers = [logging.getLogger(name) for name in ("robir", "py.warnings")]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+        handler.close()

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about the shape of the code that no linter knows."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+
+from robir.config import RunConfig
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ("core/robir", "robir_addon", "blender_scenes")
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 60
+
+SOURCES = [path for folder in SHIPPED for path in sorted((ROOT / folder).rglob("*.py"))]
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def parse(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(parse(path)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def body_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from the signature to the end, the docstring not counted."""
+    total = (function.end_lineno or function.lineno) - function.lineno + 1
+    if ast.get_docstring(function) is not None:
+        text = function.body[0]
+        total -= (text.end_lineno or text.lineno) - text.lineno + 1
+    return total
+
+
+def test_files_are_short():
+    long = {
+        name(path): lines
+        for path in [*SOURCES, *TESTS]
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > MAX_FILE_LINES
+    }
+    assert not long
+
+
+def test_functions_are_short():
+    long = {
+        f"{name(path)}:{function.name}": body_lines(function)
+        for path in SOURCES
+        for function in functions(path)
+        if body_lines(function) > MAX_FUNCTION_LINES
+    }
+    assert not long
+
+
+def test_every_file_names_its_licence():
+    expected = {"core": "Apache-2.0", "tests": "Apache-2.0"}
+    for path in [*SOURCES, *TESTS]:
+        licence = expected.get(name(path).split("/")[0], "GPL-3.0-or-later")
+        first = path.read_text(encoding="utf-8").partition("\n")[0]
+        assert first == f"# SPDX-License-Identifier: {licence}", name(path)
+
+
+def public(tree: ast.Module | ast.ClassDef) -> Iterator[ast.AST]:
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node)
+
+
+def test_everything_public_says_what_it_is():
+    missing = []
+    for path in SOURCES:
+        tree = parse(path)
+        if not ast.get_docstring(tree):
+            missing.append(name(path))
+        missing += [
+            f"{name(path)}:{node.name}"
+            for node in public(tree)
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not ast.get_docstring(node)
+        ]
+    assert not missing
+
+
+def test_the_word_for_hue_is_never_a_name_of_ours():
+    """`image`, `radiance`, `albedo` say more."""
+    forbidden = "col" + "or"
+    bad = [
+        f"{name(path)}:{node.name}"
+        for path in (ROOT / "core/robir").rglob("*.py")
+        for node in ast.walk(parse(path))
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and forbidden in node.name.lower()
+    ]
+    assert not bad
+
+
+def settings_fields() -> list[tuple[str, str, str]]:
+    """Section, field and docstring of the class, of every setting of every room."""
+    return [
+        (section.name, item.name, type(room).__doc__ or "")
+        for section in fields(RunConfig)
+        if is_dataclass(room := getattr(RunConfig(), section.name))
+        for item in fields(room)
+    ]
+
+
+def test_every_setting_is_used_and_explained():
+    attributes = {
+        node.attr
+        for path in (ROOT / "core/robir").rglob("*.py")
+        if path.name != "config.py"
+        for node in ast.walk(parse(path))
+        if isinstance(node, ast.Attribute)
+    }
+    for section, field, docstring in settings_fields():
+        assert field in attributes, f"{section}.{field} is never read"
+        assert f"{field}:" in docstring, f"{section}.{field} is not explained"
+
+
+def loaded_modules(statement: str) -> set[str]:
+    """Names of the top-level modules that a fresh interpreter holds after a statement."""
+    program = f"{statement}\nimport sys; print(*{{name.split('.')[0] for name in sys.modules}})"
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": str(ROOT / "core"), "PATH": ""},
+    )
+    return set(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import robir.jobs.paths, robir.jobs.status, robir.jobs.lock, robir.jobs.context",
+        "import robir.config, robir.presets",
+        "import robir.cli\ntry: robir.cli.main(['--help'])\nexcept SystemExit: pass",
+    ],
+)
+def test_what_must_start_fast_loads_nothing_heavy(statement):
+    heavy = {"torch", "numpy", "scipy", "skimage", "matplotlib", "rich", "bpy"}
+    assert not loaded_modules(statement) & heavy
+
+
+def test_the_stages_never_load_blender():
+    statement = "\n".join(
+        f"import robir.{stage}.stage"
+        for stage in ("capture", "geometry", "transport", "appearance", "export")
+    )
+    assert "bpy" not in loaded_modules(statement)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all tests share: fixed seeds, few threads, and no test that needs what is not there."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+
+import pytest
+from hypothesis import settings
+
+# Before torch loads: threads of other tests that spin would slow everything down.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+settings.register_profile("robir", max_examples=25, deadline=None, derandomize=True)
+settings.load_profile("robir")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs Blender or CUDA where there is none."""
+    has_bpy = importlib.util.find_spec("bpy") is not None
+    needs_cuda = [item for item in items if item.get_closest_marker("cuda")]
+    has_cuda = bool(needs_cuda) and _has_cuda()
+    for item in items:
+        if item.get_closest_marker("blender") and not has_bpy:
+            item.add_marker(pytest.mark.skip(reason="the bpy wheel is not installed"))
+    for item in needs_cuda:
+        if not has_cuda:
+            item.add_marker(pytest.mark.skip(reason="no CUDA device"))
+
+
+def _has_cuda() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    """Every test starts from the same global generators."""
+    import numpy as np
+    import torch
+
+    np.random.seed(0)
+    torch.manual_seed(0)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that can end a run early, and what the user is told."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robir.errors import (
+    CancelledError,
+    CaptureError,
+    DeviceError,
+    QualityError,
+    StorageError,
+    UsageError,
+)
+from robir.jobs.lock import folder_lock
+from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.status import read_status
+from robir.pipeline.runner import reconstruct
+from tests.pipeline.fakes import Silent, fake_stages, make_capture, request
+
+
+def run_with_mischief(tmp_path: Path, mischief) -> JobPaths:
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    stages = fake_stages()
+    stages["geometry"].mischief = mischief
+    reconstruct(request(capture, out), Silent(), stages)
+    return JobPaths(out)
+
+
+def raising(error):
+    def mischief(_context):
+        raise error
+
+    return mischief
+
+
+@pytest.mark.parametrize(
+    ("error", "expected", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "x.npz"), StorageError, "make room"),
+        (MemoryError(), DeviceError, r"out of memory in geometry: lower geometry\."),
+        (RuntimeError("CUDA out of memory. Tried to allocate"), DeviceError, "geometry"),
+        (
+            RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory"),
+            DeviceError,
+            "geom",
+        ),
+        (KeyboardInterrupt(), CancelledError, "--resume"),
+    ],
+)
+def test_faults_are_told_in_words(tmp_path, error, expected, words):
+    with pytest.raises(expected, match=words):
+        run_with_mischief(tmp_path, raising(error))
+    status = read_status(JobPaths(tmp_path / "out").status)
+    assert status.exit_code == expected.exit_code
+    assert status.stage == "geometry"
+    reconstruct(
+        request(tmp_path / "capture", tmp_path / "out", is_resume=True), Silent(), fake_stages()
+    )
+
+
+def test_a_bug_stays_a_bug(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        run_with_mischief(tmp_path, raising(ZeroDivisionError("division by zero")))
+    assert read_status(JobPaths(tmp_path / "out").status).exit_code == 1
+
+
+def test_a_nan_stops_the_stage_that_made_it(tmp_path):
+    def mischief(context):
+        np.savez(context.paths.stage("geometry") / "sdf.npz", sdf=np.array([0.0, np.nan]))
+
+    with pytest.raises(QualityError, match=r"geometry.*sdf\.npz:sdf"):
+        run_with_mischief(tmp_path, mischief)
+    assert not JobPaths(tmp_path / "out").manifest("geometry").exists()
+
+
+def test_the_cancel_file_stops_a_run_and_is_gone_at_the_next(tmp_path):
+    with pytest.raises(CancelledError, match="--resume"):
+        run_with_mischief(tmp_path, lambda context: context.paths.cancel.touch())
+    paths = JobPaths(tmp_path / "out")
+    assert read_status(paths.status).state == "cancelled"
+    reconstruct(request(tmp_path / "capture", paths.root, is_resume=True), Silent(), fake_stages())
+    assert read_json(paths.run)["state"] == "done"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_a_run(tmp_path, number):
+    with pytest.raises(CancelledError, match=number.name):
+        run_with_mischief(tmp_path, lambda _context: os.kill(os.getpid(), number))
+    assert read_status(JobPaths(tmp_path / "out").status).exit_code == 130
+
+
+def test_warnings_are_kept_and_belong_to_their_stage(tmp_path):
+    paths = run_with_mischief(tmp_path, lambda context: context.reporter.warn("few views"))
+    assert read_json(paths.run)["warnings"] == [{"stage": "geometry", "message": "few views"}]
+    assert "few views" in paths.log.read_text()
+
+
+def test_a_folder_in_use_is_refused_and_a_dead_holder_is_not(tmp_path):
+    out = tmp_path / "out"
+    capture = make_capture(tmp_path / "capture")
+    out.mkdir()
+    program = (
+        "import sys, time; from pathlib import Path; from robir.jobs.lock import folder_lock\n"
+        f"with folder_lock(Path({str(out / 'lock')!r})):\n"
+        "    print('held', flush=True); time.sleep(60)"
+    )
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=python_path()) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(UsageError, match=f"in use by process {holder.pid}"):
+            reconstruct(request(capture, out), Silent(), fake_stages())
+        holder.kill()
+    assert (out / "lock").exists()
+    reconstruct(request(capture, out), Silent(), fake_stages())
+    assert not (out / "lock").exists()
+
+
+def python_path() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "core")}
+
+
+def test_a_lock_is_free_after_an_error(tmp_path):
+    path = tmp_path / "lock"
+    with pytest.raises(ZeroDivisionError), folder_lock(path):
+        raise ZeroDivisionError
+    with folder_lock(path):
+        assert path.read_text() == f"{os.getpid()}\n"
+
+
+@pytest.mark.parametrize("what", ["capture", "masks"])
+def test_a_missing_capture_is_refused_before_anything_is_made(tmp_path, what):
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    missing = tmp_path / "missing"
+    asked = request(missing if what == "capture" else capture, out)
+    if what == "masks":
+        asked = request(capture, out, masks=missing)
+    with pytest.raises(CaptureError, match="missing does not exist"):
+        reconstruct(asked, Silent(), fake_stages())
+    assert not out.exists()
+
+
+def test_an_output_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    asked = request(make_capture(tmp_path / "capture"), tmp_path / "file" / "out")
+    with pytest.raises(StorageError, match="cannot be made"):
+        reconstruct(asked, Silent(), fake_stages())
+
+
+def test_progress_tells_the_time_left(tmp_path):
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    seen = []
+
+    class Watcher:
+        def event(self, event, fraction, seconds_left):
+            seen.append((fraction, seconds_left))
+
+    begin = time.monotonic()
+    reconstruct(request(capture, out), Watcher(), fake_stages(pause=0.01))
+    total = time.monotonic() - begin
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1.0)
+    lefts = [left for _, left in seen if left is not None]
+    assert lefts[-1] == pytest.approx(0.0, abs=1e-6)
+    assert max(lefts) < 60 * total
