@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Command line: `python -m blender_scenes SCENE OUT [options]`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from blender_scenes import cache
+from blender_scenes.format import ToneMapping, capture_facts, write_capture
+from blender_scenes.request import (
+    DEFAULT_GROUND,
+    GROUNDS,
+    LIGHTS,
+    PRESETS,
+    SCENES,
+    SceneError,
+    SceneRequest,
+    fingerprint,
+)
+from blender_scenes.view_transform import VIEW_TRANSFORMS
+from blender_scenes.wheel import wheel_version
+
+USAGE_ERROR = 2
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: without the program's name; None takes those of the process.
+
+    Returns:
+        Exit code: 0 done, 2 a request that cannot be fulfilled, 130 interrupted.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        request = SceneRequest(
+            scene=options.scene,
+            ground=options.ground or DEFAULT_GROUND.get(options.scene, "plain"),
+            light=options.light,
+            preset=options.preset,
+            hdri=options.hdri,
+            asset=options.asset,
+            resolution=options.resolution,
+            views=options.views,
+            test_views=options.test_views,
+            samples=options.samples,
+            seed=options.seed,
+        )
+        tone = ToneMapping(options.view_transform, options.exposure)
+        if _already_there(options.out, request, tone):
+            _say("already there, nothing to do")
+        else:
+            folder, rendered = cache.linear_renders(
+                request, options.cache or cache.default_folder(), _report
+            )
+            write_capture(options.out, folder, tone)
+            _say(f"{rendered} views rendered now, the others taken from {folder}")
+    except SceneError as error:
+        _say(f"error: {error}")
+        return USAGE_ERROR
+    except OSError as error:
+        _say(f"error: {error.filename or options.out}: {error.strerror or error}")
+        return USAGE_ERROR
+    except KeyboardInterrupt:
+        _say("interrupted; the same command goes on from here")
+        return 130
+    sys.stdout.write(f"{options.out}\n")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m blender_scenes",
+        description="Renders a capture with ground truth in Cycles.",
+    )
+    add = parser.add_argument
+    add("scene", choices=SCENES, metavar="SCENE", help=", ".join(SCENES))
+    add("out", type=Path, metavar="OUT", help="folder to write the capture to")
+    add("--ground", choices=GROUNDS, help="plate under the scene (truck: checker, others: plain)")
+    add(
+        "--light",
+        choices=LIGHTS,
+        default="lamp",
+        help="sun lamp with a dim map, or a sun inside a map",
+    )
+    add("--hdri", type=Path, metavar="FILE", help="lat-long .hdr or .exr (one from the bpy wheel)")
+    add("--asset", type=Path, metavar="FILE", help=".obj, .gltf or .glb of scene 'asset'")
+    add("--view-transform", choices=VIEW_TRANSFORMS, default="Filmic")
+    add(
+        "--exposure",
+        type=float,
+        default=0.0,
+        metavar="EV",
+        help="stops added before the view transform",
+    )
+    add("--resolution", type=int, default=160, help="width and height in pixels (160)")
+    add("--views", type=int, default=40, help="training views (40)")
+    add("--test-views", type=int, default=8, help="test views, at other positions (8)")
+    add("--samples", type=int, default=64, help="samples per pixel before denoising (64)")
+    add(
+        "--seed",
+        type=int,
+        default=0,
+        help="decides layout, colours, cameras and light direction (0)",
+    )
+    add("--preset", choices=PRESETS, help="high_illumination: the lamp gives 90 %% of the light")
+    add(
+        "--cache",
+        type=Path,
+        metavar="DIR",
+        help=f"linear renders are kept here ({cache.default_folder()})",
+    )
+    return parser
+
+
+def _already_there(out: Path, request: SceneRequest, tone: ToneMapping) -> bool:
+    """Whether `out` holds this very capture; refuses a folder that holds anything else."""
+    if out.exists() and not out.is_dir():
+        raise SceneError(f"{out} is a file; name a folder")
+    if not out.exists() or not any(out.iterdir()):
+        return False
+    description = out / "truth" / "scene.json"
+    if not description.exists():
+        raise SceneError(f"{out} is not empty and no capture; name a new folder or empty it")
+    found = json.loads(description.read_text(encoding="utf-8"))
+    wanted = {"fingerprint": fingerprint(request, wheel_version()), **capture_facts(tone)}
+    differing = [name for name, value in wanted.items() if found.get(name) != value]
+    if differing:
+        raise SceneError(
+            f"{out} holds another capture ({found.get('scene')}, {found.get('view_transform')}; "
+            f"differs in {', '.join(differing)}); name a new folder"
+        )
+    return True
+
+
+def _report(done: int, total: int) -> None:
+    _say(f"rendered {done}/{total}", ending="\n" if done == total else "\r")
+
+
+def _say(sentence: str, ending: str = "\n") -> None:
+    """Writes to standard error; standard output is for the result's path alone."""
+    sys.stderr.write(sentence + ending)
+    sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

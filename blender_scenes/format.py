@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The capture on disk, version 1: a NeRF-synthetic folder with linear ground truth beside it.
+
+    OUT/
+      transforms_train.json transforms_test.json
+      train/r_000.png ... test/r_000.png ...
+      truth/scene.json environment.exr mesh.ply
+      truth/train/r_000.exr ... truth/test/r_000.exr ...
+
+`transforms_*.json`: `camera_angle_x` (full horizontal angle, radians), `w`, `h`, `fl_x`, `fl_y`,
+`cx`, `cy` (pixels; the principal point is the picture's middle, pixel centres lie at
+half-integers) and `frames`, each with `file_path` ("./train/r_000", no suffix) and
+`transform_matrix`: 4 x 4 camera_to_world, OpenGL axes (x right, y up, the camera looks along -z),
+world z up, scene units.
+
+`*.png`: 8-bit RGBA, straight alpha. Alpha is the coverage of the pixel. RGB is round(255
+clip(T(radiance 2^exposure), 0, 1)) with T the view transform for an sRGB display and `radiance`
+that of the truth file; 0 where the coverage is 0.
+
+`truth/scene.json`: `format_version`, `scene`, `ground`, `light`, `preset`, `view_transform`,
+`exposure` (stops), `seed`, `resolution`, `samples`, `views`, `test_views`, `hdri` and `asset`
+(file names or null), `fingerprint` (of everything that decides the linear pixels), `blender`
+(version of the wheel), `sun_direction` (unit, world, towards the sun; with a sun in the map the
+centroid of its brightest spot), `sun_irradiance_rgb` (of a surface facing the sun, linear
+Rec.709, from the lamp or integrated over the spot), `sun_is_lamp`, `scene_centre` (middle of the
+bounding box), `scene_radius` (of the sphere about it that holds all geometry), scene units.
+
+`truth/environment.exr`: lat-long, 2:1, linear Rec.709 radiance as rendered (turned and scaled),
+without the lamp, in Blender's world frame: u = 0.5 - atan2(y, x) / 2 pi from the left, v = 0.5 -
+asin(z) / pi from the top.
+
+`truth/mesh.ply`: all render geometry, triangles, world frame.
+
+`truth/*/r_*.exr`, one part, scan lines, first row at the top, straight values (not multiplied by
+alpha):
+
+| channels           | type  | meaning                                                          |
+|--------------------|-------|------------------------------------------------------------------|
+| radiance.R/G/B     | float | linear Rec.709, denoised path tracing, before exposure           |
+| albedo.R/G/B       | half  | base colour, linear Rec.709 (of a metal: its reflectance)        |
+| roughness metallic | half  | of the Principled shader, 0..1; mean over the covered part       |
+| normal.X/Y/Z       | half  | unit, world frame, smooth shading included; 0 where uncovered    |
+| position.X/Y/Z     | float | world position at the pixel's centre; 0 where `hit` is 0         |
+| mask               | half  | coverage of the pixel, 0..1                                      |
+| hit                | half  | 1 where the ray through the pixel's centre meets the scene       |
+| sun_visibility     | half  | 1 where `position` faces the sun's centre and nothing is between |
+"""
+
+import json
+import os
+import shutil
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from blender_scenes.view_transform import codes_from_display, display_from_linear
+
+FORMAT_VERSION = 1
+SPLITS = ("train", "test")
+
+_AXES = {"radiance": "RGB", "albedo": "RGB", "normal": "XYZ", "position": "XYZ"}
+_FULL_FLOAT = ("radiance", "position")
+
+
+@dataclass(frozen=True)
+class ViewTruth:
+    """Ground truth of one view; see the module's table. Arrays are (H, W) or (H, W, 3)."""
+
+    radiance: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    mask: np.ndarray
+    hit: np.ndarray
+    sun_visibility: np.ndarray
+
+
+@dataclass(frozen=True)
+class ToneMapping:
+    """How linear radiance becomes a picture: a view transform's name and the exposure in stops."""
+
+    view_transform: str
+    exposure: float = 0.0
+
+
+def write_view(file: Path, view: ViewTruth) -> None:
+    """Writes a truth EXR, whole or not at all."""
+    channels = {}
+    for field in fields(view):
+        values = getattr(view, field.name).astype(
+            np.float32 if field.name in _FULL_FLOAT else np.float16
+        )
+        if field.name in _AXES:
+            for index, axis in enumerate(_AXES[field.name]):
+                channels[f"{field.name}.{axis}"] = np.ascontiguousarray(values[..., index])
+        else:
+            channels[field.name] = np.ascontiguousarray(values)
+    _write_exr(file, channels)
+
+
+def read_view(file: Path) -> ViewTruth:
+    """Reads a truth EXR, all channels as float32."""
+    with OpenEXR.File(str(file), separate_channels=True) as opened:
+        channels = {
+            name: np.asarray(c.pixels, dtype=np.float32) for name, c in opened.channels().items()
+        }
+    values = {}
+    for field in fields(ViewTruth):
+        axes = _AXES.get(field.name)
+        values[field.name] = (
+            np.stack([channels[f"{field.name}.{axis}"] for axis in axes], axis=-1)
+            if axes
+            else channels[field.name]
+        )
+    return ViewTruth(**values)
+
+
+def write_environment(file: Path, environment: np.ndarray) -> None:
+    """Writes a lat-long map (H, 2H, 3) as a float EXR, whole or not at all."""
+    values = environment.astype(np.float32)
+    _write_exr(file, {name: np.ascontiguousarray(values[..., i]) for i, name in enumerate("RGB")})
+
+
+def write_json(file: Path, value: dict) -> None:
+    """Writes JSON, whole or not at all."""
+    temporary = file.with_name(f".{file.name}.{os.getpid()}")
+    temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(file)
+
+
+def transforms(poses: np.ndarray, split: str, angle_x: float, resolution: int) -> dict:
+    """Content of a transforms file.
+
+    Args:
+        poses: (V, 4, 4) camera_to_world, OpenGL axes.
+        split: "train" or "test".
+        angle_x: full horizontal angle, radians.
+        resolution: width and height in pixels.
+
+    Returns:
+        What `transforms_<split>.json` holds.
+    """
+    focal = 0.5 * resolution / float(np.tan(0.5 * angle_x))
+    middle = 0.5 * resolution
+    return {
+        "camera_angle_x": angle_x,
+        "w": resolution,
+        "h": resolution,
+        "fl_x": focal,
+        "fl_y": focal,
+        "cx": middle,
+        "cy": middle,
+        "frames": [
+            {"file_path": f"./{split}/{view_name(i)}", "transform_matrix": pose.tolist()}
+            for i, pose in enumerate(poses)
+        ],
+    }
+
+
+def view_name(index: int) -> str:
+    """File name of a view without suffix, "r_000" for the first."""
+    return f"r_{index:03d}"
+
+
+def picture(view: ViewTruth, tone: ToneMapping) -> np.ndarray:
+    """The (H, W, 4) 8-bit straight-alpha picture of a view."""
+    display = display_from_linear(view.radiance, tone.view_transform, tone.exposure)
+    display[view.mask <= 0.0] = 0.0
+    alpha = np.clip(view.mask, 0.0, 1.0)[..., None]
+    return codes_from_display(np.concatenate([display, alpha], axis=-1))
+
+
+def write_capture(out: Path, rendered: Path, tone: ToneMapping) -> None:
+    """Makes the capture folder from linear renders; it appears whole or not at all.
+
+    Args:
+        out: folder to make; must be missing or empty.
+        rendered: finished folder of linear renders: what `truth` holds, plus the transforms files.
+        tone: how to make pictures of them.
+    """
+    scene = json.loads((rendered / "scene.json").read_text(encoding="utf-8"))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".{out.name}.{os.getpid()}")
+    try:
+        for split in SPLITS:
+            (partial / split).mkdir(parents=True)
+            (partial / "truth" / split).mkdir(parents=True)
+            for source in sorted((rendered / split).glob("r_*.exr")):
+                shutil.copyfile(source, partial / "truth" / split / source.name)
+                codes = picture(read_view(source), tone)
+                Image.fromarray(codes).save(partial / split / f"{source.stem}.png")
+            shutil.copyfile(
+                rendered / f"transforms_{split}.json", partial / f"transforms_{split}.json"
+            )
+        for name in ("environment.exr", "mesh.ply"):
+            shutil.copyfile(rendered / name, partial / "truth" / name)
+        write_json(partial / "truth" / "scene.json", scene | capture_facts(tone))
+        partial.replace(out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def capture_facts(tone: ToneMapping) -> dict:
+    """The part of scene.json that the tone mapping decides."""
+    return {"view_transform": tone.view_transform, "exposure": tone.exposure}
+
+
+def _write_exr(file: Path, channels: dict[str, np.ndarray]) -> None:
+    temporary = file.with_name(f".{os.getpid()}.{file.name}")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(temporary))
+    temporary.replace(file)

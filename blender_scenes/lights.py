@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of a scene: a map, loaded, turned and scaled, with a sun lamp or a sun inside it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Quaternion, Vector
+from skimage.transform import resize_local_mean
+
+from blender_scenes.environment import LUMINANCE, irradiance, sun_spot
+from blender_scenes.request import SceneError, SceneRequest
+from blender_scenes.wheel import data_folder
+
+SUN_ANGLE = float(np.radians(0.53))
+"""Full angle of the sun's disc as seen from the earth, radians."""
+
+GREY_TARGET = 0.52
+"""Linear radiance of a horizontal 0.5 grey in full light."""
+
+FACING_LIMIT = 1.0
+"""The most a 0.5 grey facing the sun may reach: a low sun must not clip all upright faces."""
+
+LAMP_SHARE = {None: 0.75, "high_illumination": 0.9}
+"""Share of the lamp in the irradiance of a horizontal surface, by preset."""
+
+LAMP_TINT = np.array([1.06, 1.0, 0.9])
+
+
+@dataclass(frozen=True)
+class LightRig:
+    """The light of a scene, in the units of the render.
+
+    Attributes:
+        environment: (H, 2H, 3) lat-long radiance, without the lamp.
+        sun_direction: (3,) unit, world frame, towards the sun.
+        sun_irradiance_rgb: (3,) of a surface that faces the sun, by the lamp or the map's spot.
+        has_lamp: whether the sun is a lamp rather than a part of the map.
+    """
+
+    environment: np.ndarray
+    sun_direction: np.ndarray
+    sun_irradiance_rgb: np.ndarray
+    has_lamp: bool
+
+
+def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
+    """The light of a request: direction by `rng`, strength by the rule of GREY_TARGET.
+
+    Args:
+        request: names light, preset and map.
+        rng: turns the map about z and places the lamp.
+
+    Returns:
+        The rig, scaled.
+    """
+    has_lamp = request.light == "lamp"
+    file = request.hdri or data_folder(
+        f"studiolights/world/{'courtyard' if has_lamp else 'sunrise'}.exr"
+    )
+    environment = _load_map(file, 256 if has_lamp else 512)
+    environment = np.roll(environment, int(rng.integers(environment.shape[1])), axis=1)
+    elevation, azimuth = np.radians(rng.uniform(36.0, 58.0)), rng.uniform(0.0, 2.0 * np.pi)
+    up = np.array([0.0, 0.0, 1.0])
+    sky = float(irradiance(environment, up) @ LUMINANCE)
+    if sky <= 0.0:
+        raise SceneError(f"{file}: the upper half of this map is black; choose another --hdri")
+    if has_lamp:
+        flat = np.cos(elevation)
+        direction = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        share = LAMP_SHARE[request.preset]
+        tint = LAMP_TINT / (LAMP_TINT @ LUMINANCE)
+        lamp = tint * sky * share / (1.0 - share) / direction[2]
+    else:
+        direction, lamp = sun_spot(environment)
+        if direction[2] < np.sin(np.radians(3.0)):
+            raise SceneError(
+                f"{file}: its brightest spot is below or at the horizon; choose a map with a sun"
+            )
+    beside = lamp if has_lamp else np.zeros(3)
+    horizontal = sky + float(beside @ LUMINANCE) * direction[2]
+    facing = float((irradiance(environment, direction) + beside) @ LUMINANCE)
+    scale = min(GREY_TARGET / horizontal, FACING_LIMIT / facing) * 2.0 * np.pi
+    return LightRig((environment * scale).astype(np.float32), direction, lamp * scale, has_lamp)
+
+
+def add_lights(rig: LightRig, environment_file: Path) -> None:
+    """Puts the rig into the open Blender scene.
+
+    Args:
+        rig: the light.
+        environment_file: `rig.environment` as an EXR file.
+    """
+    world = bpy.data.worlds.new("environment")
+    bpy.context.scene.world = world
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = bpy.data.images.load(str(environment_file))
+    node.image.colorspace_settings.name = "Linear Rec.709"
+    background = next(n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    world.node_tree.links.new(node.outputs["Color"], background.inputs["Color"])
+    world.cycles.sampling_method = "MANUAL"
+    world.cycles.sample_map_resolution = rig.environment.shape[1]
+    if rig.has_lamp:
+        strength = float(rig.sun_irradiance_rgb.max())
+        lamp = bpy.data.lights.new("sun", "SUN")
+        lamp.angle = SUN_ANGLE
+        lamp.energy = strength
+        lamp.color = (rig.sun_irradiance_rgb / strength).tolist()
+        sun = bpy.data.objects.new("sun", lamp)
+        sun.rotation_mode = "QUATERNION"
+        sun.rotation_quaternion = _towards(rig.sun_direction)
+        bpy.context.scene.collection.objects.link(sun)
+
+
+def _towards(direction: np.ndarray) -> Quaternion:
+    """Rotation that makes a lamp, which shines along its -z, shine from `direction`."""
+    return Vector(direction.tolist()).to_track_quat("Z", "Y")
+
+
+def _load_map(file: Path, height: int) -> np.ndarray:
+    """Reads a lat-long map, averaged down to at most `height` rows; (H, 2H, 3), top row first."""
+    try:
+        image = bpy.data.images.load(str(file))
+    except RuntimeError as error:
+        raise SceneError(
+            f"{file}: not readable as an image ({error}); give a .hdr or .exr file"
+        ) from error
+    image.colorspace_settings.name = "Linear Rec.709"
+    width, rows = image.size
+    if rows == 0 or width != 2 * rows:
+        raise SceneError(
+            f"{file}: {width} x {rows} pixels; a lat-long map is twice as wide as high"
+        )
+    pixels = np.empty(width * rows * 4, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    values = pixels.reshape(rows, width, 4)[::-1, :, :3].astype(np.float64)
+    if not np.isfinite(values).all():
+        raise SceneError(f"{file}: holds infinite or undefined values; clean the map first")
+    if rows > height:
+        values = resize_local_mean(values, (height, 2 * height), channel_axis=-1)
+    return values

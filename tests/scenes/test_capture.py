@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small captures rendered in Cycles by the command line, held against what is known about them."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import trimesh
+from PIL import Image
+
+from blender_scenes import textures
+from blender_scenes.environment import LUMINANCE, map_directions
+from blender_scenes.format import ViewTruth, read_view
+from blender_scenes.request import SceneRequest, random_stream
+from blender_scenes.view_transform import display_from_linear
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("bpy") is None, reason="rendering needs the bpy wheel: pip install bpy"
+)
+
+ROOT = Path(__file__).parents[2]
+GROUND_RADIUS = 0.98
+SMALL = ("--resolution", "32", "--views", "2", "--test-views", "1", "--samples", "4")
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "blender_scenes", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
+    out = tmp_path_factory.mktemp("captures") / "truck"
+    done = run("truck", out, *SMALL, "--cache", cache)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def views(capture: Path) -> list[tuple[np.ndarray, float, ViewTruth]]:
+    """Camera_to_world, focal length and truth of every view."""
+    found = []
+    for split in ("train", "test"):
+        transforms = json.loads((capture / f"transforms_{split}.json").read_text())
+        for frame in transforms["frames"]:
+            truth = read_view(capture / "truth" / f"{frame['file_path']}.exr")
+            found.append((np.array(frame["transform_matrix"]), transforms["fl_x"], truth))
+    return found
+
+
+@pytest.fixture(scope="module")
+def scene(capture: Path) -> dict:
+    return json.loads((capture / "truth" / "scene.json").read_text())
+
+
+def test_pictures_are_the_view_transform_of_the_linear_radiance(capture: Path) -> None:
+    truth = read_view(capture / "truth" / "train" / "r_000.exr")
+    codes = np.asarray(Image.open(capture / "train" / "r_000.png")).astype(float)
+    covered = truth.mask > 0.0
+    expected = 255.0 * display_from_linear(truth.radiance, "Filmic")
+    assert np.abs(codes[..., :3] - expected)[covered].max() <= 0.51
+    assert (codes[..., :3][~covered] == 0.0).all()
+    assert np.abs(codes[..., 3] - 255.0 * truth.mask).max() <= 0.51
+    assert 0.1 < covered.mean() < 0.6
+
+
+def test_positions_project_to_their_pixel_centres(views: list) -> None:
+    for pose, focal, truth in views:
+        hit = truth.hit > 0.5
+        rows, columns = np.nonzero(hit)
+        local = (truth.position[hit] - pose[:3, 3]) @ pose[:3, :3]
+        assert (local[:, 2] < 0.0).all()
+        u = 16.0 + focal * local[:, 0] / -local[:, 2]
+        v = 16.0 - focal * local[:, 1] / -local[:, 2]
+        assert np.abs(u - columns - 0.5).max() < 0.05
+        assert np.abs(v - rows - 0.5).max() < 0.05
+
+
+def test_mesh_is_what_the_cameras_see(capture: Path, views: list, scene: dict) -> None:
+    """Rays through the pixel centres meet the mesh where the position pass says."""
+    mesh = trimesh.load(capture / "truth" / "mesh.ply", process=False)
+    for pose, _, truth in views:
+        seen = truth.position[truth.hit > 0.5]
+        ray = seen - pose[:3, 3]
+        eyes = np.broadcast_to(pose[:3, 3], seen.shape)
+        met, index, _ = mesh.ray.intersects_location(eyes, ray, multiple_hits=False)
+        assert len(index) > 0.99 * len(seen)
+        assert np.quantile(np.linalg.norm(met - seen[index], axis=1), 0.99) < 1e-3
+    reach = np.linalg.norm(mesh.vertices - scene["scene_centre"], axis=1).max()
+    assert reach == pytest.approx(scene["scene_radius"], rel=1e-6)
+
+
+def test_albedo_of_the_ground_is_that_of_its_texture(views: list) -> None:
+    """Where a pixel lies within one square of the checker, the base colour is that square's."""
+    request = SceneRequest(scene="truck", ground="checker", light="lamp")
+    texture = textures.ground("checker", random_stream(request, "ground"))
+    checked = []
+    for pose, focal, truth in views:
+        ground = (truth.hit > 0.5) & (np.abs(truth.position[..., 2]) < 1e-4) & (truth.mask > 0.999)
+        position = truth.position[ground]
+        ray = pose[:3, 3] - position
+        distance = np.linalg.norm(ray, axis=1)
+        reach = distance / focal / (ray[:, 2] / distance)
+        place = position[:, :2] / (2.0 * GROUND_RADIUS) + 0.5
+        to_line = np.abs((place * 8.0 + 0.5) % 1.0 - 0.5).min(axis=1) * 2.0 * GROUND_RADIUS / 8.0
+        # a quarter of a unit off the lorry, so that no pixel mixes wheel and ground
+        inside = (to_line > reach) & (np.linalg.norm(position[:, :2], axis=1) > 0.72)
+        texel = (place[inside] * len(texture)).astype(int)
+        checked.append(truth.albedo[ground][inside] - texture[texel[:, 1], texel[:, 0]])
+    difference = np.abs(np.concatenate(checked))
+    assert len(difference) > 5
+    assert np.median(difference) < 5e-4
+    assert (difference.max(axis=1) < 5e-3).mean() > 0.9
+
+
+def test_normals_are_unit_and_up_on_the_ground(views: list) -> None:
+    for _, _, truth in views:
+        hit = truth.hit > 0.5
+        np.testing.assert_allclose(np.linalg.norm(truth.normal[hit], axis=-1), 1.0, atol=2e-3)
+        radius = np.hypot(truth.position[..., 0], truth.position[..., 1])
+        flat = hit & (np.abs(truth.position[..., 2]) < 1e-4) & (radius < 0.9)
+        assert np.median(truth.normal[flat][:, 2]) > 0.9999
+
+
+def test_material_values_are_those_of_the_scene(views: list) -> None:
+    truth = views[0][2]
+    whole = truth.mask > 0.999
+    ground = whole & (truth.hit > 0.5) & (truth.position[..., 2] < 1e-4)
+    assert np.median(truth.roughness[ground]) == pytest.approx(0.75, abs=0.01)
+    assert truth.metallic[whole].max() == pytest.approx(1.0, abs=0.01)
+    assert truth.metallic[ground].max() < 0.6
+
+
+def test_sun_is_seen_from_the_open_side_and_not_from_below(
+    capture: Path, views: list, scene: dict
+) -> None:
+    sun = np.array(scene["sun_direction"])
+    assert np.linalg.norm(sun) == pytest.approx(1.0)
+    assert sun[2] > 0.5
+    points = np.concatenate([t.position[t.hit > 0.5] for _, _, t in views])
+    normals = np.concatenate([t.normal[t.hit > 0.5] for _, _, t in views])
+    visible = np.concatenate([t.sun_visibility[t.hit > 0.5] for _, _, t in views])
+    assert (visible[normals @ sun < 0.0] == 0.0).all()
+    roof = (points[:, 2] > points[:, 2].max() - 0.3) & (normals[:, 2] > 0.99)
+    assert visible[roof].max() == 1.0
+    assert 0.1 < (visible[points[:, 2] < 1e-3] == 0.0).mean() < 0.9
+
+
+def test_lit_ground_has_the_radiance_of_the_stated_light(
+    capture: Path, views: list, scene: dict
+) -> None:
+    """A 0.5 grey in full sun reaches the promised level; the lamp's irradiance is as stated."""
+    sun = np.array(scene["sun_direction"])
+    lamp = float(np.array(scene["sun_irradiance_rgb"]) @ LUMINANCE) * sun[2]
+    ratio = []
+    for _, _, truth in views:
+        radius = np.hypot(truth.position[..., 0], truth.position[..., 1])
+        open_ground = (
+            (truth.hit > 0.5)
+            & (np.abs(truth.position[..., 2]) < 1e-4)
+            & (radius > 0.75)
+            & (radius < 0.95)
+        )
+        open_ground &= truth.sun_visibility > 0.5
+        ratio.append(
+            (truth.radiance @ LUMINANCE)[open_ground] / (truth.albedo @ LUMINANCE)[open_ground]
+        )
+    per_albedo = float(np.median(np.concatenate(ratio)))
+    assert 0.42 < 0.5 * per_albedo < 0.65
+    assert 0.6 < lamp / np.pi / per_albedo < 0.85
+
+
+def test_second_tone_mapping_renders_nothing(capture: Path, cache: Path, tmp_path: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in cache.rglob("*.exr")}
+    out = tmp_path / "standard"
+    done = run(
+        "truck", out, *SMALL, "--cache", cache, "--view-transform", "Standard", "--exposure", "0.5"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "0 views rendered" in done.stderr
+    assert {p: p.stat().st_mtime_ns for p in cache.rglob("*.exr")} == before
+    truth = read_view(out / "truth" / "test" / "r_000.exr")
+    codes = np.asarray(Image.open(out / "test" / "r_000.png"))[..., :3]
+    expected = 255.0 * display_from_linear(truth.radiance * 2.0**0.5, "Standard")
+    assert np.abs(codes - expected)[truth.mask > 0.0].max() <= 0.51
+
+
+def test_interrupted_rendering_goes_on_and_gives_the_same_views(
+    capture: Path, cache: Path, tmp_path: Path
+) -> None:
+    """A cache that lost one view and its description renders that view only, to the same values."""
+    folder = next(cache.iterdir())
+    lost = folder / "train" / "r_001.exr"
+    before = read_view(lost)
+    lost.unlink()
+    (folder / "scene.json").unlink()
+    done = run("truck", tmp_path / "again", *SMALL, "--cache", cache)
+    assert done.returncode == 0, done.stderr
+    assert "1 views rendered" in done.stderr
+    np.testing.assert_allclose(read_view(lost).radiance, before.radiance, atol=2e-3, rtol=1e-2)
+    np.testing.assert_array_equal(read_view(lost).position, before.position)
+
+
+def test_sun_inside_a_map_casts_the_shadow_the_truth_says(tmp_path: Path, cache: Path) -> None:
+    """The map's frame, the sun's direction and its visibility agree with the lit picture."""
+    sun = np.array([0.35, -0.6, 0.0])
+    sun[2] = np.sqrt(1.0 - sun @ sun)
+    sky = np.full((128, 256, 3), 0.05, dtype=np.float32)
+    sky[map_directions(128) @ sun > np.cos(np.radians(1.2))] = 900.0
+    hdri = tmp_path / "sun.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": sky}).write(str(hdri))
+    out = tmp_path / "out"
+    small = [*SMALL[:-1], 16]
+    done = run(
+        "truck",
+        out,
+        *small,
+        "--cache",
+        cache,
+        "--ground",
+        "plain",
+        "--light",
+        "hdri-sun",
+        "--hdri",
+        hdri,
+    )
+    assert done.returncode == 0, done.stderr
+    scene = json.loads((out / "truth" / "scene.json").read_text())
+    assert scene["sun_direction"][2] == pytest.approx(sun[2], abs=0.01)
+    truths = [
+        read_view(out / "truth" / name)
+        for name in ("train/r_000.exr", "train/r_001.exr", "test/r_000.exr")
+    ]
+    ratio, visible = [], []
+    for truth in truths:
+        ground = (truth.hit > 0.5) & (np.abs(truth.position[..., 2]) < 1e-4) & (truth.mask > 0.999)
+        ratio.append((truth.radiance @ LUMINANCE)[ground] / (truth.albedo @ LUMINANCE)[ground])
+        visible.append(truth.sun_visibility[ground] > 0.5)
+    ratio, visible = np.concatenate(ratio), np.concatenate(visible)
+    lit, dark = np.median(ratio[visible]), np.median(ratio[~visible])
+    assert lit > 5.0 * dark
+    agree = (ratio > 0.5 * (lit + dark)) == visible
+    assert agree.mean() > 0.93
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["castle", "OUT"], "invalid choice: 'castle'"),
+        (["truck"], "OUT"),
+        (["truck", "OUT", "--views", "many"], "invalid int value"),
+        (["asset", "OUT"], "needs --asset FILE"),
+        (["asset", "OUT", "--asset", "missing.obj"], "missing.obj: no such file"),
+        (
+            ["truck", "OUT", "--light", "hdri-sun", "--hdri", "missing.hdr"],
+            "missing.hdr: no such file",
+        ),
+        (["truck", "OUT", "--view-transform", "Sepia"], "invalid choice: 'Sepia'"),
+    ],
+)
+def test_bad_arguments_end_with_code_2_and_a_sentence(
+    arguments: list[str], words: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    done = run(*[str(out) if a == "OUT" else a for a in arguments])
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not out.exists()
+
+
+def test_unreadable_files_are_named(tmp_path: Path, cache: Path) -> None:
+    noise, soup = tmp_path / "noise.hdr", tmp_path / "soup.obj"
+    noise.write_bytes(b"this is no picture")
+    soup.write_text("v 0 0 0\n")
+    for arguments in (
+        ["truck", tmp_path / "a", "--hdri", noise],
+        ["asset", tmp_path / "b", "--asset", soup],
+    ):
+        done = run(*arguments, *SMALL, "--cache", cache)
+        assert done.returncode == 2
+        assert Path(str(arguments[-1])).name in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_folder_of_another_capture_is_refused_and_left_alone(
+    capture: Path, cache: Path, tmp_path: Path
+) -> None:
+    done = run("truck", capture, *SMALL, "--cache", cache, "--seed", "1")
+    assert done.returncode == 2
+    assert str(capture) in done.stderr
+    assert "fingerprint" in done.stderr
+    again = run("truck", capture, *SMALL, "--cache", cache)
+    assert again.returncode == 0
+    assert "nothing to do" in again.stderr
+    (tmp_path / "letter.txt").write_text("mine")
+    assert run("truck", tmp_path, *SMALL, "--cache", cache).returncode == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests and their fingerprints: what decides the pixels counts, what does not does not."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from blender_scenes import request as request_module
+from blender_scenes.request import SceneError, SceneRequest, code_version, fingerprint
+
+PACKAGE = Path(request_module.__file__).parent
+TRUCK = SceneRequest(scene="truck", ground="checker", light="lamp")
+
+
+def test_fingerprint_is_the_same_for_equal_requests() -> None:
+    assert fingerprint(TRUCK, "4.5.15") == fingerprint(replace(TRUCK), "4.5.15")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scene": "hotdog"},
+        {"ground": "none"},
+        {"light": "hdri-sun"},
+        {"preset": "high_illumination"},
+        {"resolution": 161},
+        {"views": 41},
+        {"test_views": 9},
+        {"samples": 65},
+        {"seed": 1},
+    ],
+)
+def test_fingerprint_changes_with_every_field(change: dict) -> None:
+    assert fingerprint(replace(TRUCK, **change), "4.5.15") != fingerprint(TRUCK, "4.5.15")
+
+
+def test_fingerprint_changes_with_the_renderer() -> None:
+    assert fingerprint(TRUCK, "4.5.15") != fingerprint(TRUCK, "5.0.1")
+
+
+def test_files_enter_the_fingerprint_by_content_not_by_name(tmp_path: Path) -> None:
+    first, second, other = (tmp_path / f"{name}.hdr" for name in "abc")
+    first.write_bytes(b"sky")
+    second.write_bytes(b"sky")
+    other.write_bytes(b"sea")
+    hashes = [fingerprint(replace(TRUCK, hdri=file), "1") for file in (first, second, other)]
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_texture_beside_an_asset_enters_the_fingerprint(tmp_path: Path) -> None:
+    mesh, texture = tmp_path / "a.obj", tmp_path / "a.png"
+    mesh.write_text("v 0 0 0\n")
+    texture.write_bytes(b"1")
+    asset = SceneRequest(scene="asset", ground="plain", light="lamp", asset=mesh)
+    before = fingerprint(asset, "1")
+    texture.write_bytes(b"2")
+    assert fingerprint(asset, "1") != before
+
+
+def test_code_version_ignores_comments_and_docstrings_only(tmp_path: Path) -> None:
+    copy = tmp_path / "blender_scenes"
+    shutil.copytree(PACKAGE, copy)
+    before = code_version(copy, "truck")
+    rig = copy / "rig.py"
+    source = rig.read_text()
+    rig.write_text("# a remark\n" + source.replace('"""Cameras on', '"""Some cameras on'))
+    assert code_version(copy, "truck") == before
+    (copy / "scenes" / "hotdog.py").write_text("OTHER = 1\n")
+    assert code_version(copy, "truck") == before
+    rig.write_text(source.replace("radians(40.0)", "radians(41.0)"))
+    assert code_version(copy, "truck") != before
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scene": "cathedral"}, "SCENE is 'cathedral'"),
+        ({"ground": "lava"}, "--ground is 'lava'"),
+        ({"scene": "asset"}, "needs --asset FILE"),
+        ({"asset": Path("a.obj")}, "belongs to scene 'asset'"),
+        ({"scene": "asset", "asset": Path("nowhere.obj")}, "no such file"),
+        ({"scene": "asset", "asset": Path("a.stl")}, "unknown kind '.stl'"),
+        ({"hdri": Path("nowhere.hdr")}, "no such file"),
+        ({"hdri": Path("sky.png")}, "unknown kind '.png'"),
+        ({"preset": "high_illumination", "light": "hdri-sun"}, "--light lamp"),
+        ({"resolution": 4}, "at least 8"),
+        ({"views": 0}, "at least 1"),
+        ({"samples": 0}, "at least 1"),
+        ({"seed": -1}, "at least 0"),
+    ],
+)
+def test_impossible_requests_are_refused_in_words(change: dict, words: str) -> None:
+    with pytest.raises(SceneError, match=words.replace("(", r"\(")):
+        replace(TRUCK, **change)
