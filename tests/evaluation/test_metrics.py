@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
-from robir.evaluation import metrics
 from scipy.optimize import minimize_scalar
 from skimage.metrics import peak_signal_noise_ratio
+
+from robir.evaluation import metrics
 
 
 @pytest.fixture
@@ -126,7 +127,7 @@ def test_lmse_corner_cases(rng):
 
 
 def shadow_scene(rng, baked):
-    """Two textured materials, each half in shadow; the estimate keeps `baked` of the light there."""
+    """Two textured materials, each half in shadow; the estimate keeps `baked` of the light."""
     truth = np.empty((60, 60, 3))
     truth[:30] = [0.55, 0.2, 0.2]
     truth[30:] = [0.2, 0.5, 0.3]
@@ -187,7 +188,8 @@ def test_shadow_regions_leave_out_edges_and_attached_shadow():
 def test_roughness_scores(rng):
     truth = rng.random(200)
     scores = metrics.roughness_scores(truth + 0.1, truth)
-    assert scores["rmse"] == pytest.approx(0.1) and scores["mae"] == pytest.approx(0.1)
+    assert scores["rmse"] == pytest.approx(0.1)
+    assert scores["mae"] == pytest.approx(0.1)
     best = minimize_scalar(lambda c: np.sqrt(np.mean((c - truth) ** 2)))
     assert scores["best_constant_rmse"] == pytest.approx(best.fun)
 

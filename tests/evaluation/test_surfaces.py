@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import trimesh
+
 from robir.capture.camera import Camera
 from robir.evaluation import surfaces
 from robir.geometry.mesh import Mesh, vertex_normals

@@ -13,9 +13,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 from skimage.metrics import structural_similarity
+
+from robir.maths import tone
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -27,15 +30,13 @@ _PSNR_CEILING = 100.0
 
 
 def srgb_from_linear(linear: Array) -> Array:
-    """The sRGB curve of IEC 61966-2-1, after clipping to [0, 1]."""
-    value = np.clip(linear, 0.0, 1.0)
-    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    """The sRGB curve of IEC 61966-2-1, after clipping to [0, 1]; float64."""
+    return tone.srgb_from_linear(torch.from_numpy(np.asarray(linear, float)).clamp(0, 1)).numpy()
 
 
 def linear_from_srgb(encoded: Array) -> Array:
-    """Inverse of `srgb_from_linear` on [0, 1]."""
-    value = np.clip(encoded, 0.0, 1.0)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    """Inverse of `srgb_from_linear` on [0, 1]; float64."""
+    return tone.linear_from_srgb(torch.from_numpy(np.asarray(encoded, float)).clamp(0, 1)).numpy()
 
 
 def psnr(estimate: Array, truth: Array) -> float:

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores a finished result against the truth of a rendered capture.
+
+Only test views count, at the resolution of the truth. The foreground of a view is where the
+pixel-centre ray meets the scene. Albedo and roughness are compared where the result has a surface
+too; what it misses or adds is the business of the mask, the normals and the Chamfer distance.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.capture.capture import Bounds
+from robir.errors import StorageError
+from robir.evaluation import metrics, surfaces
+from robir.evaluation.layers import Layers, load_textures, result_mesh, view_layers
+from robir.evaluation.light import light_scores, load_light
+from robir.evaluation.sheet import save_sheet, truth_sheet
+from robir.evaluation.truth import TrueView, Truth, load_truth
+from robir.geometry.mesh import Mesh, vertex_normals
+from robir.jobs.paths import JobPaths, read_json
+
+Array = NDArray[np.floating[Any]]
+
+_MAX_CHAMFER_POINTS = 40_000
+
+
+def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[str, Any]:
+    """Every score of DESIGN section 8 that needs truth.
+
+    Args:
+        paths: Result folder whose appearance stage is done.
+        truth: The rendered capture it was made from.
+        sheet: PNG to write the comparison sheet to, or None.
+
+    Returns:
+        Plain JSON values: "scene", "albedo", "photo_as_albedo", "shadow", "roughness", "normals",
+        "mask_iou", "chamfer" (thousandths of the radius), "light", "tone_curve", "views".
+
+    Raises:
+        StorageError: If the result folder lacks a stage.
+        CaptureError: If there is no truth.
+    """
+    known = load_truth(truth)
+    capture_file = paths.stage("capture") / "capture.json"
+    needed = (capture_file, paths.stage("geometry") / "mesh.npz", paths.manifest("appearance"))
+    for file in needed:
+        if not file.is_file():
+            raise StorageError(
+                f"{file} is missing: only a finished reconstruction can be evaluated; "
+                "run `robir reconstruct` with --resume first"
+            )
+    bounds = read_json(capture_file)["bounds"]
+    mesh = result_mesh(
+        paths,
+        Bounds(centre=np.array(bounds["centre"]), radius=bounds["radius"], origin=""),
+    )
+    layers = view_layers(mesh, load_textures(paths), (view.camera for view in known.views))
+    scores: dict[str, Any] = {
+        "scene": {name: known.scene[name] for name in ("scene", "ground", "light", "seed")},
+        "views": len(known.views),
+        **image_scores(layers, known),
+        **geometry_scores(layers, mesh, known),
+        "light": light_scores(
+            load_light(paths.stage("appearance") / "light.json"),
+            known.environment_linear,
+            known.sun_direction,
+        ),
+        "tone_curve": {
+            "family": read_json(paths.stage("appearance") / "tone_curve.json")["family"],
+            "true_view_transform": known.scene["view_transform"],
+        },
+    }
+    if sheet is not None:
+        scale = scores["albedo"]["scale"]["per_channel_lsq"]
+        save_sheet(sheet, truth_sheet(paths, layers, known, np.array(scale)))
+    return scores
+
+
+def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
+    """Albedo, its baseline, baked shadows and roughness.
+
+    Args:
+        layers: The result as each test view sees it.
+        truth: The same views.
+
+    Returns:
+        "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
+        per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as
+        sRGB), "shadow" (and "shadow_of_photo": the same ratio of the photograph), "roughness".
+    """
+    both = [ours.hit & view.hit for ours, view in zip(layers, truth.views, strict=True)]
+    photos = [metrics.linear_from_srgb(view.photo_display) for view in truth.views]
+    true_albedo = _pooled([view.albedo for view in truth.views], both)
+    albedo = metrics.albedo_scores(_pooled([o.albedo_linear for o in layers], both), true_albedo)
+    scale = np.array(albedo["scale"]["per_channel_lsq"])
+    ssim, lmse = [], []
+    for ours, view, mask in zip(layers, truth.views, both, strict=True):
+        if mask.any():
+            encoded = metrics.srgb_from_linear(ours.albedo_linear * scale)
+            ssim.append(metrics.masked_ssim(encoded, metrics.srgb_from_linear(view.albedo), mask))
+            local = metrics.lmse(ours.albedo_linear, view.albedo, mask)
+            lmse += [] if local is None else [local]
+    regions = [
+        metrics.shadow_regions(view.sun_visibility, view.normal, mask, truth.sun_direction)
+        for view, mask in zip(truth.views, both, strict=True)
+    ]
+    in_sun, in_shadow = (np.stack([region[i] for region in regions]) for i in (0, 1))
+    stacked = np.stack([view.albedo for view in truth.views])
+    return {
+        "albedo": {
+            **albedo,
+            "ssim": _mean(ssim),
+            "lmse": _mean(lmse),
+        },
+        "photo_as_albedo": metrics.albedo_scores(_pooled(photos, both), true_albedo),
+        "shadow": metrics.shadow_ratio(
+            np.stack([ours.albedo_linear for ours in layers]), stacked, in_sun, in_shadow
+        ),
+        "shadow_of_photo": metrics.shadow_ratio(np.stack(photos), stacked, in_sun, in_shadow),
+        "roughness": metrics.roughness_scores(
+            _pooled([ours.roughness for ours in layers], both),
+            _pooled([view.roughness for view in truth.views], both),
+        ),
+    }
+
+
+def geometry_scores(layers: tuple[Layers, ...], mesh: Mesh, truth: Truth) -> dict[str, Any]:
+    """Normals, mask and Chamfer distance.
+
+    Args:
+        layers: The result as each test view sees it.
+        mesh: The result, capture frame.
+        truth: The same views.
+
+    Returns:
+        "normals", "mask_iou", "chamfer".
+    """
+    views = truth.views
+    ours_hit = np.stack([ours.hit for ours in layers])
+    true_hit = np.stack([view.hit for view in views])
+    masks = [view.hit for view in views]
+    true_mesh = Mesh(
+        vertices=truth.vertices,
+        faces=truth.faces,
+        normals=vertex_normals(truth.vertices, truth.faces),
+        uvs=np.zeros((0, 2), np.float32),
+        uv_faces=np.zeros((0, 3), np.int32),
+    )
+    return {
+        "normals": surfaces.normal_scores(
+            _pooled([ours.normal for ours in layers], masks),
+            _pooled([_unit(view) for view in views], masks),
+            ours_hit[true_hit],
+        ),
+        "mask_iou": surfaces.intersection_over_union(ours_hit, true_hit),
+        "chamfer": surfaces.chamfer(
+            _thinned(_pooled([o.position for o in layers], [o.hit for o in layers])),
+            _thinned(_pooled([view.position for view in views], masks)),
+            mesh,
+            true_mesh,
+            truth.radius,
+        ),
+    }
+
+
+def _unit(view: TrueView) -> Array:
+    length = np.linalg.norm(view.normal, axis=-1, keepdims=True)
+    return view.normal / np.maximum(length, 1e-6)
+
+
+def _pooled(images: list[Any], masks: list[NDArray[np.bool_]]) -> Array:
+    """Masked pixels of all views in one array, (N,) or (N, C)."""
+    return np.concatenate([image[mask] for image, mask in zip(images, masks, strict=True)])
+
+
+def _thinned(points: Array) -> Array:
+    """At most so many of the points, evenly chosen."""
+    return points[:: -(-len(points) // _MAX_CHAMFER_POINTS) or 1]
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None

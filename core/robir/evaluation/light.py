@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the recovered light and scores it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from skimage.transform import resize_local_mean
+
+from robir.evaluation import metrics
+from robir.jobs.paths import read_json
+from robir.maths import spherical_gaussian as sg
+
+Array = NDArray[np.floating[Any]]
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_SCORE_ROWS = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveredLight:
+    """The lobes of light.json.
+
+    Attributes:
+        lobes: World-space mixture; amplitude is radiance, linear Rec.709.
+        is_sharp: (K,) bool, suns and lamps as opposed to sky.
+    """
+
+    lobes: sg.SphericalGaussians
+    is_sharp: NDArray[np.bool_]
+
+    def power(self) -> Array:
+        """Luminance of each lobe integrated over the sphere, (K,)."""
+        sharpness = self.lobes.sharpness.numpy().astype(np.float64)
+        integral = 2 * np.pi / sharpness * -np.expm1(-2 * sharpness)
+        return integral * (self.lobes.amplitude.numpy() @ _LUMINANCE)
+
+    def strongest_direction(self) -> Array | None:
+        """Axis (3,) of the sharp lobe of the greatest power, or None without sharp lobes."""
+        if not self.is_sharp.any():
+            return None
+        strongest = int(np.argmax(np.where(self.is_sharp, self.power(), -np.inf)))
+        return self.lobes.axis[strongest].numpy()
+
+    def environment(self, rows: int) -> NDArray[np.float32]:
+        """Lat-long image (rows, 2 rows, 3) in Blender's world frame, linear Rec.709 radiance."""
+        return sg.to_equirect(self.lobes, rows).numpy().astype(np.float32)
+
+
+def load_light(path: Path) -> RecoveredLight:
+    """Read a light.json."""
+    table = read_json(path)["lobes"]
+
+    def column(name: str) -> torch.Tensor:
+        return torch.tensor([lobe[name] for lobe in table], dtype=torch.float32)
+
+    return RecoveredLight(
+        lobes=sg.SphericalGaussians(
+            axis=column("axis").reshape(-1, 3),
+            sharpness=column("sharpness"),
+            amplitude=column("amplitude").reshape(-1, 3),
+        ),
+        is_sharp=np.array([lobe["kind"] == "sharp" for lobe in table], bool),
+    )
+
+
+def light_scores(
+    light: RecoveredLight, truth_linear: Array, sun_direction: Array
+) -> dict[str, float | None]:
+    """Error of the recovered light.
+
+    Args:
+        light: Recovered.
+        truth_linear: (H, 2H, 3) true lat-long radiance, lamp included.
+        sun_direction: (3,) true, towards the sun.
+
+    Returns:
+        "strongest_lobe_degrees": angle of the strongest sharp lobe to the sun, None without one;
+        "environment_log_rmse": `metrics.environment_log_rmse` at 64 x 128 texels.
+    """
+    axis = light.strongest_direction()
+    small = resize_local_mean(truth_linear, (_SCORE_ROWS, 2 * _SCORE_ROWS))
+    return {
+        "strongest_lobe_degrees": (
+            None if axis is None else metrics.direction_error(axis, sun_direction)
+        ),
+        "environment_log_rmse": metrics.environment_log_rmse(light.environment(_SCORE_ROWS), small),
+    }

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures side by side: a labelled grid of view images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from robir.capture.store import load_capture
+from robir.evaluation import metrics
+from robir.evaluation.layers import Layers
+from robir.evaluation.truth import Truth
+from robir.jobs.paths import JobPaths, replacing
+
+Array = NDArray[np.floating[Any]]
+Picture = NDArray[np.uint8]
+
+_MAX_ROWS = 4
+_GAP = 4
+_LABEL_HEIGHT = 26
+_BACKGROUND = 24
+
+
+def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) -> Picture:
+    """Display values in [0, 1] as 8-bit codes, on dark grey where `hit` is false."""
+    codes = np.round(np.clip(image_display, 0.0, 1.0) * 255.0).astype(np.uint8)
+    if codes.ndim == 2:
+        codes = np.repeat(codes[..., None], 3, axis=-1)
+    if hit is not None:
+        codes = np.where(hit[..., None], codes, np.uint8(_BACKGROUND))
+    return codes
+
+
+def layer_pictures(layers: Layers, albedo_scale: Array | float = 1.0) -> dict[str, Picture]:
+    """One view's albedo (sRGB-encoded), roughness (as is) and normals (half plus a half)."""
+    return {
+        "albedo": display_codes(
+            metrics.srgb_from_linear(layers.albedo_linear * albedo_scale), layers.hit
+        ),
+        "roughness": display_codes(layers.roughness, layers.hit),
+        "normals": display_codes(0.5 + 0.5 * layers.normal, layers.hit),
+    }
+
+
+def composite(picture: Path) -> Picture:
+    """An RGBA file on the sheet's dark grey, as (H, W, 3) codes."""
+    with Image.open(picture) as image:
+        rgba = np.asarray(image.convert("RGBA"), np.float64)
+    alpha = rgba[..., 3:] / 255.0
+    return np.round(rgba[..., :3] * alpha + _BACKGROUND * (1 - alpha)).astype(np.uint8)
+
+
+def truth_sheet(
+    paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
+) -> list[dict[str, Picture]]:
+    """Rows of the comparison with truth: photo, re-render, material and surface.
+
+    Args:
+        paths: Result folder; its own re-renders of held-out views are shown where the view's pose
+            is that of a test view.
+        layers: The result as each test view sees it.
+        truth: The same views.
+        albedo_scale: (3,) factors that bring our albedo to the truth's.
+
+    Returns:
+        At most four rows of label -> picture; the views are evenly chosen.
+    """
+    rerenders = _rerenders(paths)
+    rows = []
+    count = min(_MAX_ROWS, len(truth.views))
+    for index in np.linspace(0, len(truth.views) - 1, count).round().astype(int):
+        view, ours = truth.views[index], layers[index]
+        pictures = layer_pictures(ours, albedo_scale)
+        blank = np.full((*view.hit.shape, 3), _BACKGROUND, np.uint8)
+        again = rerenders.get(_pose_key(view.camera.camera_to_world), blank)
+        true_albedo = metrics.srgb_from_linear(view.albedo)
+        rows.append(
+            {
+                "photo": display_codes(view.photo_display, view.hit),
+                "re-render": again,
+                "albedo (scaled)": pictures["albedo"],
+                "true albedo": display_codes(true_albedo, view.hit),
+                "roughness": pictures["roughness"],
+                "true roughness": display_codes(view.roughness, view.hit),
+                "normals": pictures["normals"],
+                "true normals": display_codes(0.5 + 0.5 * view.normal, view.hit),
+            }
+        )
+    return rows
+
+
+def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
+    """Our own re-renders of held-out views by camera pose."""
+    held_out = paths.stage("appearance") / "held_out.npz"
+    capture = load_capture(paths.stage("capture"))
+    with np.load(held_out, allow_pickle=False) as arrays:
+        return {
+            _pose_key(view.camera.camera_to_world): arrays[view.name][..., :3]
+            for view in capture.held_out
+            if view.name in arrays.files
+        }
+
+
+def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(np.round(camera_to_world[:3, 3], 4).tolist())
+
+
+def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:
+    """Write rows of labelled pictures as one PNG.
+
+    Args:
+        path: File to replace.
+        rows: Label -> (H, W, 3) codes; every row has the same labels. All pictures are shown at
+            the height of the tallest.
+    """
+    height = max(picture.shape[0] for row in rows for picture in row.values())
+    height = max(height, 160)
+    labels = list(rows[0])
+    tiles = [[_to_height(row[label], height) for label in labels] for row in rows]
+    widths = [max(line[i].width for line in tiles) for i in range(len(labels))]
+    size = (
+        sum(widths) + _GAP * (len(widths) + 1),
+        _LABEL_HEIGHT + len(rows) * (height + _GAP),
+    )
+    sheet = Image.new("RGB", size, (_BACKGROUND,) * 3)
+    draw = ImageDraw.Draw(sheet)
+    x = _GAP
+    for column, label in enumerate(labels):
+        draw.text((x + 2, 5), label, fill=(225, 225, 225), font=ImageFont.load_default(14))
+        for row, line in enumerate(tiles):
+            sheet.paste(line[column], (x, _LABEL_HEIGHT + row * (height + _GAP)))
+        x += widths[column] + _GAP
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _to_height(picture: Picture, height: int) -> Image.Image:
+    image = Image.fromarray(picture)
+    if image.height == height:
+        return image
+    width = round(image.width * height / image.height)
+    return image.resize((width, height), Image.Resampling.LANCZOS)

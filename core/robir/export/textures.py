@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Texture images of the asset, their islands grown so that filters never reach an empty texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import distance_transform_edt
+
+from robir.evaluation.metrics import srgb_from_linear
+from robir.jobs.paths import replacing
+
+Array = NDArray[np.floating[Any]]
+Codes = NDArray[np.uint8]
+
+_MARGIN_AT_2K = 8
+_METAL = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Textures:
+    """The asset's textures, row 0 at v = 1, islands grown.
+
+    Attributes:
+        albedo_linear: (T, T, 3), linear Rec.709 in [0, 1].
+        roughness: (T, T), perceptual, in [0, 1].
+        metallic: (T, T) in [0, 1], or None if nothing is metal.
+        coverage: (T, T), share of the training views that saw the texel, in [0, 1].
+        uncertainty: (T, T), one standard deviation of the natural log of albedo.
+    """
+
+    albedo_linear: Array
+    roughness: Array
+    metallic: Array | None
+    coverage: Array
+    uncertainty: Array
+
+
+def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
+    """Continue islands into the empty texels about them.
+
+    Args:
+        image: (T, T) or (T, T, C).
+        inside: (T, T), texels that hold something.
+        margin: Texels up to which an island grows; each takes the value of the nearest texel
+            inside. What lies further off takes the mean, so that small mip levels keep their tint.
+
+    Returns:
+        A filled copy of the image.
+    """
+    if not inside.any():
+        return image.copy()
+    distance, nearest = distance_transform_edt(~inside, return_indices=True)
+    filled = image[tuple(nearest)]
+    filled[distance > margin] = image[inside].mean(axis=0)
+    return filled
+
+
+def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
+    """Grow the appearance stage's textures to what is shipped.
+
+    Args:
+        arrays: Contents of the appearance stage's textures.npz.
+        num_views: Number of training views, the unit of "coverage".
+
+    Returns:
+        Textures of the same size; islands grow by 8 texels, more above 2048 texels a side.
+    """
+    inside = arrays["inside"].astype(bool)
+    margin = max(_MARGIN_AT_2K, round(_MARGIN_AT_2K * inside.shape[0] / 2048))
+
+    def fill(name: str) -> Array:
+        return grown(np.asarray(arrays[name], np.float32), inside, margin)
+
+    has_metal = bool((arrays["metallic"][inside] > _METAL).any())
+    return Textures(
+        albedo_linear=np.clip(fill("albedo_linear"), 0.0, 1.0),
+        roughness=np.clip(fill("roughness"), 0.0, 1.0),
+        metallic=np.clip(fill("metallic"), 0.0, 1.0) if has_metal else None,
+        coverage=np.clip(np.where(inside, arrays["coverage"] / max(num_views, 1), 0.0), 0.0, 1.0),
+        uncertainty=np.maximum(np.where(inside, arrays["uncertainty"], 0.0), 0.0),
+    )
+
+
+def write_textures(textures: Textures, folder: Path) -> None:
+    """Write the images of export/textures.
+
+    albedo.png is sRGB, albedo.exr linear half; roughness.png and metallic.png are plain numbers
+    ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard deviation of
+    log albedo, one at code 255.
+    """
+    write_png(folder / "albedo.png", codes(srgb_from_linear(textures.albedo_linear)))
+    write_exr(folder / "albedo.exr", textures.albedo_linear.astype(np.float16))
+    write_png(folder / "roughness.png", codes(textures.roughness))
+    if textures.metallic is None:
+        (folder / "metallic.png").unlink(missing_ok=True)
+    else:
+        write_png(folder / "metallic.png", codes(textures.metallic))
+    write_png(folder / "coverage.png", codes(textures.coverage))
+    write_png(folder / "uncertainty.png", codes(textures.uncertainty))
+
+
+def codes(values: Array) -> Codes:
+    """Values in [0, 1] as 8-bit codes, rounded; others are clipped."""
+    return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def write_png(path: Path, image: Codes) -> None:
+    """Write (H, W), (H, W, 3) or (H, W, 4) codes as PNG, atomically."""
+    with replacing(path) as temporary:
+        Image.fromarray(image).save(temporary, format="PNG")
+
+
+def write_exr(path: Path, image_linear: NDArray[Any]) -> None:
+    """Write (H, W, 3) linear Rec.709 as a scan-line EXR of the array's own type, atomically."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {axis: np.ascontiguousarray(image_linear[..., i]) for i, axis in enumerate("RGB")}
+    with replacing(path) as temporary:
+        OpenEXR.File(header, planes).write(str(temporary))

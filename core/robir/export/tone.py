@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recovered tone curve as JSON, look-up table and plot."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+from robir.maths import tone
+
+_SAMPLES = 129
+_CUBE_SIZE = 33
+_INK, _ACCENT, _MUTED = "#1d2733", "#c8502d", "#9aa5b1"
+
+
+def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
+    """Write tone_curve.json, .cube and .png.
+
+    The JSON is the appearance stage's with "samples" added: grey radiance "linear" against the
+    "display" code in 0..1.
+
+    Returns:
+        The JSON's content.
+    """
+    table = read_json(paths.stage("appearance") / "tone_curve.json")
+    curve = tone.curve_from_name(table["family"], table["parameters"])
+    table = table | {"samples": tone.as_samples(curve, _SAMPLES)}
+    write_json(paths.tone_curve, table)
+    with replacing(paths.tone_lut) as temporary:
+        temporary.write_text(tone.cube_text(curve, _CUBE_SIZE), encoding="ascii")
+    with replacing(paths.tone_plot) as temporary:
+        temporary.write_bytes(_plot(table))
+    return table
+
+
+def _plot(table: dict[str, Any]) -> bytes:
+    """The chosen curve over the other candidates as PNG."""
+    figure = Figure(figsize=(6.4, 3.8), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for candidate in table["candidates"]:
+        family = candidate["family"]
+        if family != table["family"]:
+            samples = tone.as_samples(tone.curve_from_name(family), _SAMPLES)
+            axes.plot(samples["linear"], samples["display"], color=_MUTED, linewidth=1.0)
+            middle = int(0.42 * _SAMPLES)
+            axes.annotate(
+                family,
+                (samples["linear"][middle], samples["display"][middle]),
+                color=_MUTED,
+                fontsize=7,
+                ha="right",
+            )
+    samples = table["samples"]
+    axes.plot(
+        samples["linear"], samples["display"], color=_ACCENT, linewidth=2.4, label=table["family"]
+    )
+    axes.axvline(0.18, color=_INK, linewidth=0.6, linestyle=":")
+    axes.set_xscale("log", base=2)
+    axes.set_xlabel("scene radiance, linear (dotted: 0.18)")
+    axes.set_ylabel("display code / 255")
+    axes.set_ylim(0.0, 1.02)
+    axes.legend(frameon=False, loc="upper left")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()

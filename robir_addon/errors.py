@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors whose message is meant for the user; the exit codes are those of the command line."""
+
+
+class AddonError(Exception):
+    """Something is missing or cannot be used; the message says what and what to do.
+
+    Attributes:
+        exit_code: Process exit code that stands for this kind of error.
+    """
+
+    exit_code = 1
+
+
+class RequestError(AddonError):
+    """The request or a path given with it makes no sense."""
+
+    exit_code = 2
+
+
+class ResultError(AddonError):
+    """The result folder lacks something or is damaged."""
+
+    exit_code = 1

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender work without a window: `python -m robir_addon.headless scene|render|relight OUT`.
+
+Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
+end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
+0 done, 1 bug or damaged result, 2 usage, 130 interrupted.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any, TextIO
+
+import bpy
+
+from robir.jobs.paths import JobPaths
+
+from .cameras import VIEW, capture_cameras, use_camera
+from .errors import AddonError, RequestError, ResultError
+from .importer import import_result, set_environment
+from .rendering import prepare_scene, render_still, set_threads, write_film
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    reports = _own_standard_output()
+    try:
+        files, notes = options.command(options, reports)
+    except AddonError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        return 130
+    _say(reports, {"files": [str(file) for file in files], "notes": list(notes)})
+    return 0
+
+
+def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+    """Make export/scene.blend of the exported files; textures and light are packed into it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    _say(reports, {"progress": 0.0, "message": "importing the asset"})
+    imported = import_result(options.out, scene)
+    prepare_scene(scene)
+    photos = {c.data.background_images[0].image for c in imported.cameras.values()}
+    for image in bpy.data.images:
+        if image.source == "FILE" and image not in photos:
+            image.pack()
+    path = JobPaths(options.out.resolve()).scene
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}.blend")
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
+        temporary.replace(path)
+    except RuntimeError as fault:
+        raise ResultError(f"{path} cannot be written: {fault}") from fault
+    finally:
+        temporary.unlink(missing_ok=True)
+    return [path], imported.notes
+
+
+def render_views(
+    options: argparse.Namespace, reports: TextIO
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Render capture views of scene.blend as they were photographed."""
+    paths, scene = _open_scene(options)
+    cameras = _chosen_cameras(scene, options.views)
+    files = []
+    for index, camera in enumerate(cameras):
+        message = f"rendering view {camera[VIEW]}"
+        _say(reports, {"progress": index / len(cameras), "message": message})
+        use_camera(scene, camera, options.max_side)
+        files.append(paths.renders / f"rerender_{camera[VIEW]}.png")
+        render_still(scene, files[-1])
+    return files, ()
+
+
+def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+    """Render scene.blend under another light: stills of the chosen views, or a turning light."""
+    environment = _environment_file(options.environment)
+    paths, scene = _open_scene(options)
+    cameras = _chosen_cameras(scene, options.views)
+    turn = math.radians(options.rotation)
+    if options.turntable:
+        return _turntable(options, reports, environment, cameras[0]), ()
+    set_environment(scene.world, environment, turn)
+    files = []
+    for index, camera in enumerate(cameras):
+        message = f"relighting view {camera[VIEW]} with {environment.name}"
+        _say(reports, {"progress": index / len(cameras), "message": message})
+        use_camera(scene, camera, options.max_side)
+        files.append(paths.renders / f"relit_{environment.stem}_{camera[VIEW]}.png")
+        render_still(scene, files[-1])
+    return files, ()
+
+
+def _turntable(
+    options: argparse.Namespace,
+    reports: TextIO,
+    environment: Path,
+    camera: bpy.types.Object,
+) -> list[Path]:
+    """Frames of one full turn of the light, and a film of them."""
+    scene, count = bpy.context.scene, options.turntable
+    renders = JobPaths(options.out.resolve()).renders
+    name = f"turntable_{environment.stem}_{camera[VIEW]}"
+    use_camera(scene, camera, options.max_side)
+    frames = []
+    for index in range(count):
+        message = f"turning the light, frame {index + 1} of {count}"
+        _say(reports, {"progress": index / count, "message": message})
+        turn = math.radians(options.rotation) + 2.0 * math.pi * index / count
+        set_environment(scene.world, environment, turn)
+        frames.append(renders / name / f"{index + 1:04d}.png")
+        render_still(scene, frames[-1])
+    film = renders / f"{name}.mp4"
+    write_film(frames, film)
+    return [*frames, film]
+
+
+def _open_scene(options: argparse.Namespace) -> tuple[JobPaths, bpy.types.Scene]:
+    """Open scene.blend, building it first where it is missing."""
+    paths = JobPaths(options.out.resolve())
+    if not paths.scene.is_file():
+        raise ResultError(
+            f"{paths.scene} is missing; make it with: "
+            f"python -m robir_addon.headless scene {options.out}"
+        )
+    bpy.ops.wm.open_mainfile(filepath=str(paths.scene), load_ui=False)
+    scene = bpy.context.scene
+    scene.cycles.samples = options.samples
+    set_threads(scene)
+    return paths, scene
+
+
+def _chosen_cameras(scene: bpy.types.Scene, views: str) -> list[bpy.types.Object]:
+    """Cameras for `--views`: "held_out", "train", "all", or names separated by commas."""
+    if views == "all":
+        chosen = capture_cameras(scene)
+    elif views in ("held_out", "train"):
+        chosen = capture_cameras(scene, views)
+    else:
+        by_name = {camera[VIEW]: camera for camera in capture_cameras(scene)}
+        unknown = [name for name in views.split(",") if name not in by_name]
+        if unknown:
+            known = ", ".join(list(by_name)[:4])
+            raise RequestError(f"no view is named {unknown[0]!r}; views are named like {known}")
+        chosen = [by_name[name] for name in views.split(",")]
+    if not chosen:
+        raise RequestError(f"the capture has no {views} views; name views with --views A,B")
+    return chosen
+
+
+def _environment_file(given: Path) -> Path:
+    """The file, or one of the maps that Blender ships where only a name such as `city` is given."""
+    if given.is_file():
+        if given.suffix.lower() not in (".exr", ".hdr"):
+            raise RequestError(f"{given}: unknown kind {given.suffix!r}; use .exr or .hdr")
+        return given.resolve()
+    folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
+    shipped = folder / f"{given}.exr"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(file.stem for file in folder.glob("*.exr")))
+    raise RequestError(f"{given}: no such file, and Blender ships only {names}")
+
+
+def _own_standard_output() -> TextIO:
+    """A stream on the real standard output; what Blender itself prints there is dropped."""
+    reports = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    sink = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    os.close(sink)
+    return reports
+
+
+def _say(reports: TextIO, line: dict[str, Any]) -> None:
+    reports.write(json.dumps(line) + "\n")
+    reports.flush()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m robir_addon.headless", description=__doc__.partition("\n")[0]
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    scene = commands.add_parser("scene", help="make export/scene.blend")
+    scene.set_defaults(command=build_scene)
+    render = commands.add_parser("render", help="render views of the capture again")
+    render.set_defaults(command=render_views)
+    light = commands.add_parser("relight", help="render under another light")
+    light.set_defaults(command=relight)
+    light.add_argument("--environment", type=Path, required=True, help=".exr, .hdr, or a name")
+    light.add_argument("--rotation", type=float, default=0.0, help="degrees about the up axis")
+    light.add_argument(
+        "--turntable", type=int, default=0, metavar="N", help="frames of a full turn"
+    )
+    for command in (scene, render, light):
+        command.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
+    for command in (render, light):
+        command.add_argument(
+            "--views", default="held_out", help="held_out, train, all, or names with commas"
+        )
+        command.add_argument("--samples", type=int, default=64, help="Cycles samples a pixel")
+        command.add_argument("--max-side", type=int, default=400, help="longer side, pixels")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

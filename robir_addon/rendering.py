@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cycles settings, stills and films."""
+
+import os
+from pathlib import Path
+
+import bpy
+
+FRAMES_PER_SECOND = 24
+
+
+def prepare_scene(scene: bpy.types.Scene) -> None:
+    """Settings under which an imported result renders like its photographs, repeatably."""
+    scene.render.engine = "CYCLES"
+    cycles = scene.cycles
+    cycles.samples = 64
+    cycles.use_adaptive_sampling = False
+    cycles.seed = 0
+    cycles.use_animated_seed = False
+    # a pixel is the mean over its own square, as on a sensor
+    cycles.pixel_filter_type = "BOX"
+    cycles.filter_width = 1.0
+    # builds without OpenImageDenoise (some distributions') have no denoiser to name
+    cycles.use_denoising = bpy.app.build_options.openimagedenoise
+    if cycles.use_denoising:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+        cycles.denoising_prefilter = "NONE"
+        cycles.denoising_quality = "FAST"
+    render = scene.render
+    render.film_transparent = True
+    render.dither_intensity = 0.0
+    render.use_persistent_data = True
+
+
+def set_threads(scene: bpy.types.Scene) -> None:
+    """Keep to the thread count that the environment gives, if it does."""
+    threads = os.environ.get("OMP_NUM_THREADS", "")
+    if threads.isdigit() and int(threads) > 0:
+        scene.render.threads_mode = "FIXED"
+        scene.render.threads = int(threads)
+
+
+def render_still(scene: bpy.types.Scene, path: Path) -> None:
+    """Render the scene's camera to an RGBA PNG through the view transform; the file appears whole.
+
+    Args:
+        scene: Scene to render.
+        path: File to replace.
+    """
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5: must come before the file format
+        settings.media_type = "IMAGE"
+    settings.file_format = "PNG"
+    settings.color_mode = "RGBA"
+    settings.color_depth = "8"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}.png")
+    scene.render.filepath = str(temporary)
+    try:
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_film(frames: list[Path], path: Path) -> None:
+    """Join PNG frames to an H.264 film with Blender's own ffmpeg.
+
+    Args:
+        frames: Pictures of one size, in order; transparent parts become black.
+        path: .mp4 to write.
+    """
+    scene = bpy.data.scenes.new("film")
+    try:
+        scene.view_settings.view_transform = "Standard"  # the frames are display-referred already
+        picture = bpy.data.images.load(str(frames[0]))
+        # H.264 wants even sides
+        scene.render.resolution_x, scene.render.resolution_y = (s + s % 2 for s in picture.size)
+        bpy.data.images.remove(picture)
+        scene.frame_start, scene.frame_end = 1, len(frames)
+        scene.render.fps = FRAMES_PER_SECOND
+        editor = scene.sequence_editor_create()
+        strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+        strip = strips.new_image("frames", str(frames[0]), 1, 1)
+        for frame in frames[1:]:
+            strip.elements.append(frame.name)
+        settings = scene.render.image_settings
+        if hasattr(settings, "media_type"):
+            settings.media_type = "VIDEO"
+        settings.file_format = "FFMPEG"
+        scene.render.ffmpeg.format = "MPEG4"
+        scene.render.ffmpeg.codec = "H264"
+        scene.render.ffmpeg.constant_rate_factor = "HIGH"
+        scene.render.filepath = str(path)
+        scene.render.use_file_extension = False
+        bpy.ops.render.render(animation=True, scene=scene.name)
+    finally:
+        bpy.data.scenes.remove(scene)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A perfect result scores perfectly; each kind of damage moves its own score and no other."""
+
+import numpy as np
+import pytest
+from evaluation import sphere_run
+from PIL import Image
+
+from robir.errors import CaptureError, StorageError
+from robir.evaluation.evaluate import evaluate
+from robir.evaluation.light import load_light
+from robir.evaluation.truth import load_truth
+from robir.geometry.mesh import Mesh
+from robir.jobs.paths import read_json, write_json
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory):
+    return sphere_run.make_truth(tmp_path_factory.mktemp("truth") / "capture")
+
+
+def test_a_perfect_result_scores_perfectly(truth, tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    scores = evaluate(paths, truth, tmp_path / "sheet.png")
+    for alignment, decibel in scores["albedo"]["psnr_linear"].items():
+        assert decibel > 55, alignment
+    assert scores["albedo"]["ssim"] == pytest.approx(1.0, abs=1e-3)
+    assert scores["albedo"]["lmse"] == pytest.approx(0.0, abs=1e-4)
+    assert scores["shadow"]["ratio"] is None  # a convex object casts no shadow on itself
+    assert scores["roughness"]["rmse"] < 1e-3
+    assert scores["roughness"]["best_constant_rmse"] == pytest.approx(0.15, abs=0.01)
+    assert scores["normals"]["mean_degrees"] < 0.05
+    assert scores["mask_iou"] == 1.0
+    assert scores["chamfer"]["chamfer"] < 0.01
+    assert scores["light"]["strongest_lobe_degrees"] < 1e-3
+    assert scores["light"]["environment_log_rmse"] < 0.1
+    assert scores["tone_curve"] == {"family": "standard", "true_view_transform": "Standard"}
+    assert scores["photo_as_albedo"]["psnr_linear"]["per_channel_lsq"] < 25
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.width > 8 * 160
+        assert sheet.height > 3 * 160
+
+
+def test_a_scaled_albedo_fails_raw_only(truth, tmp_path):
+    textures = sphere_run.sphere_textures()
+    textures["albedo_linear"] *= np.array([0.8, 0.7, 0.6], np.float32)
+    scores = evaluate(sphere_run.make_run(tmp_path / "out", textures), truth)["albedo"]
+    assert scores["psnr_linear"]["raw"] < 24
+    assert scores["psnr_linear"]["per_channel_lsq"] > 55
+    assert scores["scale"]["per_channel_median"] == pytest.approx([1 / 0.8, 1 / 0.7, 1 / 0.6])
+
+
+def test_a_shrunken_surface_fails_the_geometry_only(truth, tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    mesh = sphere_run.sphere_mesh()
+    file = paths.stage("geometry") / "mesh.npz"
+    fields = {name: getattr(mesh, name) for name in Mesh.__dataclass_fields__}
+    Mesh(**fields | {"vertices": mesh.vertices * np.float32(0.95)}).save(file)
+    scores = evaluate(paths, truth)
+    assert scores["chamfer"]["chamfer"] == pytest.approx(50.0, rel=0.03)
+    assert scores["mask_iou"] == pytest.approx(0.9, abs=0.02)
+    assert scores["light"]["strongest_lobe_degrees"] < 1e-3
+
+
+def test_a_wrong_sun_is_an_angle(truth, tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    file = paths.stage("appearance") / "light.json"
+    table = read_json(file)
+    x, y, z = sphere_run.SUN_DIRECTION
+    turn = np.radians(20.0)
+    flat = [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z]
+    table["lobes"][1]["axis"] = flat
+    # a second, weaker sun at the right place does not count
+    table["lobes"].append(table["lobes"][1] | {"axis": [x, y, z], "amplitude": [1.0, 1.0, 1.0]})
+    write_json(file, table)
+    expected = np.degrees(np.arccos(np.dot(flat, [x, y, z])))
+    found = evaluate(paths, truth)["light"]["strongest_lobe_degrees"]
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
+def test_light_without_suns_has_no_direction(tmp_path):
+    table = sphere_run.light_table()
+    write_json(tmp_path / "light.json", {"lobes": table["lobes"][:1]})
+    assert load_light(tmp_path / "light.json").strongest_direction() is None
+
+
+def test_lamp_enters_the_true_environment_with_its_irradiance(truth):
+    image = load_truth(truth).environment_linear
+    rows = image.shape[0]
+    edges = np.sin(np.pi * (0.5 - np.arange(rows + 1) / rows))
+    solid = ((edges[:-1] - edges[1:]) * np.pi / rows)[:, None, None]
+    extra = ((image - sphere_run.SKY) * solid).sum(axis=(0, 1))
+    assert extra == pytest.approx(sphere_run.SUN, rel=1e-5)
+
+
+def test_what_is_missing_is_said(truth, tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    with pytest.raises(CaptureError, match="truth/scene"):
+        evaluate(paths, tmp_path)
+    paths.manifest("appearance").unlink()
+    with pytest.raises(StorageError, match="--resume"):
+        evaluate(paths, truth)
