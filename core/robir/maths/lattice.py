@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-Planes = tuple[Tensor, Tensor, Tensor]
+Planes = tuple[Tensor, ...]
 
 
 class Lattice(NamedTuple):
@@ -46,12 +46,15 @@ class Lattice(NamedTuple):
 
 
 class _Cell(NamedTuple):
-    """Where positions lie: corner indices, sorted fractions, and which axis each belongs to."""
+    """Where positions lie: corner indices, sorted fractions, and which axis each belongs to.
+
+    Axis masks are (is axis 0, is axis 1) of the first and of the last axis raised.
+    """
 
     corners: tuple[Tensor, Tensor, Tensor, Tensor]
     fractions: Planes
-    first_axis: Tensor
-    last_axis: Tensor
+    first: tuple[Tensor, Tensor]
+    last: tuple[Tensor, Tensor]
 
 
 def _locate(position: Planes, size: int) -> _Cell:
@@ -63,14 +66,22 @@ def _locate(position: Planes, size: int) -> _Cell:
     low = torch.minimum(torch.minimum(f0, f1), f2)
     middle = f0 + f1 + f2 - high - low
     # Ties fall to different axes for first and last, so a tied pair still spans a path.
-    first = torch.where((f0 >= f1) & (f0 >= f2), 0, torch.where(f1 >= f2, 1, 2))
-    last = torch.where((f2 <= f1) & (f2 <= f0), 2, torch.where(f1 <= f0, 1, 0))
-    stride0, stride1 = size * size, size
-    base = (lows[0] * stride0 + lows[1] * stride1 + lows[2]).long()
-    strides = torch.tensor([stride0, stride1, 1], device=base.device)
-    top = base + (stride0 + stride1 + 1)
-    corners = (base, base + strides[first], top - strides[last], top)
-    return _Cell(corners, (high, middle, low), first, last)
+    first = ((f0 >= f1) & (f0 >= f2), f1 >= f2)
+    is_last2 = (f2 <= f1) & (f2 <= f0)
+    last = (~is_last2 & (f0 < f1), ~is_last2)
+    s0, s1 = size * size, size
+    base = torch.add(lows[2], lows[1], alpha=s1).add_(lows[0], alpha=s0).int()
+    stride0, stride1, stride2 = base.new_tensor([s0, s1, 1]).unbind()
+    raised = torch.where(first[0], stride0, torch.where(first[1], stride1, stride2))
+    kept = torch.where(last[0], stride0, torch.where(last[1], stride1, stride2))
+    top = base + (s0 + s1 + 1)
+    return _Cell((base, base + raised, top - kept, top), (high, middle, low), first, last)
+
+
+def _at_corners(plane: Tensor, cell: _Cell) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Value at the lowest corner, and the rise along each edge of the path to the highest."""
+    v0, v1, v2, v3 = (plane.index_select(0, corner) for corner in cell.corners)
+    return v0, v1 - v0, v2 - v1, v3 - v2
 
 
 def interpolate(lattice: Lattice, position: Planes) -> Planes:
@@ -85,12 +96,11 @@ def interpolate(lattice: Lattice, position: Planes) -> Planes:
     """
     cell = _locate(position, lattice.size)
     high, middle, low = cell.fractions
-    c0, c1, c2, c3 = cell.corners
     values = []
     for plane in lattice.planes:
-        v0, v1, v2, v3 = plane[c0], plane[c1], plane[c2], plane[c3]
-        values.append(v0 + high * (v1 - v0) + middle * (v2 - v1) + low * (v3 - v2))
-    return values[0], values[1], values[2]
+        value, a, b, c = _at_corners(plane, cell)
+        values.append(value + high * a + middle * b + low * c)
+    return tuple(values)
 
 
 def corner_weights(position: Planes, size: int) -> tuple[Tensor, Tensor]:
@@ -121,13 +131,11 @@ def step_towards(
     """
     cell = _locate(position, lattice.size)
     high, middle, low = cell.fractions
-    c0, c1, c2, c3 = cell.corners
     aa = bb = cc = torch.full_like(high, damping)
     ab = ac = bc = ar = br = cr = error = torch.zeros_like(high)
     for plane, wanted in zip(lattice.planes, target, strict=True):
-        v0, v1, v2, v3 = plane[c0], plane[c1], plane[c2], plane[c3]
-        a, b, c = v1 - v0, v2 - v1, v3 - v2
-        rest = wanted - (v0 + high * a + middle * b + low * c)
+        value, a, b, c = _at_corners(plane, cell)
+        rest = wanted - (value + high * a + middle * b + low * c)
         aa, bb, cc = aa + a * a, bb + b * b, cc + c * c
         ab, ac, bc = ab + a * b, ac + a * c, bc + b * c
         ar, br, cr = ar + a * rest, br + b * rest, cr + c * rest
@@ -139,14 +147,14 @@ def step_towards(
     first = ((m00 * ar + m01 * br + m02 * cr) * scale).clamp(-reach, reach)
     second = ((m01 * ar + m11 * br + m12 * cr) * scale).clamp(-reach, reach)
     third = ((m02 * ar + m12 * br + m22 * cr) * scale).clamp(-reach, reach)
-    moved = [
-        axis
-        + torch.where(
-            cell.first_axis == index, first, torch.where(cell.last_axis == index, third, second)
-        )
-        for index, axis in enumerate(position)
-    ]
-    return (moved[0], moved[1], moved[2]), error
+    (first0, first1), (last0, last1) = cell.first, cell.last
+    moves = (
+        torch.where(first0, first, torch.where(last0, third, second)),
+        torch.where(~first0 & first1, first, torch.where(last1 & ~last0, third, second)),
+        torch.where(first0 | first1, torch.where(last1, second, third), first),
+    )
+    moved = tuple(axis + move for axis, move in zip(position, moves, strict=True))
+    return moved, error
 
 
 def interpolate_1d(table: Tensor, position: Tensor) -> Tensor:

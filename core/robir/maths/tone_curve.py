@@ -29,7 +29,7 @@ _CHUNK = 1 << 15
 
 
 def srgb_from_linear(linear: Tensor) -> Tensor:
-    """sRGB code of linear light (IEC 61966-2-1), 0..1; negative light gives 0."""
+    """Code (sRGB, IEC 61966-2-1) of linear light, 0..1; negative light gives 0."""
     low = 12.92 * linear.clamp_min(0.0)
     high = 1.055 * linear.clamp_min(0.0031308).pow(1.0 / 2.4) - 0.055
     return torch.where(linear <= 0.0031308, low, high)
@@ -85,16 +85,16 @@ class AbstractToneCurve(ABC):
         return rise / (base * (up - down))
 
 
-def chunked(function: Callable[[Planes], Planes], rgb: Tensor) -> Tensor:
-    """Apply a planar function to (..., 3) in pieces that fit the cache."""
-    flat = rgb.reshape(-1, 3)
-    pieces = []
-    for start in range(0, flat.shape[0], _CHUNK):
-        red, green, blue = flat[start : start + _CHUNK].unbind(-1)
-        pieces.append(torch.stack(function((red, green, blue)), dim=-1))
-    return torch.cat(pieces).reshape(rgb.shape) if pieces else rgb.clone()
+def chunked(function: Callable[[Planes], Planes], rows: Tensor) -> Tensor:
+    """Apply a planar function to the last axis of a tensor, in pieces that fit the cache."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    starts = range(0, max(flat.shape[0], 1), _CHUNK)
+    pieces = [
+        torch.stack(function(flat[start : start + _CHUNK].unbind(-1)), dim=-1) for start in starts
+    ]
+    return torch.cat(pieces).reshape(*rows.shape[:-1], -1) if rows.numel() else pieces[0]
 
 
-def each(function: Callable[[Tensor], Tensor], rgb: Planes) -> Planes:
-    """Apply a function to each of three planes."""
-    return function(rgb[0]), function(rgb[1]), function(rgb[2])
+def each(function: Callable[[Tensor], Tensor], planes: Planes) -> Planes:
+    """Apply a function to each plane."""
+    return tuple(function(plane) for plane in planes)

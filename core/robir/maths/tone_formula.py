@@ -121,7 +121,7 @@ class KhronosNeutralToneCurve(AbstractToneCurve):
     With x = min(rgb), o = x - 6.25 x^2 for x < 0.08 else 0.04, and p = max(rgb) - o, a peak p from
     0.76 on is compressed to q = 1 - 0.24^2 / (p - 0.52), and the colour is mixed towards q by
     1 - 1 / (0.15 (p - q) + 1). Interpolation moves single codes by up to 0.03, so the inverse
-    corrects the closed form by evaluating it.
+    corrects the closed form by evaluating it. The darkest inverse is 2^-9, which stands for black.
 
     References:
         Khronos PBR Neutral Tone Mapper specification, 2024.
@@ -156,8 +156,8 @@ class KhronosNeutralToneCurve(AbstractToneCurve):
             found = wanted
             for _ in range(self._num_corrections):
                 reached = self._formula_inverse(self._interpolated(table, found))
-                moved = [x + w - r for x, w, r in zip(found, wanted, reached, strict=True)]
-                found = each(lambda x: x.clamp(0.0, MAX_LINEAR), (moved[0], moved[1], moved[2]))
+                moved = tuple(x + w - r for x, w, r in zip(found, wanted, reached, strict=True))
+                found = each(lambda x: x.clamp(2.0 ** LOG2_RANGE_KHRONOS[0], MAX_LINEAR), moved)
             return found
 
         return chunked(invert, rgb_display.clamp(0.0, 1.0))
@@ -185,13 +185,22 @@ class KhronosNeutralToneCurve(AbstractToneCurve):
     def _formula_inverse(light: Planes) -> Planes:
         red, green, blue = light
         peak = torch.maximum(torch.maximum(red, green), blue)
-        # MAX_LINEAR after the offset is 1 - 0.0576 / 15.44; beyond, the formula has a pole.
+        # MAX_LINEAR gives 1 - 0.0576 / 15.44 at most; beyond, the formula has a pole.
         compressed = peak.clamp(0.76, 1.0 - 0.24 * 0.24 / (MAX_LINEAR + 1.0))
         over = 0.24 * 0.24 / (1.0 - compressed) + 0.52
+        # The mixture with white cannot exceed the least channel: near white, where the peak hangs
+        # on a fraction of a code, saturation tells it better.
+        least = torch.minimum(torch.minimum(red, green), blue).clamp_min(0.0)
+        share = (least / compressed).clamp(max=0.99)
+        over = torch.minimum(over, (compressed + share / (0.15 * (1.0 - share))).clamp_min(0.76))
+        compressed = 1.0 - 0.24 * 0.24 / (over - 0.52)
         white = 1.0 - 1.0 / (0.15 * (over - compressed) + 1.0)
+        light = each(lambda x: torch.minimum(x, torch.where(peak > 0.76, compressed, peak)), light)
         scale = over / (compressed * (1.0 - white))
-        rest = each(lambda x: ((x - white * compressed) * scale).clamp_min(0.0), light)
+        # Blender's table starts at 2^-9: anything darker is seen, and subtracted, as that.
+        floor = 6.25 * 2.0 ** (2.0 * LOG2_RANGE_KHRONOS[0])
+        rest = each(lambda x: ((x - white * compressed) * scale).clamp_min(floor), light)
         least = torch.minimum(torch.minimum(rest[0], rest[1]), rest[2])
-        dark = torch.sqrt(least.clamp_min(1e-12) / 6.25) - least
+        dark = torch.sqrt(least / 6.25) - least
         offset = torch.where(least < 0.04, dark, 0.04)
         return each(lambda x: x + offset, rest)

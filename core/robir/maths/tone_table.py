@@ -7,7 +7,7 @@ The tables in tone_tables.npz are samples of the transforms, made by tone_tabula
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +47,7 @@ def _rows(matrix: NDArray[np.generic]) -> _Rows:
 
 def _mix(matrix: _Rows, rgb: Planes) -> Planes:
     """Product of a constant 3 x 3 matrix with planar colours."""
-    mixed = [row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2] for row in matrix]
-    return mixed[0], mixed[1], mixed[2]
+    return tuple(row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2] for row in matrix)
 
 
 class FilmicToneCurve(AbstractToneCurve):
@@ -84,16 +83,17 @@ class AgxToneCurve(AbstractToneCurve):
     """Blender's AgX: logarithms in wide primaries, a 3-D table, tetrahedral interpolation.
 
     The inverse starts from a fitted table in coordinates where AgX is almost per channel, and takes
-    damped Newton steps on the forward table; the better of start and steps is kept. The table's
-    values are called code: display light to the power 1 / 2.4.
+    damped Newton steps on the forward table. The table's values are called code: display light to
+    the power 1 / 2.4.
     """
 
     name = "agx"
     blender_view_transform = "AgX"
     mixes_channels = True
-    _num_steps = 2
     _damping = 1e-4
     _reach = 1.5
+    _tolerance = 1.5e-3
+    _restarts = (0.03, 0.1, 0.3)
 
     def __init__(self, tables: Tables) -> None:
         """Read the `agx_*` arrays of the tables."""
@@ -125,20 +125,22 @@ class AgxToneCurve(AbstractToneCurve):
 
     def linear_from_display(self, rgb_display: Tensor) -> Tensor:
         """See AbstractToneCurve."""
-        forward, inverse = self._lattice.like(rgb_display), self._inverse.like(rgb_display)
-        grey = self._grey.to(rgb_display)
-        scale = (inverse.size - 1) / self.grey_nodes
-
-        def invert(display: Planes) -> Planes:
-            light = each(linear_from_srgb, display)
-            code = each(lambda x: x.pow(1.0 / 2.4), light)
-            guess = self._outset_position(light, grey)
-            rest = lattice.interpolate(inverse, each(lambda x: x * scale, guess))
-            inset = self._light((guess[0] + rest[0], guess[1] + rest[1], guess[2] + rest[2]))
-            found = each(_bounded, _mix(self._uninset, inset))
-            return self._refined(forward, found, code)
-
-        return chunked(invert, rgb_display.clamp(0.0, 1.0))
+        table = self._lattice.like(rgb_display)
+        light = linear_from_srgb(rgb_display.clamp(0.0, 1.0)).reshape(-1, 3)
+        found = chunked(self._first_guess(rgb_display), light)
+        code = light.pow(1.0 / 2.4)
+        found, error = self._descend(table, found, code, 1)
+        for blend in self._restarts:
+            hard = (error.detach() > self._tolerance**2).nonzero()[:, 0]
+            old = found[hard]
+            # Where a channel has run into black or white its slope is gone; less saturated
+            # colours lie off those plateaus.
+            start = torch.lerp(old, old.mean(-1, keepdim=True), blend)
+            new, new_error = self._descend(table, start, code[hard], 8)
+            better = new_error < error[hard]
+            found = found.index_put((hard,), torch.where(better[:, None], new, old))
+            error = error.index_put((hard,), torch.minimum(new_error, error[hard]))
+        return found.reshape(rgb_display.shape)
 
     def code_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """Display light to the power 1 / 2.4, which the table holds, (..., 3)."""
@@ -160,21 +162,48 @@ class AgxToneCurve(AbstractToneCurve):
         """Code of the grey curve at a position in nodes; for fitting."""
         return lattice.interpolate_1d(self._grey.to(position), position)
 
-    def _refined(self, table: Lattice, found: Planes, code: Planes) -> Planes:
-        """Damped Newton steps on the forward table; a step that makes things worse is undone."""
-        best, least = found, None
-        for step in range(self._num_steps + 1):
-            position = self._position(found)
-            moved, error = lattice.step_towards(table, position, code, self._damping, self._reach)
-            if least is None:
-                best, least = found, error
-            else:
-                better = error < least
-                kept = [torch.where(better, new, old) for new, old in zip(found, best, strict=True)]
-                best, least = (kept[0], kept[1], kept[2]), torch.minimum(error, least)
-            if step < self._num_steps:
-                found = each(_bounded, _mix(self._narrow, self._light(moved)))
-        return best
+    def _first_guess(self, like: Tensor) -> Callable[[Planes], Planes]:
+        """Function from display light to radiance by the fitted inverse table."""
+        inverse, grey = self._inverse.like(like), self._grey.to(like)
+        scale = (inverse.size - 1) / self.grey_nodes
+
+        def guess(light: Planes) -> Planes:
+            near = self._outset_position(light, grey)
+            rest = lattice.interpolate(inverse, each(lambda x: x * scale, near))
+            inset = self._light((near[0] + rest[0], near[1] + rest[1], near[2] + rest[2]))
+            return each(_bounded, _mix(self._uninset, inset))
+
+        return guess
+
+    def _descend(
+        self, table: Lattice, start: Tensor, code: Tensor, num_steps: int
+    ) -> tuple[Tensor, Tensor]:
+        """Best radiance (N, 3) found from a start, and its squared error (N,)."""
+
+        def descend(planes: Planes) -> Planes:
+            return self._descend_planes(table, planes[:3], planes[3:], num_steps)
+
+        found = chunked(descend, torch.cat([start, code], dim=-1))
+        return found[..., :3], found[..., 3]
+
+    def _descend_planes(
+        self, table: Lattice, start: Planes, code: Planes, num_steps: int
+    ) -> Planes:
+        """Damped Newton steps, each halved while it makes things worse; radiance and error."""
+        best, trial = start, start
+        least = torch.full_like(code[0], torch.inf)
+        for step in range(num_steps + 1):
+            moved, error = lattice.step_towards(
+                table, self._position(trial), code, self._damping, self._reach
+            )
+            better = error < least
+            best = _chosen(better, trial, best)
+            least = torch.minimum(error, least)
+            if step < num_steps:
+                ahead = each(_bounded, _mix(self._narrow, self._light(moved)))
+                back = tuple(0.5 * (t + b) for t, b in zip(trial, best, strict=True))
+                trial = _chosen(better, ahead, back)
+        return *best, least
 
     def _outset_position(self, light: Planes, grey: Tensor) -> Planes:
         mixed = _mix(self._outset, light)
@@ -193,3 +222,7 @@ class AgxToneCurve(AbstractToneCurve):
 
 def _bounded(linear: Tensor) -> Tensor:
     return linear.clamp(0.0, MAX_LINEAR)
+
+
+def _chosen(first_if: Tensor, first: Planes, second: Planes) -> Planes:
+    return tuple(torch.where(first_if, a, b) for a, b in zip(first, second, strict=True))

@@ -6,7 +6,7 @@
 Needs the `opencolorio` package; the library itself only reads the tables. Written are, all as
 facts about the output of the transforms, none as a copy of their source:
 
-* `filmic_display` (1025,): sRGB display code of a grey whose log2 runs evenly over LOG2_RANGE_FILMIC.
+* `filmic_display` (1025,): display code of a grey, log2 evenly over LOG2_RANGE_FILMIC.
 * `agx_matrix` (3, 3): linear Rec.709 to the wide-gamut primaries in which AgX takes logarithms.
 * `agx_lattice` (57, 57, 57, 3) uint16: code / 65535 with code = display light ** (1 / 2.4), over
   the log2 range LOG2_RANGE_AGX of those primaries, at the transform's own nodes. Nodes that no
