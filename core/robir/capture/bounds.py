@@ -42,12 +42,12 @@ class Hull:
     Attributes:
         sphere: Its bounding sphere with margin.
         agreement: (V,) share of each mask that the hull covers, 1 where masks and poses agree.
-        dissent: How many masks may call a point of the hull background; 0 where all agree.
+        strict: Median of the same if no mask may be wrong: near 1 only for the right poses.
     """
 
     sphere: Sphere
     agreement: Array
-    dissent: int
+    strict: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,17 +74,20 @@ def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | Non
     if where is None:
         return None
     limit = start if start is not None and start.is_limit else None
-    budgets = sorted({0, 1, *(int(share * len(silhouettes)) for share in (0.05, 0.1, 0.2))})
+    budgets = sorted({0, 1, *(int(share * len(silhouettes)) for share in (0.05, 0.1))})
     best: Hull | None = None
+    strict = 0.0
     for dissent in budgets:
         cells, half = _coarse(silhouettes, where, limit, dissent)
         if len(cells) == 0:
             continue
         agreement = _agreement(silhouettes, cells, half)
-        if best is None or np.median(agreement) > np.median(best.agreement) + 0.02:
+        share = float(np.median(agreement))
+        strict = share if dissent == 0 else strict
+        if best is None or share > np.median(best.agreement) + 0.02:
             sphere = _refined(silhouettes, cells, half, dissent)
-            best = Hull(sphere=sphere, agreement=agreement, dissent=dissent)
-        if np.median(agreement) >= _AGREEMENT:
+            best = Hull(sphere=sphere, agreement=agreement, strict=strict)
+        if share >= _AGREEMENT:
             break
     return best
 
@@ -234,8 +237,10 @@ def _kept(
         seen[alive] += in_frame
         against[alive] += in_frame & (silhouette.distance[row, column] > slack)
         alive = alive[against[alive] <= dissent]
+    # Cells that few views see may have proportionally few masks against them.
+    fair = against[alive] * len(silhouettes) <= dissent * seen[alive]
     kept = np.zeros(len(cells), dtype=bool)
-    kept[alive] = seen[alive] >= max(2, len(silhouettes) // 4)
+    kept[alive] = fair & (seen[alive] >= max(2, len(silhouettes) // 4))
     return kept
 
 

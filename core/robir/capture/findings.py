@@ -70,7 +70,32 @@ def check_frames(frames: FrameSet) -> list[Finding]:
                 *missing,
             )
         )
-    return found + _check_poses(everything) + _check_lenses(everything)
+    return found + _check_unposed(frames) + _check_poses(everything) + _check_lenses(everything)
+
+
+def _check_unposed(frames: FrameSet) -> list[Finding]:
+    """Photographs beside posed ones that have no pose themselves."""
+    posed = {frame.image.resolve() for frame in frames.frames}
+    masks = {frame.mask.resolve() for frame in frames.frames if frame.mask is not None}
+    suffixes = {path.suffix.lower() for path in posed}
+    beside = [
+        path.name
+        for folder in sorted({path.parent for path in posed})
+        if folder.is_dir()
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in suffixes and path.resolve() not in posed | masks
+    ]
+    # NeRF-synthetic keeps depth and normal pictures beside the photographs.
+    if not beside or frames.format == "nerf-synthetic":
+        return []
+    return [
+        warning(
+            "unposed-images",
+            f"{len(beside)} photographs have no pose and are left out",
+            "If they show sides that no other does, estimate poses that include them.",
+            *beside,
+        )
+    ]
 
 
 def _check_poses(frames: Sequence[Frame]) -> list[Finding]:

@@ -76,6 +76,7 @@ class Lens:
         angle_x: Horizontal field of view in radians, used where fx is None.
         angle_y: Vertical field of view in radians, used where fx and fy are None.
         distortion: Lens distortion.
+        is_scalable: Whether the format lets photographs be smaller or larger than declared.
     """
 
     width: int | None = None
@@ -87,6 +88,7 @@ class Lens:
     angle_x: float | None = None
     angle_y: float | None = None
     distortion: Distortion = field(default_factory=Distortion)
+    is_scalable: bool = False
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -97,6 +99,8 @@ class Lens:
 
     def camera(self, camera_to_world: Array, width: int, height: int) -> Camera:
         """The pinhole camera of an image of this size, distortion aside."""
+        if self.size is not None and self.size != (width, height):
+            return self.camera(camera_to_world, *self.size).resized(width, height)
         fx, fy = self.fx, self.fy
         if fx is None:
             assert self.angle_x is not None, "readers give fx or angle_x"
@@ -163,6 +167,7 @@ class FrameSet:
         format: Name of the format, for example "colmap".
         frames: Posed photographs.
         sphere: Where the format says the object is, or None.
+        other_order: The same frames with their poses in the other plausible order, or none.
         points: (N, 3) sparse surface points, capture frame; empty if the format has none.
         findings: What the reader noticed.
     """
@@ -170,6 +175,7 @@ class FrameSet:
     root: Path
     format: str
     frames: tuple[Frame, ...]
+    other_order: tuple[Frame, ...] = ()
     sphere: Sphere | None = None
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     findings: tuple[Finding, ...] = ()

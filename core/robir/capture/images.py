@@ -65,12 +65,6 @@ def read_photo(path: Path, declared: tuple[int, int] | None) -> Photo:
         return _photo(picture, path, turned)
 
 
-def has_transparency(path: Path) -> bool:
-    """Whether a file can hold a mask in its alpha channel, from its head alone."""
-    with _opened(path, head_only=True) as picture:
-        return picture.has_transparency_data
-
-
 def read_mask(path: Path) -> Bytes:
     """Read a mask: alpha where it varies, else brightness; 255 is the object.
 
@@ -101,13 +95,16 @@ def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes | None:
     Returns:
         (H, W) uint8; smaller or larger masks of the same shape (within a pixel) are resampled.
     """
-    width, height = size
-    rows, columns = mask.shape
-    if (columns, rows) == size:
+    if mask.shape[::-1] == size:
         return mask
-    if abs(columns * height - rows * width) > max(width, height):
+    if not same_shape((mask.shape[1], mask.shape[0]), size):
         return None
     return np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two (width, height) differ by a scale and at most a pixel of rounding."""
+    return abs(one[0] * other[1] - one[1] * other[0]) <= max(*one, *other)
 
 
 def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
@@ -235,18 +232,16 @@ def _bytes(values: NDArray[np.float32]) -> Bytes:
 
 
 class _opened:
-    """A picture file, opened and (unless only its head is wanted) decoded, or a refusal."""
+    """A picture file, opened and decoded, or a refusal that names it."""
 
-    def __init__(self, path: Path, head_only: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
-        self._head_only = head_only
 
     def __enter__(self) -> Image.Image:
         path = self._path
         try:
             self._picture = Image.open(path)
-            if not self._head_only:
-                self._picture.load()
+            self._picture.load()
         except FileNotFoundError:
             raise refuse(
                 "missing-images", f"{path} does not exist", "Put it there.", path.name

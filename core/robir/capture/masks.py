@@ -75,6 +75,12 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
     return found
 
 
+def natural_order(relative: str) -> list[tuple[int, str]]:
+    """Sort key that puts "2.jpg" before "10.jpg"."""
+    pieces = re.split(r"(\d+)", relative.lower())
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in pieces]
+
+
 def _keys(relative: str) -> list[str]:
     """What a path can be found by, the strictest first."""
     path = _without_suffixes(relative.lower())

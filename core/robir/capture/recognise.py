@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from robir.capture import colmap, llff, nerf_synthetic, nerfstudio, neus, transforms
 from robir.capture import masks as mask_files
-from robir.capture import nerf_synthetic, nerfstudio, transforms
-from robir.capture.bounds import bounds_of, sphere_from_masks, sphere_from_points
-from robir.capture.capture import Bounds, Capture, Finding, View
+from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
-from robir.capture.refusal import CaptureRefused, error, refuse, warning
+from robir.capture.place import place_object
+from robir.capture.refusal import CaptureRefused, error, note, refuse
 from robir.capture.views import Loaded, Progress, load_views, splits
 
 _READING = 0.8
@@ -39,11 +36,20 @@ def read_frames(source: Path) -> FrameSet:
     if source.is_file():
         if transforms.looks_like(source) and source.name != nerf_synthetic.TRAIN:
             return nerfstudio.read(source)
+        if source.suffix == ".npz" and neus.is_camera_file(source):
+            return neus.read(source)
         source = source.parent
     if (source / nerf_synthetic.TRAIN).is_file():
         return nerf_synthetic.read(source)
     if (source / nerfstudio.NAME).is_file():
         return nerfstudio.read(source / nerfstudio.NAME)
+    archive = neus.find(source)
+    if archive is not None:
+        return neus.read(archive)
+    if (source / llff.NAME).is_file():
+        return llff.read(source / llff.NAME)
+    if colmap.find_models(source):
+        return colmap.read(source)
     raise _not_recognised(source)
 
 
@@ -95,6 +101,9 @@ def read_capture(
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
     chosen = splits(frames.frames, config)
+    if masks is None:
+        masks = _folder_of_masks(frames)
+        findings += [note("mask-folder", f"Masks are taken from {masks}")] if masks else []
     try:
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
     except CaptureRefused as refusal:
@@ -108,19 +117,27 @@ def read_capture(
     findings += check_masks(loaded.views)
     _stop_on_errors(findings)
     tell(_READING, "looking for the object")
-    bounds, about = find_bounds(frames, loaded.views)
+    views, bounds, about = place_object(frames, loaded.views)
     findings += about
     if bounds is None:
         raise CaptureRefused(findings)
-    findings += check_place(loaded.views, bounds)
+    findings += check_place(views, bounds)
     tell(1.0, "capture read")
     return Capture(
         source=source,
         format=frames.format,
-        views=loaded.views,
+        views=views,
         bounds=bounds,
         findings=tuple(findings),
     )
+
+
+def _folder_of_masks(frames: FrameSet) -> Path | None:
+    """A folder of masks beside the photographs, for formats that only have it by custom."""
+    if frames.format == nerf_synthetic.FORMAT or any(frame.mask for frame in frames.frames):
+        return None
+    folders = (frames.root / name for name in ("masks", "mask"))
+    return next((folder for folder in folders if folder.is_dir()), None)
 
 
 def _check_mask_supply(loaded: Loaded) -> list[Finding]:
@@ -137,50 +154,6 @@ def _check_mask_supply(loaded: Loaded) -> list[Finding]:
             *loaded.maskless,
         )
     ]
-
-
-def find_bounds(
-    frames: FrameSet, views: tuple[View, ...]
-) -> tuple[Bounds | None, list[Finding]]:
-    """The object's bounding sphere, and whether masks and poses agree on it.
-
-    Args:
-        frames: Where the format says the object is, if it does.
-        views: Photographs with masks.
-
-    Returns:
-        Bounds, or None with an error among the findings.
-    """
-    start = frames.sphere
-    if start is None and len(frames.points):
-        start = sphere_from_points(frames.points, views)
-    hull = sphere_from_masks(views, start)
-    if hull is None or np.median(hull.agreement) < 0.5:
-        return None, [
-            error(
-                "masks-disagree",
-                "The masks have no object in common: masks and poses do not belong together",
-                "Check that masks and photographs are paired rightly, that white is the object, "
-                "and that the poses follow the format's axes.",
-            )
-        ]
-    findings = []
-    odd = [v.name for v, share in zip(views, hull.agreement, strict=True) if share < 0.8]
-    if odd:
-        findings.append(
-            warning(
-                "masks-disagree",
-                f"{len(odd)} masks show more than the other masks allow there to be",
-                "Check these masks and poses.",
-                *odd,
-            )
-        )
-    sphere = hull.sphere
-    if start is not None:
-        sphere = replace(sphere, origin=f"{sphere.origin}, starting from {start.origin}")
-        if start.is_limit and start.radius <= sphere.radius:
-            sphere = start
-    return bounds_of(sphere), findings
 
 
 def _stop_on_errors(findings: list[Finding]) -> None:

@@ -12,7 +12,14 @@ import numpy as np
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame, rigid
-from robir.capture.images import fitted_mask, read_mask, read_photo, shrink, undistort
+from robir.capture.images import (
+    fitted_mask,
+    read_mask,
+    read_photo,
+    same_shape,
+    shrink,
+    undistort,
+)
 from robir.capture.refusal import CaptureRefused, note, refuse
 
 Progress = Callable[[float, str], None]
@@ -114,7 +121,9 @@ def _load(
     declared = frame.lens.size
     photo = read_photo(frame.image, declared)
     width, height = photo.size
-    if declared is not None and photo.size != declared:
+    if declared is not None and photo.size != declared and not (
+        frame.lens.is_scalable and same_shape(photo.size, declared)
+    ):
         raise refuse(
             "wrong-size",
             f"{frame.image} is {width}x{height} pixels, but its pose is for "

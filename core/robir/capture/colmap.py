@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""COLMAP sparse models, binary and text: cameras, images and points3D.
+
+A pose there is the rotation (unit quaternion, w first) and translation from world to camera, with
+OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.rst of COLMAP.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robir.capture.frames import (
+    OPENGL_FROM_OPENCV,
+    Array,
+    Distortion,
+    Frame,
+    FrameSet,
+    Lens,
+    unique_names,
+)
+from robir.capture.refusal import CaptureRefused, note, refuse
+
+FORMAT = "colmap"
+
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}
+"""Camera models by number: name, count of parameters."""
+
+_IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    folder: Path
+    suffix: str
+    lenses: dict[int, Lens]
+    images: list[tuple[str, int, Array]]
+    """Name, camera number and camera-to-world of each posed photograph."""
+
+
+def find_models(source: Path) -> list[Path]:
+    """Folders of sparse models at the usual places below a folder."""
+    places = [source, source / "sparse", source / "colmap" / "sparse"]
+    folders = places + [child for place in places[1:] if place.is_dir()
+                        for child in sorted(place.iterdir()) if child.is_dir()]
+    return [folder for folder in folders if _suffix(folder)]
+
+
+def read(source: Path) -> FrameSet:
+    """Read the largest sparse model.
+
+    Args:
+        source: Folder of the capture, or of the model itself.
+
+    Returns:
+        Frames and sparse points in the model's own frame.
+
+    Raises:
+        CaptureError: If a file is damaged or a camera model is not supported.
+    """
+    models = [_read_model(folder) for folder in find_models(source)]
+    model = max(models, key=lambda candidate: len(candidate.images))
+    names = [name for name, _, _ in model.images]
+    images = _image_folder(source, model.folder, names)
+    frames = tuple(
+        Frame(
+            name=short,
+            image=images / relative,
+            relative=relative,
+            lens=_lens_of(model, number, relative),
+            camera_to_world=pose,
+        )
+        for short, (relative, number, pose) in zip(unique_names(names), model.images, strict=True)
+    )
+    findings = []
+    if len(models) > 1:
+        counts = ", ".join(f"{m.folder.name} ({len(m.images)} photographs)" for m in models)
+        findings.append(
+            note("several-models", f"Of the sparse models {counts}, {model.folder.name} is used")
+        )
+    points = _read_points(model.folder / f"points3D{model.suffix}")
+    return FrameSet(
+        root=images if images.name == "." else images.parent,
+        format=FORMAT,
+        frames=frames,
+        points=points,
+        findings=tuple(findings),
+    )
+
+
+def _suffix(folder: Path) -> str | None:
+    for suffix in (".bin", ".txt"):
+        if all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
+            return suffix
+    return None
+
+
+def _image_folder(source: Path, model: Path, names: list[str]) -> Path:
+    """The folder that holds most of the photographs; `images` where none holds any."""
+    places = [source, *(parent for parent in list(model.parents)[:3] if parent != source)]
+    folders = [place / name for place in places for name in _IMAGE_FOLDERS]
+    counts = [sum((folder / name).is_file() for name in names) for folder in folders]
+    return folders[int(np.argmax(counts))]
+
+
+def _lens_of(model: _Model, number: int, relative: str) -> Lens:
+    if number not in model.lenses:
+        raise refuse(
+            "bad-colmap",
+            f"{model.folder}: {relative} was taken with camera {number}, which is not listed",
+            "Export the model again.",
+        )
+    return model.lenses[number]
+
+
+def _read_model(folder: Path) -> _Model:
+    suffix = _suffix(folder) or ""
+    cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    try:
+        if suffix == ".bin":
+            lenses = dict(_binary_cameras(cameras))
+            posed = list(_binary_images(images))
+        else:
+            lenses = dict(_text_cameras(cameras))
+            posed = list(_text_images(images))
+    except CaptureRefused:
+        raise
+    except (OSError, ValueError, IndexError, struct.error) as fault:
+        raise refuse(
+            "bad-colmap",
+            f"The COLMAP model in {folder} is truncated or damaged ({fault})",
+            "Export the model again.",
+            cameras.name,
+            images.name,
+        ) from None
+    return _Model(folder, suffix, lenses, sorted(posed, key=lambda entry: entry[0]))
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    with path.open("rb") as file:
+        (count,) = struct.unpack("<Q", file.read(8))
+        for _ in range(count):
+            number, model, width, height = struct.unpack("<iiQQ", file.read(24))
+            name, size = _MODELS.get(model, (f"number {model}", 0))
+            values = struct.unpack(f"<{size}d", file.read(8 * size))
+            yield number, _lens(path, name, width, height, values)
+
+
+def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+    content = path.read_bytes()
+    (count,) = struct.unpack_from("<Q", content, 0)
+    at = 8
+    for _ in range(count):
+        numbers = struct.unpack_from("<i7di", content, at)
+        at += 64
+        end = content.index(b"\0", at)
+        name = content[at:end].decode("utf-8")
+        (observations,) = struct.unpack_from("<Q", content, end + 1)
+        at = end + 9 + 24 * observations
+        if at > len(content):
+            raise ValueError(f"{path.name} ends within {name}")
+        yield name, numbers[8], _pose(numbers[1:5], numbers[5:8])
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    for line in _lines(path):
+        if line:
+            number, name, width, height, *values = line.split()
+            lens = _lens(path, name, int(width), int(height), tuple(map(float, values)))
+            yield int(number), lens
+
+
+def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+    lines = _lines(path)
+    for line in lines:
+        if not line:
+            continue
+        _, qw, qx, qy, qz, tx, ty, tz, number, name = line.split(maxsplit=9)
+        next(lines, None)  # the observations, which may be an empty line
+        rotation = tuple(map(float, (qw, qx, qy, qz)))
+        yield name, int(number), _pose(rotation, tuple(map(float, (tx, ty, tz))))
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with path.open(encoding="utf-8") as file:
+        for line in file:
+            if not line.startswith("#"):
+                yield line.strip()
+
+
+def _read_points(path: Path) -> Array:
+    """Sparse points, (N, 3); none if the file is missing or damaged, for they only help."""
+    points = []
+    try:
+        if path.suffix == ".txt":
+            points = [list(map(float, line.split()[1:4])) for line in _lines(path) if line]
+        else:
+            content = path.read_bytes()
+            (count,) = struct.unpack_from("<Q", content, 0)
+            at = 8
+            for _ in range(count):
+                points.append(struct.unpack_from("<3d", content, at + 8))
+                (track,) = struct.unpack_from("<Q", content, at + 43)
+                at += 51 + 8 * track
+    except (OSError, ValueError, struct.error):
+        return np.zeros((0, 3))
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+
+def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
+    """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    pose = np.eye(4)
+    pose[:3, :3] = rotation.T
+    pose[:3, 3] = -rotation.T @ np.array(translation)
+    return pose @ OPENGL_FROM_OPENCV
+
+
+def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
+    """Intrinsics from a camera model's parameters, or a refusal that names the model."""
+    radial, rational, tangential = [0.0] * 4, [0.0] * 3, [0.0] * 2
+    match name, values:
+        case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", (f, cx, cy, *rest):
+            fx = fy = f
+            radial[: len(rest)] = rest
+        case "PINHOLE" | "OPENCV" | "FULL_OPENCV", (fx, fy, cx, cy, *rest):
+            radial[:2], tangential[:] = rest[:2] or [0.0, 0.0], rest[2:4] or [0.0, 0.0]
+            radial[2:3] = rest[4:5] or [0.0]
+            rational[:] = rest[5:8] or [0.0] * 3
+        case _:
+            raise refuse(
+                "camera-model",
+                f"{path}: the camera model {name} is not supported",
+                "Undistort the photographs with `colmap image_undistorter` and give that folder.",
+                path.name,
+            )
+    if not np.isfinite(values).all() or fx <= 0 or fy <= 0 or width < 1 or height < 1:
+        raise refuse(
+            "bad-intrinsics",
+            f"{path}: a {name} camera of {width}x{height} pixels has the parameters {values}",
+            "Estimate the cameras again.",
+            path.name,
+        )
+    return Lens(
+        width=width,
+        height=height,
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        distortion=Distortion(
+            radial=tuple(radial), rational=tuple(rational), tangential=tuple(tangential)
+        ),
+    )
