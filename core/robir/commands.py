@@ -7,12 +7,13 @@ import json
 import sys
 import traceback
 from argparse import Namespace
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from robir.config import RunConfig, resolve
-from robir.errors import UsageError
-from robir.jobs.paths import STAGES, JobPaths
+from robir.errors import CaptureError, UsageError
+from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.presets import PRESETS
 
 
@@ -37,6 +38,65 @@ def reconstruct(options: Namespace) -> int:
         run(request, display, load_stages())
     print(options.out.resolve())
     return 0
+
+
+def check(options: Namespace) -> int:
+    """Say what is noticed about a capture; 3 if it would be refused."""
+    from robir.capture.check import check_capture
+    from robir.capture.refusal import describe
+
+    capture, findings = check_capture(options.capture, options.masks, RunConfig().capture)
+    facts: dict[str, Any] = {"accepted": capture is not None}
+    if capture is not None:
+        facts |= {
+            "format": capture.format,
+            "views": len(capture.train),
+            "held_out": len(capture.held_out),
+            "radius": capture.bounds.radius,
+            "centre": capture.bounds.centre.tolist(),
+        }
+    if options.json:
+        print(json.dumps(facts | {"findings": [asdict(finding) for finding in findings]}, indent=2))
+    else:
+        if capture is not None:
+            print(f"{capture.format}: {facts['views']} views, {facts['held_out']} held out")
+        for finding in findings:
+            print(f"{finding.level}: {describe(finding)}")
+    return 0 if capture is not None else CaptureError.exit_code
+
+
+def evaluate(options: Namespace) -> int:
+    """Compare a result with the truth; scores and a comparison sheet go beside the report."""
+    paths = _finished(options.out)
+    from robir.bench.scores import score_lines
+    from robir.evaluation.evaluate import evaluate as judge
+
+    scores = judge(paths, options.truth, paths.truth_sheet)
+    write_json(paths.scores, scores)
+    print(json.dumps(scores, indent=2) if options.json else "\n".join(score_lines(scores)))
+    return 0
+
+
+def relight(options: Namespace) -> int:
+    """Render a finished result under another light."""
+    _finished(options.out)
+    return 0
+
+
+def bench(options: Namespace) -> int:
+    """Run a plan and tabulate its scores; prints the table's path."""
+    from robir.bench.plan import read_plan
+    from robir.bench.runs import carry_out, read_scores
+    from robir.bench.table import markdown
+
+    runs = read_plan(options.plan)
+    table = options.out / "scores.md"
+    carry_out(runs, options.out, lambda line: print(line, file=sys.stderr, flush=True))
+    records = read_scores(options.out)
+    with replacing(table) as temporary:
+        temporary.write_text(markdown(records[run.name] for run in runs), encoding="utf-8")
+    print(table.resolve())
+    return 0 if all("error" not in records[run.name] for run in runs) else 1
 
 
 def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:
@@ -82,7 +142,7 @@ def describe_bug(options: Namespace, error: Exception) -> str:
     summary = f"internal error, {type(error).__name__}: {error}"
     text = "".join(traceback.format_exception(error))
     out = getattr(options, "out", None)
-    if out is not None and out.is_dir():
+    if out is not None and JobPaths(out).run.exists():
         log = JobPaths(out).log
         try:
             with log.open("a", encoding="utf-8") as file:

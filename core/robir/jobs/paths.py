@@ -138,6 +138,16 @@ class JobPaths:
         """The report's numbers."""
         return self.root / "report" / "report.json"
 
+    @property
+    def scores(self) -> Path:
+        """Scores against the truth, where it is known."""
+        return self.root / "report" / "scores.json"
+
+    @property
+    def truth_sheet(self) -> Path:
+        """Pictures of the result beside the truth."""
+        return self.root / "report" / "truth.png"
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:

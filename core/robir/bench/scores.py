@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scores that tables show, and where they stand in what an evaluation returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """One column.
+
+    Attributes:
+        title: Heading with the unit.
+        path: Dotted place in the scores; "a - b" is a difference of two.
+        best: Which end is good: "high", "low", or "one" for ratios that should be 1.
+        digits: Decimals shown.
+    """
+
+    title: str
+    path: str
+    best: Literal["high", "low", "one"]
+    digits: int
+
+    def value(self, scores: Mapping[str, Any]) -> float | None:
+        """The score, or None where it could not be measured."""
+        parts = [_at(scores, path) for path in self.path.split(" - ")]
+        if any(part is None for part in parts):
+            return None
+        return parts[0] if len(parts) == 1 else parts[0] - parts[1]
+
+    def badness(self, value: float) -> float:
+        """Larger is worse."""
+        return {"high": -value, "low": value, "one": abs(value - 1.0)}[self.best]
+
+    def text(self, value: float | None) -> str:
+        """The value as shown."""
+        return "-" if value is None else f"{value:.{self.digits}f}"
+
+
+_ALBEDO = "albedo.psnr_linear"
+
+SCORES = (
+    Score(
+        title="albedo, per channel (dB)", path=f"{_ALBEDO}.per_channel_lsq", best="high", digits=1
+    ),
+    Score(
+        title="above the photo (dB)",
+        path=f"{_ALBEDO}.per_channel_lsq - photo_as_albedo.psnr_linear.per_channel_lsq",
+        best="high",
+        digits=1,
+    ),
+    Score(title="albedo, raw (dB)", path=f"{_ALBEDO}.raw", best="high", digits=1),
+    Score(title="shadow ratio", path="shadow.ratio", best="one", digits=2),
+    Score(title="sun (degrees)", path="light.strongest_lobe_degrees", best="low", digits=1),
+    Score(title="normals (degrees)", path="normals.mean_degrees", best="low", digits=1),
+    Score(title="IoU", path="mask_iou", best="high", digits=3),
+    Score(title="Chamfer (1e-3 radius)", path="chamfer.chamfer", best="low", digits=1),
+    Score(title="roughness RMSE", path="roughness.rmse", best="low", digits=3),
+    Score(
+        title="over the best constant",
+        path="roughness.rmse - roughness.best_constant_rmse",
+        best="low",
+        digits=3,
+    ),
+)
+"""Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
+
+COSTS = (
+    Score(title="CPU-s", path="cpu_seconds", best="low", digits=0),
+    Score(title="peak GB", path="peak_gigabytes", best="low", digits=2),
+)
+"""What a run cost, as the bench records it beside the scores."""
+
+
+def score_lines(scores: Mapping[str, Any]) -> list[str]:
+    """One line a score, for a terminal."""
+    width = max(len(score.title) for score in SCORES)
+    lines = [f"{score.title:<{width}}  {score.text(score.value(scores))}" for score in SCORES]
+    tone = scores["tone_curve"]
+    families = f"{tone['family']} (true: {tone['true_view_transform']})"
+    return [*lines, f"{'tone curve':<{width}}  {families}"]
+
+
+def _at(scores: Mapping[str, Any], path: str) -> Any:
+    value: Any = scores
+    for key in path.split("."):
+        if not isinstance(value, Mapping):
+            return None
+        value = value.get(key)
+    return value

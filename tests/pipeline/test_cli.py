@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: what it prints where, and what it exits with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from robir import cli
+from robir.errors import CaptureError, DeviceError, QualityError
+from robir.jobs.paths import JobPaths, read_json
+from robir.pipeline import folder, runner
+from tests.pipeline.fakes import fake_stages, make_capture
+
+
+@pytest.fixture
+def stages(monkeypatch):
+    made = fake_stages()
+    monkeypatch.setattr(runner, "load_stages", lambda: made)
+    return made
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    return make_capture(tmp_path / "capture")
+
+
+def reconstruct(capture, out, *words) -> int:
+    return cli.main(["reconstruct", str(capture), "-o", str(out), "--device", "cpu", *words])
+
+
+def test_the_result_path_stands_alone_on_standard_output(stages, capture, tmp_path, capsys):
+    assert reconstruct(capture, tmp_path / "out") == 0
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path / 'out'}\n"
+    assert "is finished" in printed.err
+    assert reconstruct(capture, tmp_path / "out") == 0
+    assert "finished already" in capsys.readouterr().err
+
+
+def test_progress_as_json_lines_to_the_last(stages, capture, tmp_path, capsys):
+    def fail(_context):
+        raise QualityError("shadows everywhere")
+
+    stages["appearance"].mischief = fail
+    assert reconstruct(capture, tmp_path / "out", "--progress", "json") == 5
+    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert lines[0]["kind"] == "started"
+    assert {"total", "seconds_left", "stage", "message"} <= lines[1].keys()
+    assert lines[-1] == {"kind": "failed", "message": "shadows everywhere", "exit_code": 5}
+
+
+def test_rich_progress_ends_well(stages, capture, tmp_path, capsys):
+    stages["geometry"].mischief = lambda context: context.reporter.warn("few [views]")
+    assert reconstruct(capture, tmp_path / "out", "--progress", "rich") == 0
+    assert "warning: few [views]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (CaptureError("a"), 3),
+        (DeviceError("b"), 4),
+        (QualityError("c"), 5),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_exit_codes(stages, capture, tmp_path, error, code):
+    def fail(_context):
+        raise error
+
+    stages["geometry"].mischief = fail
+    assert reconstruct(capture, tmp_path / "out") == code
+    assert reconstruct(capture, tmp_path / "out") == 2
+
+
+def test_a_bug_is_one_sentence_and_a_traceback_in_the_log(stages, capture, tmp_path, capsys):
+    def fail(_context):
+        raise ZeroDivisionError("division by zero")
+
+    stages["geometry"].mischief = fail
+    assert reconstruct(capture, tmp_path / "out") == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(
+        "robir: internal error, ZeroDivisionError: division by zero; please report"
+    )
+    log = JobPaths(tmp_path / "out").log.read_text()
+    assert "Traceback" in log
+    assert "fakes.py" in log
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "geometry.rayz=3"], "did you mean 'rays'"),
+        (["--set", "geometry.rays=many"], "must be a whole number"),
+        (["--set", "nonsense"], "section.key=value"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--config", "absent.toml"], "cannot read the settings"),
+    ],
+)
+def test_wrong_settings_start_nothing(stages, capture, tmp_path, capsys, words, message):
+    assert reconstruct(capture, tmp_path / "out", *words) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("words", [[], ["paint"], ["reconstruct", "x"], ["evaluate", "x"]])
+def test_wrong_usage_exits_with_2(words):
+    with pytest.raises(SystemExit) as ending:
+        cli.main(words)
+    assert ending.value.code == 2
+
+
+def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_path):
+    changes = tmp_path / "changes.toml"
+    changes.write_text("seed = 4\n[geometry]\nrays = 1000\nfeatures = 6\n")
+    words = ["--config", str(changes), "--set", "geometry.rays=900", "--preset", "standard"]
+    assert reconstruct(capture, tmp_path / "out", *words) == 0
+    config = folder.read_config(JobPaths(tmp_path / "out"))
+    assert (config.seed, config.geometry.rays, config.geometry.features) == (4, 900, 6)
+    assert config.capture.max_side == 800
+    assert read_json(JobPaths(tmp_path / "out").run)["preset"] == "standard"
+
+
+def test_resume_keeps_the_settings_and_masks_of_the_folder(stages, capture, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    out = tmp_path / "out"
+    words = ["--preset", "high", "--seed", "7", "--masks", str(masks)]
+    assert reconstruct(capture, out, *words) == 0
+    assert reconstruct(capture, out, "--resume") == 0
+    assert stages["capture"].calls == 1
+    assert reconstruct(capture, out, "--resume", "--set", "export.render_views=2") == 0
+    assert (stages["appearance"].calls, stages["export"].calls) == (1, 2)
+    assert folder.read_config(JobPaths(out)).seed == 7
+
+
+def test_what_is_not_finished_is_neither_judged_nor_relit(tmp_path, capsys):
+    assert cli.main(["evaluate", str(tmp_path), "--truth", str(tmp_path)]) == 2
+    environment = tmp_path / "sky.exr"
+    environment.touch()
+    assert cli.main(["relight", str(tmp_path), "--environment", str(environment)]) == 2
+    assert capsys.readouterr().err.count("is not a finished result folder") == 2
+
+
+def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("no photographs here")
+    assert cli.main(["check", str(tmp_path)]) == 3
+    assert capsys.readouterr().out.startswith("error: ")
+    assert cli.main(["check", str(tmp_path), "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["accepted"] is False
