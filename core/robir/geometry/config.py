@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the geometry stage; the defaults are those of the preset `draft`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robir.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeometryConfig:
+    """How the surface is found and how fine the mesh becomes.
+
+    Attributes:
+        image_side: Longer side the photographs are reduced to for the fit, pixels.
+        hull_cells: Cells of the visual hull along the longest side of the object.
+        hull_views: Most views the visual hull is carved with.
+        level_cells: Cells of the distance field along the object's longest side, coarse to fine.
+        level_steps: Steps of the fit at each of these levels.
+        rays: Rays of a step.
+        features: Colour features of a node of the field.
+        face_budget: Most triangles of the final mesh.
+        unwrap_seconds: Longest time an unwrapping attempt may take, seconds.
+    """
+
+    image_side: int = 200
+    hull_cells: int = 96
+    hull_views: int = 48
+    level_cells: tuple[int, ...] = (64, 96, 128)
+    level_steps: tuple[int, ...] = (250, 350, 500)
+    rays: int = 2048
+    features: int = 8
+    face_budget: int = 8000
+    unwrap_seconds: float = 40.0
+
+    def __post_init__(self) -> None:
+        """Refuse values the stage cannot work with."""
+        if not self.level_cells or len(self.level_cells) != len(self.level_steps):
+            raise ConfigError(
+                f"geometry.level_cells has {len(self.level_cells)} entries and "
+                f"geometry.level_steps {len(self.level_steps)}; give one number of steps a level"
+            )
+        lowest = {
+            "image_side": 32,
+            "hull_cells": 16,
+            "hull_views": 3,
+            "rays": 64,
+            "features": 4,
+            "face_budget": 100,
+            "unwrap_seconds": 0.0,
+        }
+        for name, least in lowest.items():
+            if getattr(self, name) < least:
+                raise ConfigError(
+                    f"geometry.{name} is {getattr(self, name)}; it must be at least {least}"
+                )
+        if min(self.level_cells) < 16 or min(self.level_steps) < 1:
+            raise ConfigError("geometry.level_cells must be at least 16 and level_steps at least 1")

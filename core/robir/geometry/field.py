@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the fit changes: a distance field on a lattice, colour features near it, a small network.
+
+Batch letters: N nodes, A nodes with features, R rays, S intervals, Q end points, C features.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from robir.geometry.lattice import Lattice, interpolate, resample
+from robir.geometry.sampling import Intervals
+from robir.maths.volume import log_survival, weights
+
+
+class ColourNetwork(nn.Module):
+    """Display colour of a ray from its composited features.
+
+    The first three features are the colour itself (before the sigmoid); a small network adds what
+    depends on the view. It sees the mirrored viewing direction, so a highlight, which is a
+    function of that direction, need not be explained by a pit in the surface.
+
+    Args:
+        features: Features C of a node, at least 3.
+        width: Units of a hidden layer.
+    """
+
+    def __init__(self, features: int, width: int = 48) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(features + 10, width),
+            nn.ReLU(inplace=True),
+            nn.Linear(width, width),
+            nn.ReLU(inplace=True),
+            nn.Linear(width, 3),
+        )
+        nn.init.zeros_(self.layers[-1].weight)
+        nn.init.zeros_(self.layers[-1].bias)
+
+    def forward(self, features: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
+        """Display colours.
+
+        Args:
+            features: (R, C) composited features.
+            normals: (R, 3) unit.
+            directions: (R, 3) unit, from the camera.
+
+        Returns:
+            (R, 3) display RGB in [0, 1].
+        """
+        cosine = (normals * directions).sum(1, keepdim=True)
+        mirrored = directions - 2.0 * cosine * normals
+        inputs = torch.cat([features, normals, directions, mirrored, cosine], dim=1)
+        return torch.sigmoid(features[:, :3] + self.layers(inputs))
+
+
+class Field:
+    """Distance field and colour features of one level.
+
+    Attributes:
+        lattice: Nodes.
+        sdf: (N,) signed distances, unit frame, a leaf that requires gradients.
+        features: (A, C) colour features, a leaf that requires gradients; row 0 stands for nodes
+            without features.
+        row: (N,) int32, row of each node's features.
+    """
+
+    def __init__(self, lattice: Lattice, sdf: Tensor, features: int) -> None:
+        self.lattice = lattice
+        self.sdf = sdf.clone().requires_grad_()
+        self.features = torch.zeros(1, features, device=sdf.device).requires_grad_()
+        self.row = torch.zeros(lattice.count, dtype=torch.int32, device=sdf.device)
+
+    def place_features(self, wanted: Tensor) -> Tensor:
+        """Give the wanted nodes features, keep those that have some, drop the others.
+
+        New rows start at the mean of the kept ones.
+
+        Args:
+            wanted: (N,) bool.
+
+        Returns:
+            (A,) int32, old row of each new row, 0 where it had none.
+        """
+        nodes = wanted.nonzero()[:, 0]
+        old = torch.cat([self.row.new_zeros(1), self.row[nodes]])
+        values = self.features.detach()[old.long()]
+        kept = old > 0
+        values[~kept] = values[kept].mean(0) if bool(kept.any()) else 0.0
+        self.features = values.requires_grad_()
+        self.row.zero_()
+        count = torch.arange(1, len(nodes) + 1, dtype=torch.int32, device=nodes.device)
+        self.row[nodes] = count
+        return old
+
+    def refined(self, lattice: Lattice) -> Field:
+        """The field on a finer lattice."""
+        finer = Field(lattice, resample(self.sdf.detach(), self.lattice, lattice), 1)
+        nodes = lattice.nodes(str(self.sdf.device))
+        nearest = self.lattice.scaled(nodes).round().long()
+        nearest = nearest.clamp(min=0).minimum(
+            torch.tensor(self.lattice.shape, device=nodes.device) - 1
+        )
+        _, ny, nz = self.lattice.shape
+        row = self.row[(nearest[:, 0] * ny + nearest[:, 1]) * nz + nearest[:, 2]]
+        wanted = (row > 0).nonzero()[:, 0]
+        index, weight = self.lattice.corners(nodes[wanted])
+        index = self.row[index.long()]
+        # nodes without features must not pull the mean
+        weight = torch.where(index > 0, weight, 0.0)
+        weight = weight / weight.sum(1, keepdim=True).clamp(min=1e-6)
+        values = interpolate(self.features.detach(), index, weight)
+        finer.features = torch.cat([self.features.detach()[:1], values]).requires_grad_()
+        finer.row[wanted] = torch.arange(1, len(wanted) + 1, dtype=torch.int32, device=nodes.device)
+        return finer
+
+    def gradient(self, points: Tensor) -> Tensor:
+        """Gradient of the distance at points (P, 3), central differences over two cells."""
+        cell = self.lattice.cell
+        offsets = cell * torch.eye(3, device=points.device)
+        stacked = (points[None] + torch.cat([offsets, -offsets])[:, None]).reshape(-1, 3)
+        with torch.no_grad():
+            value = interpolate(self.sdf.detach()[:, None], *self.lattice.corners(stacked))
+        value = value.view(6, -1)
+        return ((value[:3] - value[3:]) / (2.0 * cell)).T
+
+    def render(
+        self,
+        intervals: Intervals,
+        network: ColourNetwork,
+        rays: tuple[Tensor, Tensor],
+        inv_std: float,
+    ) -> tuple[Tensor, Tensor]:
+        """Composite rays.
+
+        Args:
+            intervals: Packed intervals of the rays.
+            network: Colour network.
+            rays: Origins (R, 3) and unit directions (R, 3).
+            inv_std: NeuS steepness.
+
+        Returns:
+            Display RGB times coverage (R, 3), and coverage (R,), in [0, 1].
+        """
+        origins, directions = rays
+        start, ray = intervals.start, intervals.ray
+        value = interpolate(self.sdf[:, None], intervals.index, intervals.weight)[:, 0]
+        log_step = log_survival(value[start], value[start + 1], inv_std)
+        weight = weights(log_step, intervals.first)
+        coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray, weight)
+        share = weight / coverage.clamp(min=1e-4)[ray]
+        middle = 0.5 * (intervals.distance[start] + intervals.distance[start + 1])
+        with torch.no_grad():
+            depth = torch.zeros_like(coverage).index_add(0, ray, share * middle)
+            points = origins + depth[:, None] * directions
+            normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
+        local = interpolate(self.features, self.row[intervals.index.long()], intervals.weight)
+        local = 0.5 * (local[start] + local[start + 1]) * share[:, None]
+        mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
+        rgb = network(mixed, normals, directions)
+        return rgb * coverage[:, None], coverage

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit of the distance field to the photographs, coarse to fine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch.nn.functional import max_pool3d
+
+from robir.errors import QualityError
+from robir.geometry.config import GeometryConfig
+from robir.geometry.field import ColourNetwork, Field
+from robir.geometry.lattice import Lattice
+from robir.geometry.rays import RaySampler
+from robir.geometry.regularise import eikonal_step, laplacian_step
+from robir.geometry.sampling import Occupancy, march
+
+SHARPNESS = (80.0, 110.0)
+"""NeuS steepness at the start and at the end, for an object of longest side 2."""
+
+REFRESH = 25
+"""Steps between updates of the occupancy and of the nodes that carry features."""
+
+SMOOTH_EVERY = 10
+"""Steps between the proximal steps on the field."""
+
+
+class _Optimiser:
+    """Adam over field and network, whose state follows the rows of the features.
+
+    Args:
+        field: Field of the present level.
+        network: Colour network.
+        fused: Whether torch's fused Adam may be used.
+    """
+
+    def __init__(self, field: Field, network: ColourNetwork) -> None:
+        self._adam = torch.optim.Adam(
+            [
+                {"params": [field.sdf], "base": 0.4 * field.lattice.cell},
+                {"params": [field.features], "base": 0.08},
+                {"params": list(network.parameters()), "base": 5e-3},
+            ],
+            betas=(0.9, 0.99),
+            lr=1.0,
+            fused=True,
+        )
+
+    def follow(self, field: Field, old_rows: Tensor) -> None:
+        """Carry the moments of the features over to their new rows."""
+        group = self._adam.param_groups[1]
+        state = self._adam.state.pop(group["params"][0], {})
+        group["params"][0] = field.features
+        if state:
+            fresh = (old_rows == 0)[:, None]
+            for name in ("exp_avg", "exp_avg_sq"):
+                state[name] = torch.where(fresh, 0.0, state[name][old_rows.long()])
+            self._adam.state[field.features] = state
+
+    def step(self, loss: Tensor, factor: float) -> None:
+        """One step with every learning rate times `factor`."""
+        for group in self._adam.param_groups:
+            group["lr"] = group["base"] * factor
+        self._adam.zero_grad(set_to_none=True)
+        loss.backward()
+        self._adam.step()
+
+
+def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
+    """Robust colour loss (Charbonnier) plus cross-entropy of the coverage."""
+    rgb, coverage = predicted
+    colour = ((rgb - target[:, :3]) ** 2 + 1e-4).sqrt().mean()
+    mask = torch.nn.functional.binary_cross_entropy(coverage.clamp(1e-3, 1.0 - 1e-3), target[:, 3])
+    return colour + 0.2 * mask
+
+
+def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
+    """Update the band around the surface and the nodes that carry features."""
+    band = 5.0 / inv_std + field.lattice.cell
+    occupancy = Occupancy.of(field.lattice, field.sdf.detach(), band)
+    grid = occupancy.near.view(field.lattice.shape).float()[None, None]
+    wanted = max_pool3d(grid, 3, stride=1, padding=1).reshape(-1) > 0
+    optimiser.follow(field, field.place_features(wanted))
+    return occupancy
+
+
+def fit(
+    sampler: RaySampler,
+    start: tuple[Lattice, Tensor],
+    config: GeometryConfig,
+    generator: torch.Generator,
+    progress: Callable[[float], None],
+) -> Field:
+    """Fit a field to the rays of a capture.
+
+    Args:
+        sampler: Source of rays.
+        start: Lattice and signed distances to start from, usually the visual hull.
+        config: Levels, steps, rays.
+        generator: Source of the samples' jitter and of the network's weights, on the CPU.
+        progress: Called with the share done after every few steps.
+
+    Returns:
+        The field of the finest level.
+
+    Raises:
+        QualityError: If the loss stops being a number.
+    """
+    lattice, sdf = start
+    device = str(sdf.device)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(1 << 31, (1,), generator=generator)))
+        network = ColourNetwork(config.features).to(device)
+    total, done = sum(config.level_steps), 0
+    field = Field(lattice, sdf, config.features)
+    longest = float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell
+    for cells, steps in zip(config.level_cells, config.level_steps, strict=True):
+        level = Lattice.around(
+            torch.tensor(lattice.lower).numpy() + 3 * lattice.cell,
+            lattice.upper - 3 * lattice.cell,
+            cells,
+        )
+        field = field.refined(level)
+        optimiser = _Optimiser(field, network)
+        for step in range(steps):
+            share = done / total
+            growth = (SHARPNESS[1] / SHARPNESS[0]) ** min(share / 0.85, 1.0)
+            inv_std = SHARPNESS[0] * growth * 2.0 / longest
+            factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
+            if step % REFRESH == 0:
+                occupancy = _refresh(field, optimiser, inv_std)
+                progress(share)
+            origins, directions, target = sampler.draw(config.rays)
+            jitter = torch.rand(len(origins), generator=generator).to(device)
+            intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
+            predicted = field.render(intervals, network, (origins, directions), inv_std)
+            loss = _loss(predicted, target)
+            optimiser.step(loss, factor)
+            done += 1
+            if done % SMOOTH_EVERY == 0:
+                if not math.isfinite(loss.item()):
+                    raise QualityError("The geometry fit diverged: its loss is no longer a number.")
+                with torch.no_grad():
+                    laplacian_step(field.sdf, level, 0.15)
+    return field

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Visual hull as a signed distance: what the masks alone allow."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from robir.capture.camera import Camera
+from robir.errors import CaptureError
+from robir.geometry.lattice import Lattice, resample
+
+
+def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Signed distance to a mask's outline, in pixels, negative inside.
+
+    The outline runs where the coverage is one half; the coverage of the pixels next to it places
+    it within the pixel.
+
+    Args:
+        coverage: (H, W) in [0, 1].
+
+    Returns:
+        (H, W) float32.
+    """
+    inside = coverage >= 0.5
+    if inside.all() or not inside.any():
+        far = float(max(coverage.shape))
+        return np.full(coverage.shape, -far if inside.all() else far, np.float32)
+    distance = distance_transform_edt(~inside) - distance_transform_edt(inside)
+    edge = np.abs(distance) <= 1.0
+    distance = np.where(edge, 0.5 - coverage, distance - 0.5 * np.sign(distance))
+    return distance.astype(np.float32)
+
+
+def spread_views(positions: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """Indices of at most `count` positions that lie far from each other (farthest first)."""
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    chosen = [0]
+    nearest = np.linalg.norm(positions - positions[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
+    return np.sort(np.asarray(chosen))
+
+
+class HullCarver:
+    """Evaluates the visual hull's signed distance.
+
+    A point's value is the largest, over the views, of the signed distance of its image point to
+    the mask's outline times depth over focal length: a lower bound of the distance outside, exact
+    where one silhouette decides.
+
+    Args:
+        cameras: Cameras, unit frame.
+        coverages: Mask of each camera, (H, W) float32 in [0, 1].
+    """
+
+    def __init__(self, cameras: list[Camera], coverages: list[NDArray[np.float32]]) -> None:
+        self._cameras = cameras
+        self._distances = [torch.from_numpy(mask_distance(c)) for c in coverages]
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Signed distance of the hull at points (P, 3), unit frame; shape (P,)."""
+        value = torch.full((len(points),), -1e3)
+        for camera, distance in zip(self._cameras, self._distances, strict=True):
+            rotation = torch.from_numpy(camera.camera_to_world[:3, :3]).float()
+            local = (points - torch.from_numpy(camera.position).float()) @ rotation
+            depth = (-local[:, 2]).clamp(min=1e-6)
+            x = (camera.fx * local[:, 0] / depth + camera.cx) * (2.0 / camera.width) - 1.0
+            y = (-camera.fy * local[:, 1] / depth + camera.cy) * (2.0 / camera.height) - 1.0
+            # beyond the picture the value of its border goes on: free where nothing is cut off
+            pixels = grid_sample(
+                distance[None, None],
+                torch.stack([x, y], dim=-1)[None, None],
+                padding_mode="border",
+                align_corners=False,
+            )[0, 0, 0]
+            scale = depth / (0.5 * (camera.fx + camera.fy))
+            in_front = local[:, 2] < 0
+            value = torch.where(in_front, torch.maximum(value, pixels * scale), value)
+        return value
+
+
+def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
+    """Signed distance of the visual hull on a lattice that fits it closely.
+
+    Args:
+        carver: The hull.
+        cells: Cells along the hull's longest side.
+
+    Returns:
+        The lattice and its values (N,), negative inside.
+
+    Raises:
+        CaptureError: If the masks leave nothing inside the bounding sphere.
+    """
+    coarse = Lattice.around(np.full(3, -1.05), np.full(3, 1.05), 48, margin=0)
+    nodes = coarse.nodes()
+    # the bounding sphere ends what no photograph shows
+    values = torch.maximum(carver(nodes), nodes.norm(dim=1) - 1.05)
+    inside = nodes[values < coarse.cell]
+    if len(inside) == 0:
+        raise CaptureError(
+            "The masks have no common volume: nothing inside the bounding sphere lies within every "
+            "view's mask. Check that masks and camera poses belong together."
+        )
+    lattice = Lattice.around(inside.amin(0).numpy(), inside.amax(0).numpy(), cells)
+    fine = resample(values, coarse, lattice)
+    near = fine.abs() < 1.8 * coarse.cell
+    points = lattice.nodes()[near]
+    fine[near] = torch.maximum(carver(points), points.norm(dim=1) - 1.05)
+    grid = fine.view(lattice.shape)
+    for axis in range(3):  # the surface must not touch the border
+        grid.select(axis, 0).clamp_(min=lattice.cell)
+        grid.select(axis, -1).clamp_(min=lattice.cell)
+    return lattice, fine

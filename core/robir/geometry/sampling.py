@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples on rays near the surface, packed: a march through two levels of occupancy.
+
+Batch letters: R rays, S intervals (packed, in ray order), Q interval end points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import max_pool3d, pad
+
+from robir.geometry.lattice import Lattice, interpolate
+from robir.maths.volume import log_survival, transmittance
+
+BLOCK = 4
+"""Cells along the edge of a block of the coarse occupancy."""
+
+BLOCK_STEPS = 10
+"""Steps a ray takes along such an edge."""
+
+LEAST_WEIGHT = 1e-3
+"""Intervals that contribute less than this to their pixel are dropped."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Occupancy:
+    """Where the surface may be.
+
+    Attributes:
+        lattice: Lattice of the field.
+        near: (N,) bool, nodes within the band around the surface.
+        blocks: Blocks of cells that hold such a node or touch one that does, flat bool.
+        block_shape: Number of blocks along x, y and z.
+    """
+
+    lattice: Lattice
+    near: Tensor
+    blocks: Tensor
+    block_shape: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, lattice: Lattice, sdf: Tensor, band: float) -> Occupancy:
+        """Occupancy of the band |sdf| < `band` around the surface."""
+        near = sdf.abs() < band
+        grid = near.view(lattice.shape).float()[None, None]
+        fill = [(-n) % BLOCK for n in lattice.shape]
+        blocks = max_pool3d(pad(grid, (0, fill[2], 0, fill[1], 0, fill[0])), BLOCK)
+        blocks = max_pool3d(blocks, 3, stride=1, padding=1)[0, 0] > 0
+        shape = (int(blocks.shape[0]), int(blocks.shape[1]), int(blocks.shape[2]))
+        return cls(lattice=lattice, near=near, blocks=blocks.reshape(-1), block_shape=shape)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Intervals:
+    """Packed intervals of rays; neighbours on a ray share an end point.
+
+    Attributes:
+        ray: (S,) ray of each interval.
+        first: (S,) first interval of the same ray.
+        start: (S,) end point where the ray enters the interval; it leaves at `start` + 1.
+        distance: (Q,) distance of the end points from their ray's origin.
+        index: (Q, 8) lattice nodes around the end points.
+        weight: (Q, 8) their trilinear weights.
+    """
+
+    ray: Tensor
+    first: Tensor
+    start: Tensor
+    distance: Tensor
+    index: Tensor
+    weight: Tensor
+
+
+def _first_of_runs(ray: Tensor) -> Tensor:
+    """Index of the first element of each run of equal values, for every element."""
+    begins = torch.ones_like(ray, dtype=torch.bool)
+    begins[1:] = ray[1:] != ray[:-1]
+    return torch.cummax(torch.where(begins, torch.arange(len(ray), device=ray.device), 0), 0)[0]
+
+
+def _flat_index(
+    begin: Tensor, slope: Tensor, along: Tensor, shape: tuple[int, int, int], shift: float
+) -> Tensor:
+    """Flat indices of the cells that points on rays fall into; outside, of the nearest cell.
+
+    Args:
+        begin: (B, 3) cell coordinates of the rays' first points.
+        slope: (B, 3) cells per unit of length.
+        along: (B or 1, K) distances of K points a ray from its first.
+        shape: Number of cells along x, y and z.
+        shift: Added to the coordinates before rounding down.
+
+    Returns:
+        (B, K) int64.
+    """
+    flat: Tensor | None = None
+    for axis in range(3):
+        cell = torch.addcmul(begin[:, axis, None] + shift, along, slope[:, axis, None])
+        # truncation rounds down once nothing is negative
+        cell = cell.clamp_(0.0, shape[axis] - 1.0).int()
+        flat = cell if flat is None else flat.mul_(shape[axis]).add_(cell)
+    assert flat is not None
+    return flat.long()
+
+
+def _occupied_steps(
+    occupancy: Occupancy, origins: Tensor, directions: Tensor, jitter: Tensor
+) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Steps of the rays inside the band.
+
+    Args:
+        occupancy: The band.
+        origins: (R, 3).
+        directions: (R, 3) unit.
+        jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
+
+    Returns:
+        Ray (S,), step number on the ray (S,), distance at step 0 (R,), and the length of a step.
+    """
+    lattice = occupancy.lattice
+    long_step = BLOCK * lattice.cell
+    step = long_step / BLOCK_STEPS
+    lower, upper = origins.new_tensor(lattice.lower), origins.new_tensor(lattice.upper)
+    inverse = 1.0 / torch.where(directions.abs() < 1e-9, 1e-9, directions)
+    one, two = (lower - origins) * inverse, (upper - origins) * inverse
+    enter = torch.minimum(one, two).amax(1).clamp(min=0.0) - jitter * step
+    leave = torch.maximum(one, two).amin(1)
+    count = int(((leave - enter).clamp(min=0.0) / long_step).max().ceil()) + 1
+    middle = (torch.arange(count, device=origins.device) + 0.5) * long_step
+    begin = lattice.scaled(origins + enter[:, None] * directions)
+    slope = directions / lattice.cell
+    hit = occupancy.blocks[
+        _flat_index(begin / BLOCK, slope / BLOCK, middle[None], occupancy.block_shape, 0.0)
+    ]
+    hit &= middle < (leave - enter)[:, None] + long_step
+    ray, long_number = hit.nonzero(as_tuple=True)
+    number = (
+        long_number[:, None] * BLOCK_STEPS + torch.arange(BLOCK_STEPS, device=ray.device)
+    ).reshape(-1)
+    ray = ray[:, None].expand(-1, BLOCK_STEPS).reshape(-1)
+    along = ((number + 0.5) * step)[:, None]
+    near = occupancy.near[_flat_index(begin[ray], slope[ray], along, lattice.shape, 0.5)][
+        :, 0
+    ].nonzero()[:, 0]
+    return ray[near], number[near], enter, step
+
+
+def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """End points of intervals where an interval ends at the next one's start if they touch.
+
+    Args:
+        ray: (S,) ray of each interval, ascending.
+        number: (S,) step number of each interval, ascending on a ray.
+
+    Returns:
+        Start point of each interval (S,), and of each end point its interval (Q,) and whether it
+        is that interval's end rather than its start (Q,) 0 or 1.
+    """
+    closes = torch.ones_like(ray, dtype=torch.bool)
+    closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
+    size = 1 + closes.long()
+    start = torch.cumsum(size, 0) - size
+    owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
+    late = torch.arange(len(owner), device=ray.device) - start[owner]
+    return start, owner, late
+
+
+def march(
+    occupancy: Occupancy,
+    sdf: Tensor,
+    inv_std: float,
+    origins: Tensor,
+    directions: Tensor,
+    jitter: Tensor,
+) -> Intervals:
+    """Intervals that matter for the pixels of rays, found without gradients.
+
+    Args:
+        occupancy: Where the surface may be.
+        sdf: (N,) signed distances at the nodes.
+        inv_std: NeuS steepness, 1 / unit frame.
+        origins: (R, 3).
+        directions: (R, 3) unit.
+        jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
+
+    Returns:
+        The kept intervals; there may be none.
+    """
+    lattice = occupancy.lattice
+    ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
+    start, owner, late = _chain(ray, number)
+    distance = enter[ray[owner]] + (number[owner] + late) * step
+    points = origins[ray[owner]] + distance[:, None] * directions[ray[owner]]
+    index, weight = lattice.corners(points)
+    with torch.no_grad():
+        value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
+    log_step = log_survival(value[start], value[start + 1], inv_std)
+    through = transmittance(log_step, _first_of_runs(ray))
+    keep = (-through * torch.expm1(log_step) > LEAST_WEIGHT).nonzero()[:, 0]
+    ray, number, old = ray[keep], number[keep], start[keep]
+    start, owner, late = _chain(ray, number)
+    point = old[owner] + late
+    return Intervals(
+        ray=ray,
+        first=_first_of_runs(ray),
+        start=start,
+        distance=distance[point],
+        index=index[point],
+        weight=weight[point],
+    )

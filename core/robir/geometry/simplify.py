@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fewer triangles, closed holes, and normals with creases."""
+
+from __future__ import annotations
+
+import fast_simplification
+import numpy as np
+import scipy.sparse
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from robir.geometry.filtering import face_geometry
+from robir.geometry.mesh import Mesh
+from robir.geometry.surface import compacted, plain_mesh
+
+CREASE_DEGREES = 40.0
+"""Faces that meet at a sharper angle do not share a normal."""
+
+
+def decimate(mesh: Mesh, face_budget: int) -> Mesh:
+    """Collapse edges by quadric error until the face budget is met.
+
+    Garland and Heckbert 1997, "Surface simplification using quadric error metrics".
+
+    Args:
+        mesh: Mesh without texture coordinates.
+        face_budget: Most triangles of the result.
+
+    Returns:
+        The mesh without degenerate triangles and unused vertices.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(faces) > face_budget:
+        vertices, faces = fast_simplification.simplify(
+            vertices, faces, target_count=face_budget, agg=5.0
+        )
+    corners = vertices[faces]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    return compacted(vertices, faces[area > 1e-12])
+
+
+def fill_holes(mesh: Mesh) -> Mesh:
+    """Close small holes that decimation may tear."""
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if solid.is_watertight:
+        return mesh
+    trimesh.repair.fill_holes(solid)
+    return plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
+
+
+def with_creases(mesh: Mesh, degrees: float = CREASE_DEGREES) -> Mesh:
+    """Split vertices where faces meet at a crease, so that each side has its own normal.
+
+    Faces round a vertex belong together if a chain of faces leads from one to the other over
+    angles below the limit; every such group gets its own copy of the vertex. Texture coordinates
+    stay as they are.
+
+    Args:
+        mesh: Mesh whose vertices are shared by neighbouring faces.
+        degrees: Largest angle between faces that share a normal.
+
+    Returns:
+        The mesh with more vertices, the same faces and the same surface.
+    """
+    faces = mesh.faces
+    normals, areas, _ = face_geometry(mesh.vertices.astype(np.float64), faces)
+    one, two, shared = _edge_neighbours(faces)
+    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(degrees))
+    one, two, shared = one[smooth], two[smooth], shared[smooth]
+    # corner c of face f is node 3 f + c of a graph; corners at one vertex are joined over edges
+    links_one, links_two = [], []
+    for end in (0, 1):
+        vertex = shared[:, end]
+        links_one.append(3 * one + (faces[one] == vertex[:, None]).argmax(axis=1))
+        links_two.append(3 * two + (faces[two] == vertex[:, None]).argmax(axis=1))
+    link = np.concatenate(links_one), np.concatenate(links_two)
+    graph = scipy.sparse.coo_matrix((np.ones(len(link[0])), link), shape=(3 * len(faces),) * 2)
+    count, group = connected_components(graph, directed=False)
+    vertices = np.zeros((count, 3), np.float32)
+    vertices[group] = mesh.vertices[faces.ravel()]
+    total = np.zeros((count, 3))
+    np.add.at(total, group, np.repeat(normals * areas[:, None], 3, axis=0))
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+    return Mesh(
+        vertices=vertices,
+        faces=group.reshape(-1, 3).astype(np.int32),
+        normals=total.astype(np.float32),
+        uvs=mesh.uvs,
+        uv_faces=mesh.uv_faces,
+    )
+
+
+def _edge_neighbours(
+    faces: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """Pairs of faces that share an edge, and that edge's two vertices (K, 2)."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    edges, owner = edges[order], owner[order]
+    same = (edges[1:] == edges[:-1]).all(axis=1)
+    return owner[:-1][same], owner[1:][same], edges[:-1][same]

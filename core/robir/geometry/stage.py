@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The geometry stage: capture in, distance field and unwrapped mesh out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from robir.capture.capture import Capture
+from robir.capture.store import load_capture
+from robir.errors import CaptureError
+from robir.geometry.clean import largest_pieces
+from robir.geometry.config import GeometryConfig
+from robir.geometry.filtering import bilateral, taubin
+from robir.geometry.fit import fit
+from robir.geometry.hull import HullCarver, carve, spread_views
+from robir.geometry.lattice import Lattice
+from robir.geometry.mesh import Mesh
+from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.simplify import decimate, fill_holes, with_creases
+from robir.geometry.surface import distance_to_mesh, extract
+from robir.geometry.unwrap import unwrap
+from robir.jobs.context import Reporter, StageContext
+from robir.jobs.paths import replacing
+
+REVISION = 1
+"""Raised whenever the same input gives another result."""
+
+
+def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
+    """Reconstruct the surface of the stored capture.
+
+    Args:
+        context: Configuration, paths, seed, device and reporter.
+
+    Returns:
+        Metrics for the stage's manifest.
+    """
+    capture = load_capture(context.paths.stage("capture")).normalised()
+    mesh, metrics = reconstruct(
+        capture, context.config, context.seed, context.device, context.reporter
+    )
+    folder = context.paths.stage("geometry")
+    mesh.save(folder / "mesh.npz")
+    save_distance(mesh, max(context.config.level_cells), folder / "sdf.npz")
+    context.reporter.progress(1.0, "surface done")
+    return metrics
+
+
+def reconstruct(
+    capture: Capture, config: GeometryConfig, seed: int, device: str, reporter: Reporter
+) -> tuple[Mesh, dict[str, float | str]]:
+    """Surface of a capture whose bounding sphere is the unit sphere.
+
+    Args:
+        capture: Capture in the unit frame.
+        config: The stage's configuration.
+        seed: Seed of every random choice.
+        device: Torch device.
+        reporter: Progress and warnings.
+
+    Returns:
+        The unwrapped mesh in the unit frame, and metrics.
+
+    Raises:
+        CaptureError: If there are fewer than three training views with a mask.
+    """
+    if len(capture.train) < 3:
+        raise CaptureError(
+            f"{capture.source} has {len(capture.train)} training views; the geometry stage needs "
+            "at least 3, and about 20 for a good surface."
+        )
+    reporter.progress(0.0, "carving the visual hull")
+    photos = [reduce_view(view, config.image_side) for view in capture.train]
+    lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
+    generator = torch.Generator().manual_seed(seed)
+    sampler = RaySampler(photos, device, generator)
+
+    def progress(share: float) -> None:
+        reporter.progress(0.03 + 0.82 * share, "fitting the surface")
+
+    field = fit(sampler, (lattice, hull.to(device)), config, generator, progress)
+    reporter.progress(0.86, "cleaning the mesh")
+    mesh = largest_pieces(extract(field.lattice, field.sdf))
+    mesh = bilateral(taubin(mesh, 10), 20, 10)
+    mesh = fill_holes(decimate(mesh, config.face_budget))
+    reporter.progress(0.92, "unwrapping the mesh")
+    mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
+    metrics: dict[str, float | str] = {
+        "faces": len(mesh.faces),
+        "vertices": len(mesh.vertices),
+        "cell": field.lattice.cell,
+    }
+    return mesh, metrics
+
+
+def hull_of(photos: list[Photo], views: int) -> HullCarver:
+    """The visual hull of at most `views` photographs that lie far from each other."""
+    positions = np.stack([photo.camera.position for photo in photos])
+    kept = [photos[k] for k in spread_views(positions, views)]
+    return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
+
+
+def save_distance(mesh: Mesh, cells: int, path: Path) -> None:
+    """Write the signed distance to the final mesh as sdf.npz.
+
+    Arrays: `sdf` float16 (N, N, N), unit frame, negative inside, and `bounds` (2, 3), positions
+    of the first and the last node.
+
+    Args:
+        mesh: Closed mesh.
+        cells: N - 1.
+        path: File to replace.
+    """
+    side = 1.05
+    lattice = Lattice.around(np.full(3, -side), np.full(3, side), cells, margin=0)
+    sdf = distance_to_mesh(mesh, lattice).astype(np.float16)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, sdf=sdf, bounds=np.array([lattice.lower, lattice.upper]))

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NeuS volume rendering on packed samples: opacity, transmittance and weights.
+
+Batch letters: R rays, S intervals of all rays packed one after the other.
+
+Wang et al. 2021, "NeuS", equations 10 to 13: an interval between two samples of a ray with signed
+distances f_i and f_{i+1} has the opacity max(0, (P(f_i) - P(f_{i+1})) / P(f_i)), P the logistic
+distribution function with steepness `inv_std`. Everything here works with
+log(1 - opacity) = min(0, log P(f_{i+1}) - log P(f_i)), which neither overflows nor cancels.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import logsigmoid
+
+
+def log_survival(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
+    """Logarithm of the share of light that passes an interval, log(1 - opacity).
+
+    Args:
+        sdf_start: (S,) signed distance where the ray enters the interval, negative inside.
+        sdf_end: (S,) signed distance where it leaves.
+        inv_std: Steepness of the logistic distribution, 1 / unit of the distance, > 0.
+
+    Returns:
+        (S,) <= 0; zero where the ray moves away from the surface.
+    """
+    step = logsigmoid(inv_std * sdf_end) - logsigmoid(inv_std * sdf_start)
+    return step.clamp(max=0.0)
+
+
+def opacity(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
+    """Opacity of intervals, in [0, 1] (NeuS equation 13)."""
+    return -torch.expm1(log_survival(sdf_start, sdf_end, inv_std))
+
+
+def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
+    """Share of light that reaches the start of each interval.
+
+    Args:
+        log_step: (S,) log survival of each interval, in ray order.
+        first: (S,) index of the first interval of the same ray.
+
+    Returns:
+        (S,) in [0, 1], 1 at every ray's first interval; same precision as `log_step`.
+    """
+    total = torch.cumsum(log_step.double(), dim=0)
+    before = total - log_step
+    return torch.exp(before - before[first]).to(log_step.dtype)
+
+
+def weights(log_step: Tensor, first: Tensor) -> Tensor:
+    """Share of the pixel that each interval contributes: transmittance times opacity.
+
+    Args:
+        log_step: (S,) log survival of each interval, in ray order.
+        first: (S,) index of the first interval of the same ray.
+
+    Returns:
+        (S,) in [0, 1]; the sum over a ray is the ray's coverage, at most 1.
+    """
+    return -transmittance(log_step, first) * torch.expm1(log_step)
