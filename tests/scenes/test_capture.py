@@ -212,33 +212,38 @@ def test_interrupted_rendering_goes_on_and_gives_the_same_views(
     np.testing.assert_array_equal(read_view(lost).position, before.position)
 
 
+def planted_sky(file: Path, sun: np.ndarray, glow: np.ndarray) -> None:
+    """Writes a map with a small white sun and a faint green glow in given directions."""
+    sky = np.full((128, 256, 3), 0.05, dtype=np.float32)
+    sky[map_directions(128) @ glow > np.cos(np.radians(6.0))] = [0.0, 1.0, 0.0]
+    sky[map_directions(128) @ sun > np.cos(np.radians(1.2))] = 900.0
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": sky}).write(str(file))
+
+
 def test_sun_inside_a_map_casts_the_shadow_the_truth_says(tmp_path: Path, cache: Path) -> None:
     """The map's frame, the sun's direction and its visibility agree with the lit picture."""
-    sun = np.array([0.35, -0.6, 0.0])
-    sun[2] = np.sqrt(1.0 - sun @ sun)
-    sky = np.full((128, 256, 3), 0.05, dtype=np.float32)
-    sky[map_directions(128) @ sun > np.cos(np.radians(1.2))] = 900.0
-    hdri = tmp_path / "sun.exr"
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"RGB": sky}).write(str(hdri))
-    out = tmp_path / "out"
-    small = [*SMALL[:-1], 16]
-    done = run(
-        "truck",
-        out,
-        *small,
-        "--cache",
-        cache,
-        "--ground",
-        "plain",
-        "--light",
-        "hdri-sun",
-        "--hdri",
-        hdri,
+    height = np.sin(np.radians(46.0))
+    flat = np.sqrt(1.0 - height**2)
+    sun, glow = (
+        np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
+        for azimuth in (-1.0, 0.0)
     )
+    hdri, out = tmp_path / "sun.exr", tmp_path / "out"
+    planted_sky(hdri, sun, glow)
+    light = ("--ground", "plain", "--light", "hdri-sun", "--hdri", hdri)
+    done = run("truck", out, *SMALL[:-1], 16, "--cache", cache, *light)
     assert done.returncode == 0, done.stderr
     scene = json.loads((out / "truth" / "scene.json").read_text())
-    assert scene["sun_direction"][2] == pytest.approx(sun[2], abs=0.01)
+    found = scene["sun_direction"]
+    assert found[2] == pytest.approx(sun[2], abs=0.01)
+    with OpenEXR.File(str(out / "truth" / "environment.exr")) as opened:
+        rendered = opened.channels()["RGB"].pixels
+    # turned about z as a whole: the glow stays one radian to the left of the sun
+    green = rendered[..., 1] > 3.0 * rendered[..., 0]
+    middle = map_directions(128)[green].mean(axis=0)
+    turn = np.arctan2(middle[1], middle[0]) - np.arctan2(found[1], found[0])
+    assert np.cos(turn - 1.0) > np.cos(np.radians(1.0))
     truths = [
         read_view(out / "truth" / name)
         for name in ("train/r_000.exr", "train/r_001.exr", "test/r_000.exr")
