@@ -102,7 +102,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
     )
-    parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
+    _add_progress(parser)
 
 
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -126,6 +126,7 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     parser.add_argument("--samples", type=_positive, help="Cycles samples per pixel")
     parser.add_argument("--max-side", type=_positive, help="longer side of the pictures, pixels")
+    _add_progress(parser)
 
 
 def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -141,6 +142,10 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(command=commands.bench)
     parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="captures, seeds and variants")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
+
+
+def _add_progress(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
 
 
 def _positive(text: str) -> int:

@@ -78,8 +78,29 @@ def evaluate(options: Namespace) -> int:
 
 
 def relight(options: Namespace) -> int:
-    """Render a finished result under another light."""
-    _finished(options.out)
+    """Render a finished result under another light; prints the pictures' paths."""
+    paths = _finished(options.out)
+    from robir.display import display_for
+    from robir.export.blender import run_headless
+    from robir.jobs.lock import folder_lock
+    from robir.pipeline.faults import stop_requested
+
+    words = ["relight", str(paths.root), "--environment", str(options.environment)]
+    for name in ("rotation", "turntable", "samples", "max_side"):
+        value = getattr(options, name)
+        if value is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    with folder_lock(paths.lock), stop_requested(), display_for(options.progress) as display:
+
+        def show(fraction: float, message: str) -> None:
+            event = {"kind": "progress", "stage": "relight", "message": message}
+            display.event(event, fraction, None)
+
+        outcome = run_headless(words, show)
+    for note in outcome.notes:
+        print(note, file=sys.stderr)
+    for file in outcome.files:
+        print(file)
     return 0
 
 
