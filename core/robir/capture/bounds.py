@@ -9,6 +9,7 @@ then only the outermost cells, which alone decide the sphere, are divided furthe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,8 @@ class _Silhouette:
     camera: Camera
     distance: NDArray[np.float32]
     """(H, W) pixels to the nearest object pixel, 0 on it."""
+    is_open: tuple[bool, bool, bool, bool]
+    """Whether the object is cut off at the left, right, upper and lower border."""
 
 
 def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | None:
@@ -111,8 +114,9 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
     """
     inside, seen = np.zeros(len(points)), np.zeros(len(points))
     for view in views:
-        row, column, depth = _pixels_of(view.camera, points)
-        in_frame = depth > 0
+        pixels, depth = view.camera.project(points)
+        row, column = _indices(view.camera, pixels)
+        in_frame = _in_frame(view.camera, pixels, depth)
         seen += in_frame
         inside += in_frame & (view.mask[row, column] >= INSIDE)
     kept = points[(seen >= 2) & (inside >= 0.9 * seen)]
@@ -138,10 +142,9 @@ def enclosing_sphere(points: Array) -> tuple[Array, float]:
         Centre (3,) and radius.
     """
     if len(points) > 16:
-        try:
+        # Flat sets have no hull; all their points will do.
+        with suppress(QhullError):
             points = points[ConvexHull(points).vertices]
-        except QhullError:
-            pass  # flat sets have no hull; all their points will do
     centre = points.mean(axis=0)
     for step in range(1, 1001):
         farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
@@ -150,8 +153,13 @@ def enclosing_sphere(points: Array) -> tuple[Array, float]:
 
 
 def _silhouette(view: View) -> _Silhouette:
-    distance = ndimage.distance_transform_edt(view.mask < INSIDE)
-    return _Silhouette(camera=view.camera, distance=distance.astype(np.float32))
+    distance = np.asarray(ndimage.distance_transform_edt(view.mask < INSIDE), dtype=np.float32)
+    on = distance == 0
+    sides = (on[:, 0], on[:, -1], on[0], on[-1])
+    left, right, top, bottom = (bool(side.any()) for side in sides)
+    return _Silhouette(
+        camera=view.camera, distance=distance, is_open=(left, right, top, bottom)
+    )
 
 
 def _first_guess(silhouettes: Sequence[_Silhouette]) -> Sphere | None:
@@ -189,14 +197,15 @@ def _coarse(
     shrinks onto the hull once.
     """
     centre, reach = where.centre, where.radius
-    for _ in range(4):
-        cells, half = _carved_cube(silhouettes, centre, reach, dissent)
+    cells, half = _carved_cube(silhouettes, centre, reach, dissent)
+    if limit is not None:
         cells = _within(cells, half, limit)
-        if len(cells) == 0 or limit is not None:
-            break
-        if np.abs(cells - centre).max() < reach - 1.5 * half:
-            break
-        reach *= 1.6
+    else:
+        for _ in range(3):
+            if len(cells) == 0 or np.abs(cells - centre).max() < reach - 1.5 * half:
+                break
+            reach *= 1.6
+            cells, half = _carved_cube(silhouettes, centre, reach, dissent)
     if len(cells) == 0:
         return cells, half
     middle = 0.5 * (cells.min(axis=0) + cells.max(axis=0))
@@ -225,17 +234,13 @@ def _kept(
     silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int
 ) -> NDArray[np.bool_]:
     """Which cells at most `dissent` masks call background and a quarter of the views see."""
-    diagonal = np.sqrt(3.0) * half
     alive = np.arange(len(cells))
     against = np.zeros(len(cells), dtype=np.int32)
     seen = np.zeros(len(cells), dtype=np.int32)
     for silhouette in silhouettes:
-        camera = silhouette.camera
-        row, column, depth = _pixels_of(camera, cells[alive])
-        in_frame = depth > 0
-        slack = np.maximum(diagonal * max(camera.fx, camera.fy) / np.maximum(depth, 1e-12), 0.75)
-        seen[alive] += in_frame
-        against[alive] += in_frame & (silhouette.distance[row, column] > slack)
+        known, beyond = _verdict(silhouette, cells[alive], np.sqrt(3.0) * half)
+        seen[alive] += known
+        against[alive] += known & beyond
         alive = alive[against[alive] <= dissent]
     # Cells that few views see may have proportionally few masks against them.
     fair = against[alive] * len(silhouettes) <= dissent * seen[alive]
@@ -244,20 +249,36 @@ def _kept(
     return kept
 
 
-def _pixels_of(
-    camera: Camera, points: Array
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Row, column and depth of points; the depth is -1 for those out of frame."""
+def _verdict(
+    silhouette: _Silhouette, points: Array, reach: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether a view can judge points, and whether it calls all within `reach` background.
+
+    What lies out of frame is background too, unless the mask touches that border.
+    """
+    camera = silhouette.camera
     pixels, depth = camera.project(points)
-    column = np.floor(np.clip(pixels[:, 0], -1, camera.width)).astype(np.int64)
-    row = np.floor(np.clip(pixels[:, 1], -1, camera.height)).astype(np.int64)
-    out = (column < 0) | (column >= camera.width) | (row < 0) | (row >= camera.height)
-    depth = np.where(out, -1.0, depth)
-    return (
-        np.clip(row, 0, camera.height - 1),
-        np.clip(column, 0, camera.width - 1),
-        depth,
-    )
+    row, column = _indices(camera, pixels)
+    x, y = pixels.T
+    over = np.stack([-x, x - camera.width, -y, y - camera.height])
+    outside = over.max(axis=0) > 0
+    is_open = np.array(silhouette.is_open)
+    known = np.where(depth > 0, ~(over[is_open] > 0).any(axis=0), not is_open.any())
+    distance = silhouette.distance[row, column]
+    distance = np.where(outside, np.maximum(distance, over.max(axis=0)), distance)
+    slack = reach * max(camera.fx, camera.fy) / np.maximum(depth, 1e-12)
+    return known, (depth <= 0) | (distance > np.maximum(slack, 0.75))
+
+
+def _indices(camera: Camera, pixels: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column of the pixel nearest to image points."""
+    column = np.clip(pixels[:, 0], 0.5, camera.width - 0.5).astype(np.int64)
+    row = np.clip(pixels[:, 1], 0.5, camera.height - 0.5).astype(np.int64)
+    return row, column
+
+
+def _in_frame(camera: Camera, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+    return (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
 
 
 def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) -> Array:
@@ -268,16 +289,17 @@ def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) ->
     shares = []
     for silhouette in silhouettes:
         camera = silhouette.camera
-        row, column, depth = _pixels_of(camera, cells)
+        pixels, depth = camera.project(cells)
+        row, column = _indices(camera, pixels)
+        visible = _in_frame(camera, pixels, depth)
         empty = np.ones((camera.height, camera.width), dtype=bool)
-        visible = depth > 0
         empty[row[visible], column[visible]] = False
         inside = silhouette.distance == 0
         if not visible.any():
             shares.append(0.0)
             continue
         reach = np.sqrt(3.0) * half * max(camera.fx, camera.fy) / np.median(depth[visible])
-        near = ndimage.distance_transform_edt(empty) <= max(float(reach), 1.0)
+        near = np.asarray(ndimage.distance_transform_edt(empty)) <= max(float(reach), 1.0)
         shares.append(float((near & inside).sum() / inside.sum()))
     return np.array(shares)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import read_capture
-from robir.capture.refusal import CaptureRefused
+from robir.capture.refusal import CaptureRefusedError
 
 
 def check_capture(
@@ -26,7 +26,7 @@ def check_capture(
     """
     try:
         capture = read_capture(source, masks, config)
-    except CaptureRefused as refusal:
+    except CaptureRefusedError as refusal:
         return None, _sorted(refusal.findings)
     return capture, _sorted(capture.findings)
 

@@ -23,7 +23,7 @@ from robir.capture.frames import (
     Lens,
     unique_names,
 )
-from robir.capture.refusal import CaptureRefused, note, refuse
+from robir.capture.refusal import CaptureRefusedError, note, refuse
 
 FORMAT = "colmap"
 
@@ -132,7 +132,7 @@ def _read_model(folder: Path) -> _Model:
         else:
             lenses = dict(_text_cameras(cameras))
             posed = list(_text_images(images))
-    except CaptureRefused:
+    except CaptureRefusedError:
         raise
     except (OSError, ValueError, IndexError, struct.error) as fault:
         raise refuse(
@@ -235,15 +235,17 @@ def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Arra
 
 def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
     """Intrinsics from a camera model's parameters, or a refusal that names the model."""
-    radial, rational, tangential = [0.0] * 4, [0.0] * 3, [0.0] * 2
+    distortion = Distortion()
     match name, values:
-        case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", (f, cx, cy, *rest):
-            fx = fy = f
-            radial[: len(rest)] = rest
+        case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", (fx, cx, cy, *rest):
+            fy = fx
+            k1, k2 = (*rest, 0.0, 0.0)[:2]
+            distortion = Distortion(radial=(k1, k2, 0.0, 0.0))
         case "PINHOLE" | "OPENCV" | "FULL_OPENCV", (fx, fy, cx, cy, *rest):
-            radial[:2], tangential[:] = rest[:2] or [0.0, 0.0], rest[2:4] or [0.0, 0.0]
-            radial[2:3] = rest[4:5] or [0.0]
-            rational[:] = rest[5:8] or [0.0] * 3
+            k1, k2, p1, p2, k3, k4, k5, k6 = (*rest, *[0.0] * 8)[:8]
+            distortion = Distortion(
+                radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2)
+            )
         case _:
             raise refuse(
                 "camera-model",
@@ -258,14 +260,4 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
             "Estimate the cameras again.",
             path.name,
         )
-    return Lens(
-        width=width,
-        height=height,
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        distortion=Distortion(
-            radial=tuple(radial), rational=tuple(rational), tangential=tuple(tangential)
-        ),
-    )
+    return Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)

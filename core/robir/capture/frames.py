@@ -103,7 +103,8 @@ class Lens:
             return self.camera(camera_to_world, *self.size).resized(width, height)
         fx, fy = self.fx, self.fy
         if fx is None:
-            assert self.angle_x is not None, "readers give fx or angle_x"
+            if self.angle_x is None:
+                raise refuse("bad-intrinsics", "A camera has no focal length", "State it.")
             fx = 0.5 * width / np.tan(0.5 * self.angle_x)
             if fy is None and self.angle_y is not None:
                 fy = 0.5 * height / np.tan(0.5 * self.angle_y)

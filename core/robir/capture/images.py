@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +15,13 @@ from scipy import ndimage
 
 from robir.capture.camera import Camera
 from robir.capture.frames import Distortion
-from robir.capture.refusal import refuse
+from robir.capture.refusal import CaptureRefusedError, refuse
 
 Bytes = NDArray[np.uint8]
 
 _EXIF_ORIENTATION = 0x0112
+_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
+"""What Pillow raises for broken files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,8 +174,9 @@ def undistort(
     rows_columns = (at - 0.5).T[::-1].reshape(2, camera.height, camera.width)
 
     def remap(layer: Bytes) -> Bytes:
-        moved = ndimage.map_coordinates(
-            layer.astype(np.float32), rows_columns, order=1, mode="nearest"
+        moved = np.empty(rows_columns.shape[1:], dtype=np.float32)
+        ndimage.map_coordinates(
+            layer.astype(np.float32), rows_columns, output=moved, order=1, mode="nearest"
         )
         return _bytes(moved)
 
@@ -231,39 +236,39 @@ def _bytes(values: NDArray[np.float32]) -> Bytes:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-class _opened:
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
     """A picture file, opened and decoded, or a refusal that names it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> Image.Image:
-        path = self._path
+    try:
+        picture = Image.open(path)
+    except FileNotFoundError:
+        raise refuse(
+            "missing-images", f"{path} does not exist", "Put it there.", path.name
+        ) from None
+    except UnidentifiedImageError:
+        raise refuse(
+            "unreadable-images",
+            f"{path} is not a photograph that can be read",
+            "Save it as PNG, JPEG or TIFF.",
+            path.name,
+        ) from None
+    except _DAMAGE as fault:
+        raise _damaged(path, fault) from None
+    with picture:
         try:
-            self._picture = Image.open(path)
-            self._picture.load()
-        except FileNotFoundError:
-            raise refuse(
-                "missing-images", f"{path} does not exist", "Put it there.", path.name
-            ) from None
-        except UnidentifiedImageError:
-            raise refuse(
-                "unreadable-images",
-                f"{path} is not a photograph that can be read",
-                "Save it as PNG, JPEG or TIFF.",
-                path.name,
-            ) from None
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as fault:
-            raise refuse(
-                "unreadable-images",
-                f"{path} is truncated or damaged ({fault})",
-                "Copy it again from the camera, or remove it and its pose.",
-                path.name,
-            ) from None
-        return self._picture
+            picture.load()
+        except _DAMAGE as fault:
+            raise _damaged(path, fault) from None
+        yield picture
 
-    def __exit__(self, *_: object) -> None:
-        self._picture.close()
+
+def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
+    return refuse(
+        "unreadable-images",
+        f"{path} is truncated or damaged ({fault})",
+        "Copy it again from the camera, or remove it and its pose.",
+        path.name,
+    )
 
 
 def _photo(picture: Image.Image, path: Path, turned: bool) -> Photo:

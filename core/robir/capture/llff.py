@@ -75,7 +75,8 @@ def read(path: Path) -> FrameSet:
 
 def _rows(path: Path) -> Array:
     try:
-        rows = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        with path.open("rb") as file:
+            rows = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, EOFError) as fault:
         raise refuse(
             "bad-poses", f"{path} is no readable array ({fault})", "Copy it again.", path.name

@@ -88,7 +88,7 @@ def _keys(relative: str) -> list[str]:
     stem = parts[-1]
     bare = _AFFIX.sub("", _without_suffixes(_AFFIX.sub("", stem)))
     keys = [f"path:{path}"]
-    keys += [f"path:{'/'.join(parts[i:-1] + [bare])}" for i in range(len(parts))]
+    keys += [f"path:{'/'.join([*parts[i:-1], bare])}" for i in range(len(parts))]
     keys += [f"stem:{stem}", f"bare:{bare}"]
     if bare.isdigit():
         keys.append(f"number:{int(bare)}")

@@ -95,7 +95,7 @@ def read(path: Path) -> FrameSet:
 
 def _matrices(path: Path) -> dict[str, Array]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = {
                 key: np.asarray(archive[key], dtype=np.float64)
                 for key in archive.files

@@ -14,6 +14,9 @@ from robir.capture.refusal import error, note, warning
 
 Views = tuple[View, ...]
 
+GOOD_AGREEMENT = 0.97
+"""Right masks and poses reach 0.99 and more; below this, something is likely to be wrong."""
+
 MIN_AGREEMENT = 0.8
 """Below this median share of a mask explained by the others, masks and poses do not fit."""
 
@@ -56,12 +59,21 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
             )
         )
         return views, None, findings
+    if hull.strict < GOOD_AGREEMENT:
+        findings.append(
+            warning(
+                "masks-disagree",
+                "What all masks allow to be there explains only "
+                f"{100 * hull.strict:.0f} % of a mask",
+                "Check that masks and photographs are paired rightly and that the poses are good.",
+            )
+        )
     train = [view for view in views if view.split == "train"]
     odd = [v.name for v, share in zip(train, hull.agreement, strict=True) if share < 0.8]
     if odd:
         findings.append(
             warning(
-                "masks-disagree",
+                "odd-masks",
                 f"{len(odd)} of {len(train)} masks show more than the others leave room for",
                 "Check these masks and poses.",
                 *odd,

@@ -12,8 +12,8 @@ from robir.capture.config import CaptureConfig
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
 from robir.capture.place import place_object
-from robir.capture.refusal import CaptureRefused, error, note, refuse
-from robir.capture.views import Loaded, Progress, load_views, splits
+from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
@@ -53,7 +53,7 @@ def read_frames(source: Path) -> FrameSet:
     raise _not_recognised(source)
 
 
-def _not_recognised(source: Path) -> CaptureRefused:
+def _not_recognised(source: Path) -> CaptureRefusedError:
     photographs = [
         path.relative_to(source).as_posix()
         for path in sorted(source.rglob("*"))
@@ -79,7 +79,7 @@ def _not_recognised(source: Path) -> CaptureRefused:
 
 
 def read_capture(
-    source: Path, masks: Path | None, config: CaptureConfig, progress: Progress | None = None
+    source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
 ) -> Capture:
     """Read a capture of any known format and check it.
 
@@ -93,10 +93,9 @@ def read_capture(
         Views in the capture's own frame, the object's bounds, and findings without errors.
 
     Raises:
-        CaptureError: If the capture cannot be reconstructed; a `CaptureRefused` whose findings
+        CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
             hold everything that was noticed until then.
     """
-    tell = progress or (lambda fraction, message: None)
     frames = read_frames(source)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
@@ -106,9 +105,9 @@ def read_capture(
         findings += [note("mask-folder", f"Masks are taken from {masks}")] if masks else []
     try:
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
-    except CaptureRefused as refusal:
-        raise CaptureRefused([*findings, *refusal.findings]) from None
-    loaded = load_views(chosen, drawn, config, lambda share, text: tell(_READING * share, text))
+    except CaptureRefusedError as refusal:
+        raise CaptureRefusedError([*findings, *refusal.findings]) from None
+    loaded = load_views(chosen, drawn, config, lambda share, text: progress(_READING * share, text))
     findings += loaded.findings
     if loaded.views:
         findings += check_photographs(loaded.views)
@@ -116,13 +115,13 @@ def read_capture(
     _stop_on_errors(findings)
     findings += check_masks(loaded.views)
     _stop_on_errors(findings)
-    tell(_READING, "looking for the object")
+    progress(_READING, "looking for the object")
     views, bounds, about = place_object(frames, loaded.views)
     findings += about
     if bounds is None:
-        raise CaptureRefused(findings)
+        raise CaptureRefusedError(findings)
     findings += check_place(views, bounds)
-    tell(1.0, "capture read")
+    progress(1.0, "capture read")
     return Capture(
         source=source,
         format=frames.format,
@@ -158,4 +157,4 @@ def _check_mask_supply(loaded: Loaded) -> list[Finding]:
 
 def _stop_on_errors(findings: list[Finding]) -> None:
     if any(finding.level == "error" for finding in findings):
-        raise CaptureRefused(findings)
+        raise CaptureRefusedError(findings)

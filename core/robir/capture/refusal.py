@@ -12,7 +12,7 @@ MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
 
 
-class CaptureRefused(CaptureError):
+class CaptureRefusedError(CaptureError):
     """The capture cannot be reconstructed; the findings say why and what to do.
 
     Attributes:
@@ -33,9 +33,9 @@ def describe(finding: Finding) -> str:
     return f"{finding.message}{files}.{cure}"
 
 
-def refuse(code: str, message: str, cure: str, *files: str) -> CaptureRefused:
+def refuse(code: str, message: str, cure: str, *files: str) -> CaptureRefusedError:
     """A refusal for one reason."""
-    return CaptureRefused([error(code, message, cure, *files)])
+    return CaptureRefusedError([error(code, message, cure, *files)])
 
 
 def error(code: str, message: str, cure: str, *files: str) -> Finding:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
-from robir.capture.refusal import CaptureRefused, refuse
+from robir.capture.refusal import CaptureRefusedError, refuse
 
 PINHOLE_MODELS = frozenset(
     {"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"}
@@ -64,7 +64,7 @@ def looks_like(path: Path) -> bool:
         return '"transform_matrix"' in file.read(65536)
 
 
-def missing_key(path: Path, key: str, where: str) -> CaptureRefused:
+def missing_key(path: Path, key: str, where: str) -> CaptureRefusedError:
     """The refusal for a key that is not there."""
     return refuse(
         "missing-key",

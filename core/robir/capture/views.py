@@ -20,10 +20,15 @@ from robir.capture.images import (
     shrink,
     undistort,
 )
-from robir.capture.refusal import CaptureRefused, note, refuse
+from robir.capture.refusal import CaptureRefusedError, note, refuse
 
 Progress = Callable[[float, str], None]
 """Told the share of the work done, in [0, 1], and what is being done."""
+
+
+def unheard(fraction: float, message: str) -> None:
+    """A `Progress` that nobody listens to."""
+    del fraction, message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +99,7 @@ def load_views(
     for done, (frame, split) in enumerate(chosen):
         try:
             view, has_mask, is_turned = _load(frame, split, masks.get(frame.name), config)
-        except CaptureRefused as refusal:
+        except CaptureRefusedError as refusal:
             findings.extend(refusal.findings)
         else:
             views.append(view)
