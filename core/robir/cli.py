@@ -118,7 +118,10 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     parser.set_defaults(command=commands.relight)
     parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
     parser.add_argument(
-        "--environment", type=Path, required=True, metavar="FILE", help="lat-long .hdr or .exr"
+        "--environment",
+        required=True,
+        metavar="FILE",
+        help="lat-long .hdr or .exr, or the name of one that Blender ships, such as city",
     )
     parser.add_argument("--rotation", type=float, help="degrees about the up axis")
     parser.add_argument(
