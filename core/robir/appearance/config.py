@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the appearance stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robir.errors import ConfigError
+
+FAMILIES = ("standard", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AppearanceConfig:
+    """How the light is searched and how the textures are made.
+
+    Attributes:
+        families: Tone curves that may be chosen; one alone is taken as given.
+        num_soft_lobes: Fixed soft lobes that stand for the sky.
+        num_sharp_lobes: Sharp lobes (suns, lamps) that may be found at most.
+        num_scan_directions: Directions of the whole sphere scanned for suns.
+        num_solve_surfels: Surface samples that take part in the light solve.
+        iterations: Adam steps of the last light solve; trial solves take a third.
+        parsimony_weight: Weight of "few distinct albedos" once the suns stand.
+        num_materials: Clusters of albedo that share one roughness.
+        texture_size: Side of the square textures, texels.
+    """
+
+    families: tuple[str, ...] = FAMILIES
+    num_soft_lobes: int = 64
+    num_sharp_lobes: int = 2
+    num_scan_directions: int = 2000
+    num_solve_surfels: int = 5000
+    iterations: int = 240
+    parsimony_weight: float = 0.1
+    num_materials: int = 10
+    texture_size: int = 512
+
+    def __post_init__(self) -> None:
+        """Refuse unknown families and sizes that cannot work."""
+        unknown = sorted(set(self.families) - set(FAMILIES))
+        if unknown or not self.families:
+            raise ConfigError(
+                f"appearance.families is {list(self.families)}; it must name some of "
+                f"{', '.join(FAMILIES)}"
+            )
+        for name, low in (
+            ("num_soft_lobes", 4),
+            ("num_sharp_lobes", 0),
+            ("num_scan_directions", 200),
+            ("num_solve_surfels", 500),
+            ("iterations", 20),
+            ("num_materials", 1),
+            ("texture_size", 32),
+        ):
+            if getattr(self, name) < low:
+                raise ConfigError(
+                    f"appearance.{name} is {getattr(self, name)}; it must be at least {low}"
+                )
+        if self.parsimony_weight < 0:
+            raise ConfigError(
+                f"appearance.parsimony_weight is {self.parsimony_weight}; it must not be negative"
+            )

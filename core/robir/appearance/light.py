@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light: fixed soft lobes for the sky, a few free sharp lobes for suns and lamps.
+
+Irradiance is linear in the amplitudes. With the exitant radiance R of a diffuse sample measured by
+the cameras, albedo is not an unknown but a ratio, a = pi R / E, and only the light is searched
+(variable elimination): a few hundred numbers. What decides is the prior on the logarithm of that
+ratio. Absolute differences between neighbours do not saturate, so a light that leaves every
+shadow in the albedo pays for every shadow; a saturating penalty would forgive them and prefer a
+light without a sun.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.statistics import Pairs, Radiance
+from robir.maths.spherical_gaussian import SphericalGaussians
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.visibility import Visibility
+
+SOFT_SHARPNESS_PER_LOBE = 0.17
+"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transfer:
+    """Irradiance at the samples that take part, per unit of each light.
+
+    Attributes:
+        soft: (U, K) irradiance for unit amplitude of each soft lobe.
+        sharp: (U, J) irradiance for unit energy of each sharp lobe, visibility included.
+        indirect: (U, 3) irradiance from surfaces, fixed by the photographs.
+    """
+
+    soft: Tensor
+    sharp: Tensor
+    indirect: Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Amplitudes:
+    """Strength of the lights.
+
+    Attributes:
+        soft: (K, 3) radiance at the lobe's peak.
+        sharp: (J, 3) irradiance at normal incidence.
+    """
+
+    soft: Tensor
+    sharp: Tensor
+
+    def irradiance(self, transfer: Transfer) -> Tensor:
+        """Irradiance (U, 3) at the samples of a transfer."""
+        return transfer.soft @ self.soft + transfer.sharp @ self.sharp + transfer.indirect
+
+
+def soft_lobes(count: int) -> tuple[Tensor, float]:
+    """Axes (K, 3) and the common sharpness of the fixed soft lobes."""
+    return fibonacci_sphere(count).float(), max(1.0, SOFT_SHARPNESS_PER_LOBE * count)
+
+
+def soft_transfer(
+    visibility: Visibility, normal: NDArray[np.float32], rows: NDArray[np.int64], count: int
+) -> Tensor:
+    """Irradiance at samples for unit amplitude of each soft lobe, by equation (1) of transport.
+
+    Args:
+        visibility: Bits of all samples.
+        normal: (S, 3) normals of all samples.
+        rows: (U,) samples wanted.
+        count: Number of soft lobes.
+
+    Returns:
+        (U, count) float32.
+    """
+    axes, sharpness = soft_lobes(count)
+    directions = torch.from_numpy(visibility.directions)
+    values = torch.exp(sharpness * (directions @ axes.T - 1))
+    values = values * (4 * np.pi / len(directions))
+    parts = []
+    for start in range(0, len(rows), 4096):
+        chosen = rows[start : start + 4096]
+        bits = np.unpackbits(visibility.bits[chosen], axis=1, count=len(directions))
+        cosine = torch.from_numpy(normal[chosen]) @ directions.T
+        parts.append((torch.from_numpy(bits).float() * cosine.clamp(min=0)) @ values)
+    return torch.cat(parts)
+
+
+def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
+    """Logarithm of albedo, log(pi R / E), kept finite where hardly any light arrives."""
+    floor = 0.02 * irradiance.mean(0).detach()
+    return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
+
+
+def pair_residual(log_albedo: Tensor, clipped: Tensor, pairs: Pairs) -> Tensor:
+    """Differences of log albedo between paired samples, (P, 3).
+
+    A clipped sample is at least as bright as it looks, so it is only wrong when it comes out
+    brighter than its partner; two clipped samples say nothing about each other.
+    """
+    difference = log_albedo[pairs.first] - log_albedo[pairs.second]
+    first, second = clipped[pairs.first], clipped[pairs.second]
+    low = torch.where(first, torch.zeros_like(difference), difference.clamp(max=0))
+    high = torch.where(second, torch.zeros_like(difference), difference.clamp(min=0))
+    return low + high
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Priors:
+    """Weights of the priors on albedo and light, relative to the neighbour term.
+
+    Attributes:
+        brightest: Albedo that the brightest materials should not exceed.
+        bounds: Weight of staying within a physical range.
+        hue: Weight of the lights sharing one hue.
+        smooth: Weight of neighbouring soft lobes being alike.
+        parsimony: Weight of few distinct albedos; 0 leaves the step out.
+        width: Width of an albedo cluster in log units, at the end of the annealing.
+    """
+
+    brightest: float = 0.85
+    bounds: float = 1.0
+    hue: float = 0.03
+    smooth: float = 0.01
+    parsimony: float = 0.0
+    width: float = 0.15
+
+
+def solve_amplitudes(
+    radiance: Radiance,
+    transfer: Transfer,
+    pairs: Pairs,
+    priors: Priors,
+    iterations: int,
+    start: Amplitudes | None = None,
+    generator: torch.Generator | None = None,
+) -> tuple[Amplitudes, float]:
+    """Light strengths whose eliminated albedo is the most plausible.
+
+    Args:
+        radiance: Of the samples that take part (U,).
+        transfer: Of the same samples.
+        pairs: Of the same samples.
+        priors: Weights.
+        iterations: Adam steps.
+        start: Where to begin; a neutral sky with equally strong suns if None.
+        generator: Randomness of the parsimony pairs.
+
+    Returns:
+        Amplitudes and the final neighbour loss (mean absolute log difference).
+    """
+    num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
+    if start is None:
+        start = neutral_start(radiance, transfer)
+    log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
+    log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
+    optimiser = torch.optim.Adam([log_soft, log_sharp], lr=0.06, betas=(0.9, 0.98))
+    axes, _ = soft_lobes(num_soft)
+    near = (axes @ axes.T).fill_diagonal_(-1).topk(4).indices
+    loss_value = 0.0
+    for step in range(iterations):
+        fraction = step / max(1, iterations - 1)
+        for group in optimiser.param_groups:
+            group["lr"] = 0.06 * (1 - 0.9 * fraction)
+        optimiser.zero_grad()
+        amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
+        irradiance = amplitudes.irradiance(transfer)
+        log_albedo = log_ratio(radiance.linear, irradiance)
+        residual = pair_residual(log_albedo, radiance.clipped, pairs).abs().sum(1)
+        neighbour = (residual * pairs.weight).sum()
+        loss = neighbour + priors.bounds * range_loss(log_albedo, radiance.clipped, priors)
+        hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
+        hues = hues - hues.mean(1, keepdim=True)
+        loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
+        loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
+        if priors.parsimony > 0:
+            width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
+            loss = loss + priors.parsimony * parsimony_loss(
+                log_albedo, radiance.clipped, width, generator
+            )
+        loss.backward()
+        optimiser.step()
+        loss_value = float(neighbour.detach())
+    return Amplitudes(soft=log_soft.detach().exp(), sharp=log_sharp.detach().exp()), loss_value
+
+
+def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
+    """A grey sky and equally strong suns, scaled so that the median albedo is 0.35."""
+    num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
+    sky = transfer.soft.sum(1)
+    unit = sky + float(sky.mean()) * 2 * transfer.sharp.sum(1) / max(1, num_sharp)
+    wanted = np.pi * radiance.linear.mean(1) / 0.35
+    scale = float((wanted.median() / unit.median().clamp(min=1e-6)).clamp(min=1e-6))
+    soft = torch.full((num_soft, 3), scale)
+    sharp = torch.full((num_sharp, 3), 2 * scale * float(sky.mean()) / max(1, num_sharp))
+    return Amplitudes(soft=soft, sharp=sharp)
+
+
+def range_loss(log_albedo: Tensor, clipped: Tensor, priors: Priors) -> Tensor:
+    """Penalty for albedos that no common material has; it fixes the overall scale.
+
+    Above the brightest plausible value the penalty is steep, below 0.03 gentle; a weak pull towards
+    a mean of 0.3 decides where neither is reached.
+    """
+    high = (log_albedo - np.log(priors.brightest)).clamp(min=0).mean()
+    low = (np.log(0.03) - log_albedo).clamp(min=0).mean()
+    middle = (log_albedo[~clipped.any(1)].mean() - np.log(0.3)) ** 2
+    return 2 * high + 0.3 * low + 0.02 * middle.nan_to_num()
+
+
+def parsimony_loss(
+    log_albedo: Tensor, clipped: Tensor, width: float, generator: torch.Generator | None
+) -> Tensor:
+    """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy."""
+    usable = torch.nonzero(~clipped.any(1))[:, 0]
+    if len(usable) < 2:
+        return log_albedo.sum() * 0
+    count = 20000
+    first = usable[torch.randint(len(usable), (count,), generator=generator)]
+    second = usable[torch.randint(len(usable), (count,), generator=generator)]
+    squared = ((log_albedo[first] - log_albedo[second]) ** 2).sum(1)
+    kernel = torch.exp(-squared / (2 * width**2))
+    return -torch.log(kernel.mean() + 1e-4)
+
+
+def lobes_of(
+    amplitudes: Amplitudes, axes: NDArray[np.float32], sharpness: NDArray[np.float32]
+) -> SphericalGaussians:
+    """All lights as one mixture of lobes.
+
+    Args:
+        amplitudes: Strengths; a sharp lobe's is its irradiance at normal incidence.
+        axes: (J, 3) axes of the sharp lobes.
+        sharpness: (J,) their sharpness.
+
+    Returns:
+        Soft lobes first, then sharp ones; amplitudes are radiance.
+    """
+    soft_axes, soft_sharpness = soft_lobes(len(amplitudes.soft))
+    sharp = torch.from_numpy(sharpness).float()
+    energy = 2 * np.pi / sharp * -torch.expm1(-2 * sharp)
+    return SphericalGaussians(
+        axis=torch.cat([soft_axes, torch.from_numpy(axes).float().reshape(-1, 3)]),
+        sharpness=torch.cat([torch.full((len(soft_axes),), soft_sharpness), sharp]),
+        amplitude=torch.cat([amplitudes.soft, amplitudes.sharp / energy[:, None]]),
+    )

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light problem of one scene under one tone curve: what is known, sub-sampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light import Transfer, soft_transfer
+from robir.appearance.statistics import (
+    Pairs,
+    Radiance,
+    diffuse_radiance,
+    linear_observations,
+    neighbour_pairs,
+)
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.baked import Transport
+from robir.transport.tracer import EmbreeTracer
+from robir.transport.visibility import lobe_directions, lobe_transfer
+
+Floats = NDArray[np.float32]
+
+PAIR_REACHES = (0.05, 0.12, 0.25)
+"""Distances over which albedos are compared, unit frame: below and above the width of a shadow."""
+
+HIDDEN_SHARE = 0.3
+"""Radiance of surfaces that no camera sees, over the median of those that are seen: they lie
+inside and underneath, where little light comes."""
+
+SUN_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What does not depend on the tone curve.
+
+    Attributes:
+        transport: Baked samples, visibility, observations.
+        tracer: Tracer of the mesh; None when nothing blocks light.
+        soft: (S, K) irradiance for unit amplitude of the soft lobes.
+        offset: Distance that rays start above the surface.
+        rows: (U,) samples that take part in the light solve; all are seen by two views or more.
+        pairs: Neighbours among them.
+    """
+
+    transport: Transport
+    tracer: EmbreeTracer | None
+    soft: Tensor
+    offset: float
+    rows: NDArray[np.int64]
+    pairs: Pairs
+
+    def sharp_transfer(self, axes: Floats, sharpness: Floats, rows: NDArray[np.int64]) -> Tensor:
+        """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
+        surfels = self.transport.surfels
+        columns = [
+            lobe_transfer(
+                self.tracer,
+                surfels.position[rows],
+                surfels.normal[rows],
+                lobe_directions(axis, float(width), SUN_SAMPLES),
+                self.offset,
+            )
+            for axis, width in zip(axes, sharpness, strict=True)
+        ]
+        if not columns:
+            return torch.zeros(len(rows), 0)
+        return torch.from_numpy(np.stack(columns, axis=1))
+
+
+def make_scene(
+    transport: Transport,
+    tracer: EmbreeTracer | None,
+    offset: float,
+    sizes: tuple[int, int],
+    rng: np.random.Generator,
+) -> Scene:
+    """Choose the samples that take part and precompute the sky's transport.
+
+    Args:
+        transport: Baked transport.
+        tracer: Tracer of the mesh, or None where nothing blocks light.
+        offset: Distance that rays start above the surface.
+        sizes: Number of samples that take part and number of soft lobes.
+        rng: Source of randomness.
+
+    Returns:
+        The scene.
+    """
+    num_rows, num_soft = sizes
+    surfels = transport.surfels
+    everything = np.arange(len(surfels))
+    soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
+    seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
+    rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, 3, rng)
+    return Scene(transport, tracer, soft, offset, rows, pairs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """A scene under one tone curve.
+
+    Attributes:
+        scene: The scene.
+        curve: The tone curve.
+        radiance: (S) diffuse radiance of all samples.
+        indirect: (S, 3) irradiance of all samples from other surfaces.
+    """
+
+    scene: Scene
+    curve: AbstractToneCurve
+    radiance: Radiance
+    indirect: Tensor
+
+    def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
+        """Radiance of some samples."""
+        return Radiance(
+            linear=self.radiance.linear[rows],
+            clipped=self.radiance.clipped[rows],
+            seen=self.radiance.seen[rows],
+        )
+
+    def transfer(self, sharp: Tensor, rows: NDArray[np.int64]) -> Transfer:
+        """Transfer of some samples, with given columns for the sharp lobes."""
+        return Transfer(soft=self.scene.soft[rows], sharp=sharp, indirect=self.indirect[rows])
+
+
+def make_problem(scene: Scene, curve: AbstractToneCurve, specular: Tensor | None = None) -> Problem:
+    """Undo a tone curve and gather what it makes known.
+
+    Args:
+        scene: The scene.
+        curve: Tone curve to undo.
+        specular: (S, V, 3) specular radiance of every observation, to be taken off; None if not
+            known yet.
+
+    Returns:
+        The problem.
+    """
+    observations = scene.transport.observations
+    linear = linear_observations(observations, curve)
+    total = diffuse_radiance(observations, linear)
+    # What bounces is everything that leaves the surface, highlights aside.
+    exitant = total.linear.clone()
+    exitant[~total.seen] = HIDDEN_SHARE * exitant[total.seen].median(0).values
+    bounce = scene.transport.visibility.bounce
+    indirect = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
+    if specular is not None:
+        linear = torch.maximum(linear - specular, 0.02 * linear)
+        total = diffuse_radiance(observations, linear)
+    return Problem(scene=scene, curve=curve, radiance=total, indirect=indirect)

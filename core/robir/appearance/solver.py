@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light of one scene under one tone curve: suns first, then strengths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light import (
+    Amplitudes,
+    Priors,
+    log_ratio,
+    pair_residual,
+    solve_amplitudes,
+)
+from robir.appearance.problem import Problem
+from robir.appearance.statistics import neighbour_pairs
+from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
+
+Floats = NDArray[np.float32]
+
+SCAN_SURFELS = 2500
+SUN_SHARPNESS = 2000.0
+"""Of a sun before its own is searched: about 1.3 degrees across."""
+
+MIN_GAIN = 0.01
+"""A further sharp lobe must lower the neighbour loss by this share, or the scene does without."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """A solved light.
+
+    Attributes:
+        axes: (J, 3) float32 axes of the sharp lobes, towards the light.
+        sharpness: (J,) float32.
+        amplitudes: Strengths of soft and sharp lobes.
+        loss: Mean absolute difference of log albedo between neighbours.
+        history: Neighbour loss with 0, 1, ... sharp lobes, for the report.
+    """
+
+    axes: Floats
+    sharpness: Floats
+    amplitudes: Amplitudes
+    loss: float
+    history: tuple[float, ...]
+
+
+def no_suns() -> tuple[Floats, Floats]:
+    """Axes and sharpness of no sharp lobes."""
+    return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+
+
+def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
+    """Add sharp lobes one at a time while each explains shadows that nothing else does.
+
+    Args:
+        problem: Scene under a tone curve.
+        config: Sizes.
+        seed: Of the sub-samples.
+
+    Returns:
+        The light with its suns, strengths from short solves.
+    """
+    axes, sharpness = no_suns()
+    trial = config.iterations // 3
+    light = fit(problem, axes, sharpness, trial)
+    losses = [light.loss]
+    for index in range(config.num_sharp_lobes):
+        rng = np.random.default_rng(seed + index)
+        base = None if index == 0 else _direct(problem, light)
+        coarse = _sun_problem(problem, base, SCAN_SURFELS, rng)
+        fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
+        candidates = scan(coarse, config.num_scan_directions, 5)
+        spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
+        refined = [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates[:3]]
+        best = _best_addition(problem, light, refined, trial)
+        if best is None or best.loss > (1 - MIN_GAIN) * light.loss:
+            break
+        light = best
+        losses.append(light.loss)
+    return replace(light, history=tuple(losses))
+
+
+def _best_addition(
+    problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
+) -> Light | None:
+    """The candidate whose full solve has the lowest loss."""
+    best: Light | None = None
+    for candidate in candidates:
+        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(0.1):
+            continue
+        axes = np.concatenate([light.axes, candidate.axis[None]])
+        sharpness = np.append(light.sharpness, np.float32(SUN_SHARPNESS))
+        solved = fit(problem, axes, sharpness, iterations)
+        if best is None or solved.loss < best.loss:
+            best = solved
+    return best
+
+
+def fit(
+    problem: Problem,
+    axes: Floats,
+    sharpness: Floats,
+    iterations: int,
+    parsimony: float = 0.0,
+    start: Amplitudes | None = None,
+) -> Light:
+    """Strengths of all lobes for fixed suns.
+
+    Args:
+        problem: Scene under a tone curve.
+        axes: (J, 3) of the sharp lobes.
+        sharpness: (J,).
+        iterations: Adam steps.
+        parsimony: Weight of few distinct albedos.
+        start: Where to begin.
+
+    Returns:
+        The light.
+    """
+    rows = problem.scene.rows
+    sharp = problem.scene.sharp_transfer(axes, sharpness, rows)
+    amplitudes, loss = solve_amplitudes(
+        problem.rows_radiance(rows),
+        problem.transfer(sharp, rows),
+        problem.scene.pairs,
+        Priors(parsimony=parsimony),
+        iterations,
+        start=start,
+        generator=torch.Generator().manual_seed(len(rows)),
+    )
+    return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
+
+
+def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
+    """Directions and sizes of the suns with the whole light known, then the final strengths.
+
+    Args:
+        problem: Scene under a tone curve.
+        light: Light from `find_suns`.
+        config: Sizes.
+        seed: Of the sub-samples.
+
+    Returns:
+        The final light.
+    """
+    axes, sharpness = light.axes.copy(), light.sharpness.copy()
+    for index in range(len(axes)):
+        others = np.arange(len(axes)) != index
+        base = _direct(problem, light, others)
+        rng = np.random.default_rng(seed + index)
+        fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
+        start = SunCandidate(axis=axes[index], strength=1.0, loss=np.inf, gain=0.0)
+        axes[index] = refine(fine, start, 0.03, 4).axis
+        sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
+    first = fit(problem, axes, sharpness, config.iterations)
+    if config.parsimony_weight == 0:
+        return replace(first, history=light.history)
+    final = fit(
+        problem,
+        axes,
+        sharpness,
+        config.iterations,
+        parsimony=config.parsimony_weight,
+        start=first.amplitudes,
+    )
+    return replace(final, history=light.history)
+
+
+def _best_sharpness(
+    problem: Problem, light: Light, axes: Floats, sharpness: Floats, index: int
+) -> float:
+    """Size of a sun, by the neighbour loss at fixed strengths."""
+    rows = problem.scene.rows
+    radiance = problem.rows_radiance(rows)
+    best, best_loss = float(sharpness[index]), np.inf
+    for trial in (100.0, 400.0, 2000.0, 10000.0):
+        tried = sharpness.copy()
+        tried[index] = trial
+        sharp = problem.scene.sharp_transfer(axes, tried, rows)
+        irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
+        log_albedo = log_ratio(radiance.linear, irradiance)
+        residual = pair_residual(log_albedo, radiance.clipped, problem.scene.pairs).abs().sum(1)
+        loss = float((residual * problem.scene.pairs.weight).sum())
+        if loss < best_loss:
+            best, best_loss = trial, loss
+    return best
+
+
+def _direct(problem: Problem, light: Light, others: NDArray[np.bool_] | None = None) -> Tensor:
+    """Irradiance (S, 3) of the light without bounces, with only some of its sharp lobes."""
+    everything = np.arange(len(problem.scene.transport.surfels))
+    chosen = np.ones(len(light.axes), bool) if others is None else others
+    sharp = problem.scene.sharp_transfer(light.axes[chosen], light.sharpness[chosen], everything)
+    strength = light.amplitudes.sharp[torch.from_numpy(chosen)]
+    return problem.scene.soft @ light.amplitudes.soft + sharp @ strength
+
+
+def _sun_problem(
+    problem: Problem, base: Tensor | None, count: int, rng: np.random.Generator
+) -> SunProblem:
+    """Sub-sample for the scan; the base is a grey sky unless a light is known."""
+    scene = problem.scene
+    surfels = scene.transport.surfels
+    rows = scene.rows
+    if count < len(rows):
+        rows = np.sort(rng.choice(rows, count, replace=False))
+    reaches = (0.05, 0.12, 0.25)
+    per_reach = 1 if count < len(scene.rows) else 2
+    pairs = neighbour_pairs(surfels, rows, reaches, per_reach, rng)
+    sky = scene.soft.sum(1)[:, None].expand(-1, 3) if base is None else base
+    return SunProblem(
+        position=surfels.position[rows],
+        normal=surfels.normal[rows],
+        radiance=problem.rows_radiance(rows),
+        base=sky[rows],
+        indirect=problem.indirect[rows],
+        pairs=pairs,
+        tracer=scene.tracer,
+        offset=scene.offset,
+    )

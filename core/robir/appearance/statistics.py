@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One radiance per surface sample, and pairs of samples that may share an albedo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.observe import Observations
+from robir.transport.surfels import Surfels
+
+LOW_SHARE, HIGH_SHARE = 0.1, 0.5
+"""Between these ranks of brightness a sample's views are averaged: highlights lie above, pixels
+darkened by an outline below."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Radiance:
+    """Exitant radiance of the samples without highlights, under one tone curve.
+
+    Attributes:
+        linear: (S, 3) float32, linear Rec.709, > 0 where seen.
+        clipped: (S, 3) bool; the true value is at least `linear`.
+        seen: (S,) bool; at least two views show the sample.
+    """
+
+    linear: Tensor
+    clipped: Tensor
+    seen: Tensor
+
+
+def linear_observations(observations: Observations, curve: AbstractToneCurve) -> Tensor:
+    """Radiance of every observation under a tone curve.
+
+    Args:
+        observations: Colours in the photographs.
+        curve: Tone curve to undo.
+
+    Returns:
+        (N, V, 3) float32, linear Rec.709.
+    """
+    display = torch.from_numpy(observations.display.astype(np.float32) / 255)
+    return curve.linear_from_display(display.reshape(-1, 3)).reshape(display.shape).float()
+
+
+def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
+    """Robust low mean over the views: highlights drop out, noise averages.
+
+    Args:
+        observations: Colours in the photographs.
+        linear: (N, V, 3) their radiance under the tone curve, specular part removed if known.
+
+    Returns:
+        Radiance per sample.
+    """
+    valid = torch.from_numpy(observations.weight > 0)
+    count = valid.sum(1)
+    luminance = linear.sum(2).masked_fill(~valid, float("inf"))
+    rank = luminance.argsort(1).argsort(1).float()
+    low = (LOW_SHARE * count).floor()[:, None]
+    high = (HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
+    chosen = valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)
+    share = chosen.float() / chosen.sum(1, keepdim=True).clamp(min=1)
+    mean = (linear * share[..., None]).sum(1)
+    top = torch.from_numpy(observations.clipped) & chosen[..., None]
+    clipped = (top.float() * share[..., None]).sum(1) > 0.3
+    return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=count >= 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """Pairs of samples whose albedos are compared.
+
+    Attributes:
+        first: (P,) int64 indices.
+        second: (P,) int64 indices.
+        weight: (P,) float32, sums to 1.
+    """
+
+    first: Tensor
+    second: Tensor
+    weight: Tensor
+
+
+def neighbour_pairs(
+    surfels: Surfels,
+    usable: NDArray[np.int64],
+    reaches: tuple[float, ...],
+    per_reach: int,
+    rng: np.random.Generator,
+) -> Pairs:
+    """Random neighbours at several distances, in scene units.
+
+    Args:
+        surfels: All samples.
+        usable: (U,) indices of the samples that take part; pairs index into this list.
+        reaches: Distances in the unit frame; each contributes pairs of about that length.
+        per_reach: Pairs per sample and distance.
+        rng: Source of randomness.
+
+    Returns:
+        Pairs over the usable samples.
+    """
+    position = surfels.position[usable].astype(np.float64)
+    count = len(position)
+    tree = cKDTree(position)
+    first, second = [], []
+    for reach in reaches:
+        for _ in range(per_reach):
+            direction = rng.normal(size=(count, 3))
+            normal = surfels.normal[usable]
+            # Step mostly within the tangent plane: that is where neighbours are.
+            direction -= 0.7 * (direction * normal).sum(1, keepdims=True) * normal
+            direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+            length = reach * rng.uniform(0.5, 1.0, (count, 1))
+            distance, other = tree.query(position + length * direction, k=1)
+            good = (distance < 0.5 * reach + surfels.spacing) & (other != np.arange(count))
+            first.append(np.flatnonzero(good))
+            second.append(other[good])
+    left, right = np.concatenate(first), np.concatenate(second)
+    weight = np.full(len(left), 1 / max(1, len(left)), np.float32)
+    return Pairs(
+        first=torch.from_numpy(left),
+        second=torch.from_numpy(right),
+        weight=torch.from_numpy(weight),
+    )

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finding the suns: a dense scan over directions, then a shrinking search with traced rays.
+
+For a candidate direction the irradiance is a grey sky plus the measured bounce plus the candidate
+at one of several strengths; the score is the mean absolute difference of log albedo between
+neighbours (light.py). A sun whose shadows lie where the photographs show them removes every
+shadow edge at once, so its score drops sharply, and only near the right direction: the scan must be
+dense, and every candidate is blurred by the spacing of the scan so that none is stepped over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light import log_ratio, pair_residual
+from robir.appearance.statistics import Pairs, Radiance
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.tracer import EmbreeTracer
+from robir.transport.visibility import lobe_directions, lobe_transfer
+
+Floats = NDArray[np.float32]
+
+STRENGTHS = (0.15, 0.4, 0.8, 1.5, 3.0, 6.0, 12.0)
+"""Irradiance of the sun at normal incidence over that of the whole sky, tried for each direction;
+channels choose apart, within a factor of the common best."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunProblem:
+    """What the scan compares: a sub-sample of the surface.
+
+    Attributes:
+        position: (U, 3) unit frame.
+        normal: (U, 3) unit.
+        radiance: Of the U samples.
+        base: (U, 3) irradiance of the lights that are already known, or of a grey sky, per unit
+            strength of that light.
+        indirect: (U, 3) irradiance from surfaces.
+        pairs: Over the U samples.
+        tracer: Tracer of the mesh, or None where nothing blocks.
+        offset: Distance that rays start above the surface.
+    """
+
+    position: Floats
+    normal: Floats
+    radiance: Radiance
+    base: Tensor
+    indirect: Tensor
+    pairs: Pairs
+    tracer: EmbreeTracer | None
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunCandidate:
+    """A direction with its score.
+
+    Attributes:
+        axis: (3,) float32, unit, towards the light.
+        strength: Irradiance over that of the base light.
+        loss: Mean absolute log difference with this sun.
+        gain: How much lower that is than without any sun, as a share.
+    """
+
+    axis: Floats
+    strength: float
+    loss: float
+    gain: float
+
+
+def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tensor]:
+    """Loss of each candidate at every strength.
+
+    Args:
+        problem: The samples.
+        transfer: (C, U) visibility times cosine of each candidate.
+
+    Returns:
+        Losses (C, G) summed over channels, each channel at the strength common to all; and the
+        loss (1,) without any sun.
+    """
+    strengths = torch.tensor((0.0, *STRENGTHS))
+    losses = []
+    for row in transfer:
+        direct = problem.base + strengths[:, None, None] * row[:, None] * problem.base.mean()
+        wanted = np.pi * problem.radiance.linear.mean(1) / 0.35
+        scale = (wanted.median() / direct.mean(2).median(1).values.clamp(min=1e-6))[:, None, None]
+        irradiance = scale * direct + problem.indirect
+        losses.append(_pair_loss(problem, irradiance))
+    table = torch.stack(losses)
+    return table[:, 1:], table[:1, 0]
+
+
+def _pair_loss(problem: SunProblem, irradiance: Tensor) -> Tensor:
+    """Mean absolute pair difference for each of (G, U, 3) irradiances."""
+    floor = 0.02 * irradiance.mean((1, 2), keepdim=True)
+    radiance = problem.radiance
+    log_albedo = torch.log(radiance.linear) - 0.5 * torch.log(irradiance**2 + floor**2)
+    first = log_albedo[:, problem.pairs.first]
+    difference = first - log_albedo[:, problem.pairs.second]
+    one, two = radiance.clipped[problem.pairs.first], radiance.clipped[problem.pairs.second]
+    low = difference.clamp(max=0) * ~one
+    high = difference.clamp(min=0) * ~two
+    return ((high - low).sum(2) * problem.pairs.weight).sum(1)
+
+
+def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
+    """Best directions of a dense scan, far enough apart to be different lights.
+
+    Args:
+        problem: The samples.
+        count: Directions over the whole sphere.
+        keep: Candidates returned at most.
+
+    Returns:
+        Candidates, lowest loss first.
+    """
+    directions = fibonacci_sphere(count).numpy().astype(np.float32)
+    bits = _trace_directions(problem, directions)
+    cosine = np.clip(directions @ problem.normal.T, 0, None)
+    # One spacing of blur: the true direction then lies inside the basin of its neighbours.
+    spacing = np.sqrt(4 * np.pi / count)
+    kernel = np.exp((directions @ directions.T - 1) / (0.5 * spacing) ** 2)
+    kernel[kernel < 0.02] = 0
+    kernel /= kernel.sum(1, keepdims=True)
+    transfer = kernel @ (bits * cosine)
+    # A sun that lights nothing the cameras see cannot be judged and is none.
+    useful = (transfer > 0.05).mean(1) > 0.05
+    indices = np.flatnonzero(useful)
+    if not len(indices):
+        return []
+    losses, without = candidate_loss(problem, torch.from_numpy(transfer[indices]).float())
+    best, strength = losses.min(1)
+    order = best.argsort().tolist()
+    chosen: list[SunCandidate] = []
+    for index in order:
+        axis = directions[indices[index]]
+        if any(float(axis @ other.axis) > np.cos(0.3) for other in chosen):
+            continue
+        loss = float(best[index])
+        chosen.append(
+            SunCandidate(
+                axis=axis,
+                strength=STRENGTHS[int(strength[index])],
+                loss=loss,
+                gain=1 - loss / float(without),
+            )
+        )
+        if len(chosen) == keep:
+            break
+    return chosen
+
+
+def _trace_directions(problem: SunProblem, directions: Floats) -> Floats:
+    """Visibility (D, U) as 0 or 1 for every direction."""
+    bits = np.zeros((len(directions), len(problem.position)), np.float32)
+    origin = problem.position + problem.offset * problem.normal
+    for index, direction in enumerate(directions):
+        facing = np.flatnonzero(problem.normal @ direction > 0)
+        if problem.tracer is not None and len(facing):
+            rays = np.broadcast_to(direction, (len(facing), 3))
+            facing = facing[~problem.tracer.is_blocked(origin[facing], rays)]
+        bits[index, facing] = 1
+    return bits
+
+
+def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) -> SunCandidate:
+    """Shrinking search around a direction, every trial traced anew.
+
+    Args:
+        problem: The samples, more than the scan's.
+        start: Where to begin.
+        reach: Radius of the first ring, radians.
+        rounds: Rings; each has 0.6 of the last one's radius.
+
+    Returns:
+        The best direction found.
+    """
+    best = start
+    best_loss = np.inf
+    for index in range(rounds):
+        radius = reach * 0.6**index
+        trials = [best.axis, *_ring(best.axis, radius, 7, 0.9 * index), *_ring(best.axis, radius / 2, 4, 0.5)]
+        sharpness = 2 / max(radius / 3, 0.01) ** 2
+        transfer = np.stack(
+            [
+                lobe_transfer(
+                    problem.tracer,
+                    problem.position,
+                    problem.normal,
+                    lobe_directions(trial, sharpness, 4),
+                    problem.offset,
+                )
+                for trial in trials
+            ]
+        )
+        losses, without = candidate_loss(problem, torch.from_numpy(transfer))
+        flat = int(losses.min(1).values.argmin())
+        strength = STRENGTHS[int(losses[flat].argmin())]
+        best_loss = float(losses[flat].min())
+        best = SunCandidate(
+            axis=trials[flat],
+            strength=strength,
+            loss=best_loss,
+            gain=1 - best_loss / float(without),
+        )
+    return best
+
+
+def _ring(axis: Floats, radius: float, count: int, turn: float) -> list[Floats]:
+    """Directions on a circle about an axis."""
+    helper = np.eye(3)[np.abs(axis).argmin()]
+    tangent = np.cross(axis, helper)
+    tangent /= np.linalg.norm(tangent)
+    bitangent = np.cross(axis, tangent)
+    angles = turn + np.arange(count) * 2 * np.pi / count
+    ring = (
+        np.cos(radius) * axis
+        + np.sin(radius) * (np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent)
+    )
+    return [direction.astype(np.float32) for direction in ring]

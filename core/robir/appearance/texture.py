@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Albedo per texel, read from the photographs under the solved light.
+
+Every texel is projected into the photographs, its radiance divided by its own irradiance: soft
+light and bounces vary slowly and come from the samples, the suns are traced per texel. Where a
+shadow's edge runs, the mesh is never exact enough to say how much sun arrives. There the share of
+sun is searched that makes the texel's albedo one that its surroundings have, and near what the rays
+say: RobIR's regularised visibility estimation (METHOD 2.7), per texel and without a network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from robir.appearance.problem import Problem
+from robir.appearance.solver import Light
+from robir.appearance.statistics import diffuse_radiance, linear_observations
+from robir.capture.capture import View
+from robir.transport.observe import Observations, observe
+from robir.transport.visibility import lobe_directions, lobe_transfer
+
+Floats = NDArray[np.float32]
+
+NORMAL_SCALE = 0.15
+"""How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
+
+EDGE_SHARPNESS = 250.0
+"""Lobe in which a sun's visibility must be whole or nil for the texel to be certain: 5 degrees
+across, about what a mesh error of one grid cell does to a shadow."""
+
+SUN_SHARES = np.linspace(0.0, 1.0, 11)
+
+MIN_ALBEDO, MAX_ALBEDO = 0.01, 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Texels:
+    """Surface points of the texture atlas.
+
+    Attributes:
+        position: (N, 3) unit frame.
+        normal: (N, 3) unit.
+    """
+
+    position: Floats
+    normal: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TexelAlbedo:
+    """Albedo of the texels with how well it is known.
+
+    Attributes:
+        albedo: (N, 3) float32, linear Rec.709.
+        coverage: (N,) int, views that show the texel.
+        uncertainty: (N,) float32, one standard deviation of log albedo.
+    """
+
+    albedo: Floats
+    coverage: NDArray[np.int64]
+    uncertainty: Floats
+
+
+def interpolated(problem: Problem, texels: Texels, values: Tensor) -> Tensor:
+    """Values of the surface samples at texels, from the nearest samples alike in orientation.
+
+    Args:
+        problem: Scene under a tone curve.
+        texels: Where.
+        values: (S, C) at all samples.
+
+    Returns:
+        (N, C).
+    """
+    surfels = problem.scene.transport.surfels
+    tree = cKDTree(np.concatenate([surfels.position, NORMAL_SCALE * surfels.normal], axis=1))
+    query = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
+    distance, index = tree.query(query, k=4)
+    weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
+    weight /= weight.sum(1, keepdims=True)
+    return torch.einsum("nk,nkc->nc", torch.from_numpy(weight).float(), values[index])
+
+
+def sun_transfer(
+    problem: Problem, light: Light, texels: Texels, sharpness: Floats, samples: int
+) -> Floats:
+    """Visibility times cosine of every sharp lobe at every texel, (N, J)."""
+    scene = problem.scene
+    columns = [
+        lobe_transfer(
+            scene.tracer,
+            texels.position,
+            texels.normal,
+            lobe_directions(axis, float(width), samples),
+            scene.offset,
+        )
+        for axis, width in zip(light.axes, sharpness, strict=True)
+    ]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(texels.position), 0), np.float32)
+
+
+def texel_albedo(
+    problem: Problem,
+    light: Light,
+    texels: Texels,
+    views: tuple[View, ...],
+    specular: SpecularAtTexels,
+) -> TexelAlbedo:
+    """Albedo of every texel.
+
+    Args:
+        problem: Scene under the chosen tone curve.
+        light: Solved light.
+        texels: Points of the atlas.
+        views: Photographs, at the size they are to be read at.
+        specular: Called with texels and their observations, gives the specular radiance (N, V, 3)
+            to take off.
+
+    Returns:
+        Albedo, coverage and uncertainty; texels no view shows take their neighbours' albedo.
+    """
+    scene = problem.scene
+    soft = interpolated(
+        problem, texels, scene.soft @ light.amplitudes.soft + problem.indirect
+    ).numpy()
+    narrow = sun_transfer(problem, light, texels, light.sharpness, 8)
+    sun = light.amplitudes.sharp.numpy()
+    seen = observe(scene.tracer_for_views, texels.position, texels.normal, views, scene.offset)
+    linear = linear_observations(seen, problem.curve)
+    linear = torch.maximum(linear - specular(texels, seen), 0.02 * linear)
+    radiance = diffuse_radiance(_sharpest(seen), linear)
+    irradiance = soft + narrow @ sun
+    exitant = np.pi * radiance.linear.numpy()
+    floor = 0.02 * irradiance.mean(0)
+    albedo = exitant / np.sqrt(irradiance**2 + floor**2)
+    coverage = (seen.weight > 0).sum(1)
+    certain = coverage >= 2
+    edge = np.zeros(len(albedo), bool)
+    if len(light.axes):
+        strength = sun.mean(1) / max(1e-6, float(soft.mean()))
+        wide = sun_transfer(
+            problem, light, texels, np.full(len(light.axes), EDGE_SHARPNESS, np.float32), 12
+        )
+        facing = np.clip(texels.normal @ light.axes.T, 0, None)
+        share = wide / np.maximum(facing, 1e-3)
+        unsure = (share > 0.02) & (share < 0.98) & (facing * strength > 0.1)
+        edge = unsure.any(1)
+    clipped = radiance.clipped.numpy()
+    certain &= ~edge & ~clipped.any(1)
+    reference = _Reference(texels, albedo, certain)
+    albedo = _settle_edges(albedo, exitant, (soft, narrow, sun), light, texels, edge, reference)
+    albedo = _settle_clipped(albedo, clipped, reference, texels)
+    albedo[coverage == 0] = reference.nearest_albedo(texels, coverage == 0)
+    spread = _spread(linear, seen)
+    uncertainty = np.where(coverage > 0, np.hypot(spread, np.where(edge, 0.25, 0.05)), 1.0)
+    return TexelAlbedo(
+        albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO).astype(np.float32),
+        coverage=coverage,
+        uncertainty=uncertainty.astype(np.float32),
+    )
+
+
+def _sharpest(seen: Observations) -> Observations:
+    """Observations without the flattest views of a texel: those blur its texture."""
+    best = seen.weight.max(1, keepdims=True)
+    weight = np.where(seen.weight > 0.5 * best, seen.weight, 0).astype(np.float32)
+    return Observations(
+        display=seen.display, weight=weight, clipped=seen.clipped, positions=seen.positions
+    )
+
+
+def _spread(linear: Tensor, seen: Observations) -> Floats:
+    """Standard error over views of the log of a texel's brightness, (N,)."""
+    valid = torch.from_numpy(seen.weight > 0).float()
+    count = valid.sum(1).clamp(min=1)
+    log = linear.mean(2).clamp(min=1e-4).log()
+    mean = (log * valid).sum(1) / count
+    variance = ((log - mean[:, None]) ** 2 * valid).sum(1) / count
+    return (variance / count).sqrt().numpy()
+
+
+class _Reference:
+    """Texels whose albedo is certain, to look up what the surroundings are like."""
+
+    def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
+        if certain.sum() < 8:
+            certain = np.ones(len(albedo), bool)
+        # A tenth of the texels is dense enough to know the local palette.
+        chosen = np.flatnonzero(certain)
+        self._albedo = albedo[chosen]
+        self._tree = cKDTree(
+            np.concatenate(
+                [texels.position[chosen], NORMAL_SCALE * texels.normal[chosen]], axis=1
+            )
+        )
+
+    def _query(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
+        query = np.concatenate([texels.position[rows], NORMAL_SCALE * texels.normal[rows]], axis=1)
+        return self._tree.query(query, k=count, eps=0.2)[1]
+
+    def nearest_albedo(self, texels: Texels, rows: NDArray[np.bool_]) -> Floats:
+        """Mean albedo (M, 3) of the few nearest certain texels."""
+        if not rows.any():
+            return np.zeros((0, 3), np.float32)
+        return self._albedo[self._query(texels, rows, 4)].mean(1)
+
+    def palette(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> Floats:
+        """Albedos (M, count, 3) around some texels, thinned out so that they reach far."""
+        index = self._query(texels, rows, 8 * count)
+        return self._albedo[index[:, ::8]]
+
+
+def _settle_edges(
+    albedo: Floats,
+    exitant: Floats,
+    parts: tuple[Floats, Floats, Floats],
+    light: Light,
+    texels: Texels,
+    edge: NDArray[np.bool_],
+    reference: _Reference,
+) -> Floats:
+    """Share of sun at shadow edges that makes the albedo one of the surroundings'."""
+    if not edge.any():
+        return albedo
+    soft, narrow, sun = parts
+    facing = np.clip(texels.normal @ light.axes.T, 0, None)
+    strongest = int(sun.mean(1).argmax())
+    others = [index for index in range(len(sun)) if index != strongest]
+    rest = soft[edge] + narrow[edge][:, others] @ sun[others]
+    full = facing[edge, strongest][:, None] * sun[strongest]
+    traced = narrow[edge, strongest] / np.maximum(facing[edge, strongest], 1e-3)
+    palette = np.log(np.clip(reference.palette(texels, edge, 8), 1e-3, None))
+    best = np.full(edge.sum(), np.inf)
+    result = albedo[edge].copy()
+    for share in SUN_SHARES:
+        trial = exitant[edge] / np.maximum(rest + share * full, 1e-6)
+        distance = np.abs(np.log(np.clip(trial, 1e-3, None))[:, None] - palette).sum(2)
+        nearest = np.sort(distance, axis=1)[:, :3].mean(1)
+        cost = nearest + 0.3 * np.abs(share - traced)
+        better = cost < best
+        best[better] = cost[better]
+        result[better] = trial[better]
+    settled = albedo.copy()
+    settled[edge] = result
+    return settled
+
+
+def _settle_clipped(
+    albedo: Floats, clipped: NDArray[np.bool_], reference: _Reference, texels: Texels
+) -> Floats:
+    """Where a channel was clipped, the brightest certain surroundings, never less than measured."""
+    rows = clipped.any(1)
+    if not rows.any():
+        return albedo
+    around = np.quantile(reference.palette(texels, rows, 8), 0.8, axis=1)
+    settled = albedo.copy()
+    raised = np.maximum(albedo[rows], around)
+    settled[rows] = np.where(clipped[rows], raised, albedo[rows])
+    return settled

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The transport of one scene as a value that can be stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from robir.capture.capture import View
+from robir.geometry.mesh import Mesh
+from robir.jobs.paths import replacing
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.config import TransportConfig
+from robir.transport.observe import Observations, observe, resize_view, spread_views
+from robir.transport.surfels import Surfels, sample_surfels
+from robir.transport.tracer import EmbreeTracer, make_tracer
+from robir.transport.visibility import Visibility, trace_visibility
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transport:
+    """Surface samples, what they see and how the photographs show them.
+
+    Attributes:
+        surfels: Samples of the surface, unit frame.
+        visibility: Bits and one-bounce matrix of the samples.
+        observations: Colours of the samples in the training views.
+    """
+
+    surfels: Surfels
+    visibility: Visibility
+    observations: Observations
+
+    def save(self, folder: Path) -> None:
+        """Write surfels.npz, visibility.npz and bounce.npz, each atomically."""
+        surfels, visibility, seen = self.surfels, self.visibility, self.observations
+        tables = {
+            "surfels.npz": {
+                "position": surfels.position,
+                "normal": surfels.normal,
+                "spacing": np.float64(surfels.spacing),
+                "display": seen.display,
+                "weight": seen.weight,
+                "clipped": np.packbits(seen.clipped, axis=None),
+                "camera_positions": seen.positions,
+            },
+            "visibility.npz": {"directions": visibility.directions, "bits": visibility.bits},
+            "bounce.npz": {
+                "data": visibility.bounce.data,
+                "indices": visibility.bounce.indices,
+                "indptr": visibility.bounce.indptr,
+            },
+        }
+        for name, arrays in tables.items():
+            with replacing(folder / name) as temporary, temporary.open("wb") as file:
+                np.savez(file, **arrays)
+
+    @classmethod
+    def load(cls, folder: Path) -> Transport:
+        """Read what `save` wrote."""
+        with np.load(folder / "surfels.npz", allow_pickle=False) as arrays:
+            surfels = Surfels(
+                position=arrays["position"],
+                normal=arrays["normal"],
+                spacing=float(arrays["spacing"]),
+            )
+            display = arrays["display"]
+            clipped = np.unpackbits(arrays["clipped"], count=display.size).astype(bool)
+            observations = Observations(
+                display=display,
+                weight=arrays["weight"],
+                clipped=clipped.reshape(display.shape),
+                positions=arrays["camera_positions"],
+            )
+        with np.load(folder / "visibility.npz", allow_pickle=False) as arrays:
+            directions, bits = arrays["directions"], arrays["bits"]
+        with np.load(folder / "bounce.npz", allow_pickle=False) as arrays:
+            count = len(surfels)
+            bounce = csr_matrix(
+                (arrays["data"], arrays["indices"], arrays["indptr"]), shape=(count, count)
+            )
+        visibility = Visibility(directions=directions, bits=bits, bounce=bounce)
+        return cls(surfels=surfels, visibility=visibility, observations=observations)
+
+
+def bake(
+    mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int, device: str
+) -> Transport:
+    """Sample a mesh, trace what its samples see and read them from the photographs.
+
+    Args:
+        mesh: Unit frame.
+        views: Training views, unit frame.
+        config: Sizes.
+        seed: Of the surface samples.
+        device: Where rays are traced, "cpu" or "cuda".
+
+    Returns:
+        The transport.
+    """
+    tracer = make_tracer(mesh.vertices, mesh.faces, device)
+    chosen = tuple(
+        resize_view(view, config.observation_side) for view in spread_views(views, config.max_views)
+    )
+    surfels = _seen_surfels(tracer, mesh, chosen, config, seed)
+    directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
+    visibility = trace_visibility(mesh, tracer, surfels, directions, config.ray_offset)
+    if not config.use_visibility:
+        free = np.packbits(surfels.normal @ directions.T > 0, axis=1)
+        visibility = Visibility(
+            directions=directions, bits=free, bounce=csr_matrix(visibility.bounce.shape)
+        )
+    elif not config.use_indirect:
+        visibility = Visibility(
+            directions=directions,
+            bits=visibility.bits,
+            bounce=csr_matrix(visibility.bounce.shape, dtype=np.float32),
+        )
+    observations = observe(tracer, surfels.position, surfels.normal, chosen, config.ray_offset)
+    return Transport(surfels=surfels, visibility=visibility, observations=observations)
+
+
+def _seen_surfels(
+    tracer: EmbreeTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
+) -> Surfels:
+    """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept.
+
+    Hidden samples only carry bounced light, and little of it, so they may be coarse.
+    """
+    rng = np.random.default_rng(seed)
+    few = sample_surfels(mesh, config.num_surfels // 8, rng)
+    share = max(0.15, (_count_views(tracer, few, views, config) > 0).mean())
+    surfels = sample_surfels(mesh, int(config.num_surfels / share), rng)
+    seen = _count_views(tracer, surfels, views, config) > 0
+    return surfels.subset(seen | (rng.random(len(seen)) < 0.25))
+
+
+def _count_views(
+    tracer: EmbreeTracer, surfels: Surfels, views: tuple[View, ...], config: TransportConfig
+) -> NDArray[np.int64]:
+    """Number of views that see each sample."""
+    seen = observe(tracer, surfels.position, surfels.normal, views, config.ray_offset)
+    return (seen.weight > 0).sum(1)

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the photographs say about each surface sample.
+
+Samples are projected into the photographs (rather than pixels onto the surface), so that the cost
+follows the scene and not the number of pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from robir.capture.capture import View
+from robir.transport.tracer import EmbreeTracer
+
+Floats = NDArray[np.float32]
+
+MASK_INSIDE = 250
+"""Mask code from which a pixel is wholly object."""
+
+DEPTH_JUMP = 0.03
+"""Smallest step of depth, unit frame, that counts as the outline of a nearer part."""
+
+MIN_COSINE = 0.2
+"""Views flatter than this (78 degrees off the normal) are not read: a pixel there covers five
+times its width of surface."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observations:
+    """Colours of surface points in the photographs.
+
+    Attributes:
+        display: (N, V, 3) uint8, display-referred; meaningless where `weight` is 0.
+        weight: (N, V) float32, 0 where the view does not show the point, else its cosine.
+        clipped: (N, V, 3) bool, code 255: the true value is at least this bright.
+        positions: (V, 3) float32, camera centres.
+    """
+
+    display: NDArray[np.uint8]
+    weight: Floats
+    clipped: NDArray[np.bool_]
+    positions: Floats
+
+
+def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
+    """At most `count` views, chosen so that their camera positions lie far apart.
+
+    Args:
+        views: All views.
+        count: How many to keep.
+
+    Returns:
+        The chosen views in their old order.
+    """
+    if len(views) <= count:
+        return views
+    positions = np.stack([view.camera.position for view in views])
+    chosen = [0]
+    distance = np.linalg.norm(positions - positions[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
+    return tuple(views[index] for index in sorted(chosen))
+
+
+def resize_view(view: View, max_side: int) -> View:
+    """The view at no more than `max_side` pixels; area averages, camera included."""
+    height, width = view.mask.shape
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return view
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    image = np.asarray(Image.fromarray(view.image_display).resize(size, Image.Resampling.BOX))
+    mask = np.asarray(Image.fromarray(view.mask).resize(size, Image.Resampling.BOX))
+    return View(
+        name=view.name,
+        image_display=image,
+        mask=mask,
+        camera=view.camera.resized(*size),
+        split=view.split,
+    )
+
+
+def observe(
+    tracer: EmbreeTracer,
+    position: Floats,
+    normal: Floats,
+    views: tuple[View, ...],
+    offset: float,
+) -> Observations:
+    """Read every point in every view that sees it.
+
+    A view counts where the point faces it, nothing lies between, and all four pixels around its
+    projection are object and away from outlines of nearer parts.
+
+    Args:
+        tracer: Tracer of the mesh.
+        position: (N, 3), frame of the views' cameras.
+        normal: (N, 3), unit.
+        views: Photographs.
+        offset: Distance that rays start above the surface.
+
+    Returns:
+        The observations.
+    """
+    count = len(position)
+    display = np.zeros((count, len(views), 3), np.uint8)
+    weight = np.zeros((count, len(views)), np.float32)
+    clipped = np.zeros((count, len(views), 3), bool)
+    for index, view in enumerate(views):
+        camera = view.camera
+        towards = camera.position - position
+        distance = np.linalg.norm(towards, axis=1)
+        cosine = np.einsum("nd,nd->n", towards, normal) / distance
+        pixels, depth = camera.project(position)
+        inside = (pixels >= 1).all(1) & (pixels <= [camera.width - 1, camera.height - 1]).all(1)
+        chosen = np.flatnonzero((cosine > MIN_COSINE) & (depth > 0) & inside)
+        start = position[chosen] + offset * normal[chosen]
+        rays = towards[chosen] / distance[chosen, None]
+        chosen = chosen[~tracer.is_blocked(start, rays)]
+        colour, top, whole = _bilinear(view, _clean_pixels(tracer, view), pixels[chosen])
+        kept = chosen[whole]
+        display[kept, index] = colour[whole]
+        clipped[kept, index] = top[whole]
+        weight[kept, index] = cosine[kept]
+    centres = np.stack([view.camera.position for view in views]).astype(np.float32)
+    return Observations(display=display, weight=weight, clipped=clipped, positions=centres)
+
+
+def _clean_pixels(tracer: EmbreeTracer, view: View) -> NDArray[np.bool_]:
+    """Object pixels that no outline of a nearer part runs through, (H, W).
+
+    The inverse of depth is linear across the image of a plane, so its second difference marks
+    jumps of depth and leaves slanted planes and creases alone.
+    """
+    inside = view.mask > MASK_INSIDE
+    rows, columns = np.nonzero(inside)
+    pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
+    origins, directions = view.camera.rays(pixels)
+    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+    inverse = np.zeros(view.mask.shape)
+    inverse[rows, columns] = 1 / (hits.distance * (directions @ view.camera.forward))
+    jump = np.zeros(view.mask.shape)
+    for axis in (0, 1):
+        bend = np.abs(np.diff(inverse, n=2, axis=axis))
+        margin = [(1, 1) if axis == side else (0, 0) for side in (0, 1)]
+        jump = np.maximum(jump, np.pad(bend, margin, mode="edge"))
+    # d(1/z) = dz / z^2: a jump of dz bends the inverse depth by that much.
+    return inside & (jump < DEPTH_JUMP * inverse**2)
+
+
+def _bilinear(
+    view: View, clean: NDArray[np.bool_], pixels: NDArray[np.float64]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Interpolated colours, where a source was clipped, and where all sources are clean."""
+    low = np.floor(pixels - 0.5).astype(int)
+    low = np.clip(low, 0, [view.camera.width - 2, view.camera.height - 2])
+    part = np.clip(pixels - 0.5 - low, 0, 1)
+    colour = np.zeros((len(pixels), 3))
+    top = np.zeros((len(pixels), 3), bool)
+    whole = np.ones(len(pixels), bool)
+    for dx in (0, 1):
+        for dy in (0, 1):
+            share = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            row, column = low[:, 1] + dy, low[:, 0] + dx
+            texel = view.image_display[row, column]
+            colour += share[:, None] * texel
+            counts = share > 0.04
+            top |= (texel == 255) & counts[:, None]
+            whole &= clean[row, column] | ~counts
+    return np.rint(colour).astype(np.uint8), top, whole

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surface samples ("surfels"): where transport is baked and the light is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from robir.geometry.mesh import Mesh
+
+Floats = NDArray[np.float32]
+
+NORMAL_REACH = 0.5
+"""How far apart two samples with opposite normals count, in unit-frame lengths: a nearest-sample
+query must not reach through a thin wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surfels:
+    """Even samples of the surface, unit frame.
+
+    Attributes:
+        position: (S, 3) float32.
+        normal: (S, 3) float32, unit, outward, interpolated from the vertices.
+        spacing: Typical distance between neighbours.
+    """
+
+    position: Floats
+    normal: Floats
+    spacing: float
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.position)
+
+    def subset(self, keep: NDArray[np.bool_]) -> Surfels:
+        """The samples where `keep` holds."""
+        return Surfels(
+            position=self.position[keep], normal=self.normal[keep], spacing=self.spacing
+        )
+
+    def nearest(self, position: Floats, normal: Floats, count: int = 1) -> NDArray[np.int64]:
+        """Nearest samples in position and orientation.
+
+        Args:
+            position: (N, 3), unit frame.
+            normal: (N, 3), unit.
+            count: How many neighbours.
+
+        Returns:
+            (N,) indices, or (N, count) when more than one is asked for.
+        """
+        scale = NORMAL_REACH / 2
+        tree = cKDTree(np.concatenate([self.position, scale * self.normal], axis=1))
+        query = np.concatenate([position, scale * normal], axis=1)
+        return tree.query(query, k=count)[1]
+
+
+def interpolate(mesh: Mesh, face: NDArray[np.int32], barycentric: Floats) -> tuple[Floats, Floats]:
+    """Position and smooth unit normal at points of the mesh.
+
+    Args:
+        mesh: The mesh.
+        face: (N,) face indices.
+        barycentric: (N, 3) corner weights.
+
+    Returns:
+        Positions (N, 3) and normals (N, 3).
+    """
+    corners = mesh.faces[face]
+    position = np.einsum("nc,ncd->nd", barycentric, mesh.vertices[corners])
+    normal = np.einsum("nc,ncd->nd", barycentric, mesh.normals[corners])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return position.astype(np.float32), normal.astype(np.float32)
+
+
+def sample_surfels(mesh: Mesh, count: int, rng: np.random.Generator) -> Surfels:
+    """Samples spread evenly over a mesh, by area.
+
+    Many uniform samples are drawn, binned by position and orientation, and the one nearest to its
+    bin's mean is kept: cheap and close enough to blue noise for smooth transport.
+
+    Args:
+        mesh: Unit frame.
+        count: Wanted number; the result has about as many.
+        rng: Source of randomness.
+
+    Returns:
+        The samples.
+    """
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(doubled, axis=1)
+    num_drawn = 10 * count
+    face = rng.choice(len(area), size=num_drawn, p=area / area.sum()).astype(np.int32)
+    root = np.sqrt(rng.random(num_drawn))
+    second = rng.random(num_drawn)
+    barycentric = np.stack([1 - root, root * (1 - second), root * second], axis=1)
+    position, normal = interpolate(mesh, face, barycentric.astype(np.float32))
+    # A plane cuts about 1.5 cells of side h for each h^2 of its area, whatever its tilt.
+    spacing = float(np.sqrt(1.5 * area.sum() / count))
+    cell = np.floor(position / spacing).astype(np.int64)
+    facing = np.abs(normal).argmax(1) * 2 + (
+        np.take_along_axis(normal, np.abs(normal).argmax(1)[:, None], 1)[:, 0] > 0
+    )
+    key = ((cell[:, 0] * 8191 + cell[:, 1]) * 8191 + cell[:, 2]) * 6 + facing
+    _, group, size = np.unique(key, return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(group, position[:, axis]) / size for axis in range(3)], axis=1)
+    offset = np.linalg.norm(position - mean[group], axis=1)
+    order = np.lexsort((offset, group))
+    first = order[np.searchsorted(group[order], np.arange(len(size)))]
+    first = first[size >= 2]
+    return Surfels(position=position[first], normal=normal[first], spacing=spacing)

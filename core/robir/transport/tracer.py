@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against a triangle mesh: Embree on the CPU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """First hits of a batch of rays.
+
+    Attributes:
+        face: (N,) int32, face index, -1 where the ray leaves the scene.
+        distance: (N,) float32 along the unit direction; inf where there is no hit.
+        barycentric: (N, 3) float32, weights of the face's corners; zero where there is no hit.
+    """
+
+    face: NDArray[np.int32]
+    distance: Floats
+    barycentric: Floats
+
+
+class EmbreeTracer:
+    """Ray queries against a fixed mesh on the CPU."""
+
+    def __init__(self, vertices: Floats, faces: NDArray[np.int32]) -> None:
+        """Build the acceleration structure.
+
+        Args:
+            vertices: (Nv, 3), any frame; rays are in the same frame.
+            faces: (Nf, 3).
+        """
+        self._scene = rtcore_scene.EmbreeScene()
+        corners = np.ascontiguousarray(vertices.astype(np.float32)[faces])
+        self._mesh = TriangleMesh(self._scene, corners)
+
+    def first_hits(self, origins: Floats, directions: Floats) -> Hits:
+        """Nearest surface along every ray.
+
+        Args:
+            origins: (N, 3).
+            directions: (N, 3), unit.
+
+        Returns:
+            The hits, in the rays' order.
+        """
+        found = self._scene.run(
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(directions, np.float32),
+            output=1,
+        )
+        face = found["primID"].astype(np.int32)
+        missed = face < 0
+        u, v = found["u"], found["v"]
+        barycentric = np.stack([1 - u - v, u, v], axis=1)
+        barycentric[missed] = 0
+        distance = np.where(missed, np.inf, found["tfar"]).astype(np.float32)
+        return Hits(face, distance, barycentric)
+
+    def is_blocked(
+        self, origins: Floats, directions: Floats, reach: Floats | None = None
+    ) -> NDArray[np.bool_]:
+        """Whether anything lies on each ray.
+
+        Args:
+            origins: (N, 3).
+            directions: (N, 3), unit.
+            reach: (N,) distance up to which a hit counts; unlimited if None.
+
+        Returns:
+            (N,) bool.
+        """
+        origins = np.ascontiguousarray(origins, np.float32)
+        directions = np.ascontiguousarray(directions, np.float32)
+        if reach is None:
+            hit = self._scene.run(origins, directions, query="OCCLUDED")
+        else:
+            reach = np.ascontiguousarray(reach, np.float32)
+            hit = self._scene.run(origins, directions, reach, query="OCCLUDED")
+        return hit >= 0
+
+
+def make_tracer(vertices: Floats, faces: NDArray[np.int32], device: str) -> EmbreeTracer:
+    """The fastest tracer for a device."""
+    return EmbreeTracer(vertices, faces)
