@@ -10,6 +10,8 @@ import numpy as np
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of linear Rec.709 in relative luminance."""
 
+UP = np.array([0.0, 0.0, 1.0])
+
 SUN_SPOT_RADIUS = float(np.radians(4.0))
 """Angle about the sun's centre whose light counts as the sun's: disc and glare of a filmed sky."""
 
@@ -51,8 +53,8 @@ def sun_spot(environment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         environment: (H, 2H, 3) radiance.
 
     Returns:
-        Its direction (3,), unit, and the irradiance (3,) it gives a surface that faces it: all light
-        from within SUN_SPOT_RADIUS.
+        Its direction (3,), unit, and the irradiance (3,) it gives a surface that faces it: all
+        light from within SUN_SPOT_RADIUS.
     """
     height = environment.shape[0]
     directions = map_directions(height)
@@ -66,3 +68,24 @@ def sun_spot(environment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         centre /= np.linalg.norm(centre)
     inside = directions @ centre > np.cos(SUN_SPOT_RADIUS)
     return centre, np.einsum("hw,hwc->c", inside * texel_solid_angles(height), environment)
+
+
+def with_sun_share(environment: np.ndarray, share: float) -> np.ndarray:
+    """Brightens the sun of a map whose file clips it.
+
+    Args:
+        environment: (H, 2H, 3) radiance with a sun above the horizon.
+        share: wanted share, below 1, of the sun in the irradiance of a horizontal surface.
+
+    Returns:
+        The map with its sun's disc scaled; unchanged where the sun gives that much already.
+    """
+    height = environment.shape[0]
+    directions = map_directions(height)
+    direction, _ = sun_spot(environment)
+    luminance = environment @ LUMINANCE
+    disc = (directions @ direction > np.cos(SUN_SPOT_RADIUS)) & (luminance > 0.05 * luminance.max())
+    sun = irradiance(environment * disc[..., None], UP) @ LUMINANCE
+    sky = irradiance(environment, UP) @ LUMINANCE - sun
+    factor = max(share / (1.0 - share) * sky / sun, 1.0)
+    return np.where(disc[..., None], factor * environment, environment)

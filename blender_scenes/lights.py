@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Quaternion, Vector
 from skimage.transform import resize_local_mean
 
-from blender_scenes.environment import LUMINANCE, irradiance, sun_spot
+from blender_scenes.environment import LUMINANCE, UP, irradiance, sun_spot, with_sun_share
 from blender_scenes.request import SceneError, SceneRequest
 from blender_scenes.wheel import data_folder
 
@@ -22,10 +22,13 @@ GREY_TARGET = 0.52
 FACING_LIMIT = 1.0
 """The most a 0.5 grey facing the sun may reach: a low sun must not clip all upright faces."""
 
-LAMP_SHARE = {None: 0.75, "high_illumination": 0.9}
-"""Share of the lamp in the irradiance of a horizontal surface, by preset."""
+SUN_SHARE = {None: 0.75, "high_illumination": 0.9}
+"""Share of the sun in the irradiance of a horizontal surface, by preset: of the lamp, or of the sun
+in the map from the bpy wheel, which its file clips. The sun of a given map stays as it is."""
 
 LAMP_TINT = np.array([1.06, 1.0, 0.9])
+LAMP_ELEVATION_DEGREES = (36.0, 58.0)
+LOWEST_SUN = float(np.radians(3.0))
 
 
 @dataclass(frozen=True)
@@ -56,33 +59,45 @@ def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
         The rig, scaled.
     """
     has_lamp = request.light == "lamp"
-    file = request.hdri or data_folder(
-        f"studiolights/world/{'courtyard' if has_lamp else 'sunrise'}.exr"
-    )
+    bundled = data_folder(f"studiolights/world/{'courtyard' if has_lamp else 'city'}.exr")
+    file = request.hdri or bundled
     environment = _load_map(file, 256 if has_lamp else 512)
-    environment = np.roll(environment, int(rng.integers(environment.shape[1])), axis=1)
-    elevation, azimuth = np.radians(rng.uniform(36.0, 58.0)), rng.uniform(0.0, 2.0 * np.pi)
-    up = np.array([0.0, 0.0, 1.0])
-    sky = float(irradiance(environment, up) @ LUMINANCE)
-    if sky <= 0.0:
+    if not (irradiance(environment, UP) @ LUMINANCE > 0.0):
         raise SceneError(f"{file}: the upper half of this map is black; choose another --hdri")
+    environment = np.roll(environment, int(rng.integers(environment.shape[1])), axis=1)
     if has_lamp:
-        flat = np.cos(elevation)
-        direction = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-        share = LAMP_SHARE[request.preset]
-        tint = LAMP_TINT / (LAMP_TINT @ LUMINANCE)
-        lamp = tint * sky * share / (1.0 - share) / direction[2]
+        direction, sun = _lamp(irradiance(environment, UP), SUN_SHARE[request.preset], rng)
+        beside = sun
     else:
-        direction, lamp = sun_spot(environment)
-        if direction[2] < np.sin(np.radians(3.0)):
+        direction, sun = sun_spot(environment)
+        if direction[2] < np.sin(LOWEST_SUN):
             raise SceneError(
                 f"{file}: its brightest spot is below or at the horizon; choose a map with a sun"
             )
-    beside = lamp if has_lamp else np.zeros(3)
-    horizontal = sky + float(beside @ LUMINANCE) * direction[2]
-    facing = float((irradiance(environment, direction) + beside) @ LUMINANCE)
-    scale = min(GREY_TARGET / horizontal, FACING_LIMIT / facing) * 2.0 * np.pi
-    return LightRig((environment * scale).astype(np.float32), direction, lamp * scale, has_lamp)
+        if request.hdri is None:
+            environment = with_sun_share(environment, SUN_SHARE[None])
+            direction, sun = sun_spot(environment)
+        beside = np.zeros(3)
+    horizontal = (irradiance(environment, UP) + beside * direction[2]) @ LUMINANCE
+    facing = (irradiance(environment, direction) + beside) @ LUMINANCE
+    scale = 2.0 * np.pi * min(GREY_TARGET / horizontal, FACING_LIMIT / facing)
+    return LightRig((environment * scale).astype(np.float32), direction, sun * scale, has_lamp)
+
+
+def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Direction (3,) and normal-incidence irradiance (3,) of a lamp beside a sky.
+
+    Args:
+        sky: (3,) irradiance that the sky gives a horizontal surface.
+        share: of the lamp in that surface's irradiance.
+        rng: draws the direction.
+    """
+    elevation = np.radians(rng.uniform(*LAMP_ELEVATION_DEGREES))
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    flat = np.cos(elevation)
+    direction = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    tint = LAMP_TINT / (LAMP_TINT @ LUMINANCE)
+    return direction, tint * (sky @ LUMINANCE) * share / (1.0 - share) / direction[2]
 
 
 def add_lights(rig: LightRig, environment_file: Path) -> None:

@@ -130,7 +130,7 @@ def _quiet() -> Iterator[None]:
     """Sends what Blender prints on standard output to nowhere."""
     sys.stdout.flush()
     saved = os.dup(1)
-    with open(os.devnull, "w", encoding="utf-8") as sink:
+    with Path(os.devnull).open("w", encoding="utf-8") as sink:
         os.dup2(sink.fileno(), 1)
         try:
             yield

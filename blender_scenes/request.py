@@ -96,9 +96,8 @@ class SceneRequest:
             ("seed", 0),
         ):
             if getattr(self, name) < low:
-                raise SceneError(
-                    f"--{name.replace('_', '-')} is {getattr(self, name)}; it must be at least {low}"
-                )
+                option = "--" + name.replace("_", "-")
+                raise SceneError(f"{option} is {getattr(self, name)}; it must be at least {low}")
 
 
 def random_stream(request: SceneRequest, part: str) -> np.random.Generator:

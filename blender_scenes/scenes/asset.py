@@ -58,7 +58,7 @@ def _keep_plain(material: bpy.types.Material, file: Path) -> None:
         n.type == "BSDF_PRINCIPLED" for n in material.node_tree.nodes
     ):
         raise SceneError(
-            f"--asset {file}: material {material.name!r} has no Principled shader; export it with one"
+            f"--asset {file}: material {material.name!r} has no Principled shader; give it one"
         )
     shader = principled_node(material)
     fresh = _plain_material()

@@ -94,7 +94,7 @@ def build(request: SceneRequest, rng: np.random.Generator) -> None:
         "pawn",
         "pawn",
     ]
-    order = [*materials] + list(rng.permutation(["ivory", "ebony", "chalk", "red", "walnut"]))
+    order = [*materials, *rng.permutation(["ivory", "ebony", "chalk", "red", "walnut"])]
     for place, kind, name in zip(_places(len(kinds), rng), kinds, order, strict=True):
         _piece(kind, materials[name], Pose(place, (0.0, 0.0, float(rng.uniform(0, 360)))), table)
 

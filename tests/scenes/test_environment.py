@@ -61,3 +61,17 @@ def test_sun_spot_finds_a_planted_sun_and_its_irradiance() -> None:
     assert np.degrees(np.arccos(direction @ sun)) < 0.2
     solid_angle = 2.0 * np.pi * (1.0 - np.cos(np.radians(2.0)))
     np.testing.assert_allclose(energy, solid_angle * np.array([800.0, 700.0, 500.0]), rtol=0.05)
+
+
+def test_clipped_sun_is_raised_to_its_share_and_the_sky_left_alone() -> None:
+    sun = np.array([0.6, 0.0, 0.8])
+    sky = np.full((256, 512, 3), 0.2)
+    disc = maps.map_directions(256) @ sun > np.cos(np.radians(1.0))
+    sky[disc] = 100.0
+    raised = maps.with_sun_share(sky, 0.75)
+    total = maps.irradiance(raised, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(
+        0.25 * total, maps.irradiance(np.where(disc[..., None], 0.0, sky), maps.UP), rtol=1e-6
+    )
+    assert (raised[~disc] == 0.2).all()
+    np.testing.assert_array_equal(maps.with_sun_share(raised, 0.5), raised)
