@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real captures that nobody here made; skipped, loudly, where the data folder is absent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robir.capture.check import check_capture
+from robir.capture.config import CaptureConfig
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+SMALL = CaptureConfig(max_side=96)
+
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"REAL CAPTURES NOT TESTED: the data folder {DATA} is absent"
+)
+
+
+def levels(findings) -> dict[str, str]:
+    return {finding.code: finding.level for finding in findings}
+
+
+def test_scissors_neus():
+    capture, findings = check_capture(DATA / "scissors_neus", None, SMALL)
+    assert "error" not in levels(findings).values()
+    assert capture is not None
+    assert len(capture.views) == 49
+    assert capture.format == "neus"
+    # World frame of world_mat: millimetres, with the promised sphere about (-27, -44, 741).
+    assert np.linalg.norm(capture.bounds.centre - [-27.0, -44.0, 740.6]) < 100
+    assert 150 < capture.bounds.radius <= 256.1
+
+
+def test_milk_carton_llff_is_matted_and_ordered_by_text():
+    capture, findings = check_capture(DATA / "milk_carton_llff", None, SMALL)
+    assert "error" not in levels(findings).values()
+    assert capture is not None
+    assert len(capture.views) == 43
+    order = next(finding for finding in findings if finding.code == "pose-order")
+    assert "names as text" in order.message
+    assert capture.bounds.radius < 2.3
+
+
+@pytest.mark.parametrize(
+    ("name", "posed"), [("mouse_colmap", "56 posed"), ("gum_nerfstudio", "99 posed")]
+)
+def test_captures_without_masks_are_checked_and_refused(name, posed):
+    capture, findings = check_capture(DATA / name, None, SMALL)
+    assert capture is None
+    assert findings[0].code == "no-masks"
+    assert "--masks DIR" in findings[0].cure
+    counts = next(finding for finding in findings if finding.code == "counts")
+    assert posed in counts.message
+    if name == "mouse_colmap":
+        assert levels(findings)["unposed-images"] == "warning"
+
+
+def test_photographs_without_poses_are_refused():
+    capture, findings = check_capture(DATA / "banana_photos", None, SMALL)
+    assert capture is None
+    assert findings[0].code == "no-poses"
+    assert "16 photographs but no camera poses" in findings[0].message
+    assert "COLMAP" in findings[0].cure
