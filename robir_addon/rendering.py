@@ -20,10 +20,12 @@ def prepare_scene(scene: bpy.types.Scene) -> None:
     # a pixel is the mean over its own square, as on a sensor
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    # builds without OpenImageDenoise (some distributions') have no denoiser to name
-    cycles.use_denoising = bpy.app.build_options.openimagedenoise
-    if cycles.use_denoising:
+    try:
         cycles.denoiser = "OPENIMAGEDENOISE"
+    except TypeError:  # some distributions build Blender without it
+        cycles.use_denoising = False
+    else:
+        cycles.use_denoising = True
         cycles.denoising_prefilter = "NONE"
         cycles.denoising_quality = "FAST"
     render = scene.render

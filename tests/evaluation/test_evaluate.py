@@ -12,6 +12,7 @@ from robir.evaluation.light import load_light
 from robir.evaluation.truth import load_truth
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import read_json, write_json
+from robir.maths.vectors import equirect_solid_angles
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,21 @@ def test_light_without_suns_has_no_direction(tmp_path):
     table = sphere_run.light_table()
     write_json(tmp_path / "light.json", {"lobes": table["lobes"][:1]})
     assert load_light(tmp_path / "light.json").strongest_direction() is None
+
+
+@pytest.mark.parametrize("rows", [64, 256])
+def test_environment_keeps_the_energy_of_every_lobe(tmp_path, rows):
+    solid = equirect_solid_angles(rows).numpy()[..., None]
+    for sharpness in (0.5, 11.0, 60.0, 300.0, 3e4, 1e7):
+        lobe = {"axis": [0.6, -0.48, 0.64], "sharpness": sharpness, "amplitude": [2.0, 1.0, 0.5]}
+        write_json(tmp_path / "light.json", {"lobes": [lobe | {"kind": "soft"}]})
+        image = load_light(tmp_path / "light.json").environment(rows)
+        exact = 2 * np.pi / sharpness * -np.expm1(-2 * sharpness) * np.array([2.0, 1.0, 0.5])
+        assert (image * solid).sum(axis=(0, 1)) == pytest.approx(exact, rel=2e-3)
+        v, u = (np.array(np.unravel_index(image[..., 0].argmax(), image.shape[:2])) + 0.5) / rows
+        seen = np.degrees([2 * np.pi * (0.5 - u / 2), np.pi * (0.5 - v)])
+        expected = np.degrees([np.arctan2(-0.48, 0.6), np.arcsin(0.64)])
+        assert seen == pytest.approx(expected, abs=181 / rows)
 
 
 def test_lamp_enters_the_true_environment_with_its_irradiance(truth):

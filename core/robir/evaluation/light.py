@@ -15,11 +15,13 @@ from skimage.transform import resize_local_mean
 from robir.evaluation import metrics
 from robir.jobs.paths import read_json
 from robir.maths import spherical_gaussian as sg
+from robir.maths.vectors import equirect_directions
 
 Array = NDArray[np.floating[Any]]
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SCORE_ROWS = 64
+_CHUNK_ROWS = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,9 +38,7 @@ class RecoveredLight:
 
     def power(self) -> Array:
         """Luminance of each lobe integrated over the sphere, (K,)."""
-        sharpness = self.lobes.sharpness.numpy().astype(np.float64)
-        integral = 2 * np.pi / sharpness * -np.expm1(-2 * sharpness)
-        return integral * (self.lobes.amplitude.numpy() @ _LUMINANCE)
+        return sg.integral(self.lobes).numpy() @ _LUMINANCE
 
     def strongest_direction(self) -> Array | None:
         """Axis (3,) of the sharp lobe of the greatest power, or None without sharp lobes."""
@@ -48,8 +48,28 @@ class RecoveredLight:
         return self.lobes.axis[strongest].numpy()
 
     def environment(self, rows: int) -> NDArray[np.float32]:
-        """Lat-long image (rows, 2 rows, 3) in Blender's world frame, linear Rec.709 radiance."""
-        return sg.to_equirect(self.lobes, rows).numpy().astype(np.float32)
+        """Lat-long image (rows, 2 rows, 3) in Blender's world frame, linear Rec.709 radiance.
+
+        Lobes wider than four texels are evaluated at the texels' centres (energy to 1 in 1000);
+        narrower ones are integrated over the texels, which keeps all of their energy.
+        """
+        wide = self.lobes.sharpness < (rows / (4 * np.pi)) ** 2
+        image = np.empty((rows, 2 * rows, 3), np.float32)
+        directions = equirect_directions(rows)
+        for start in range(0, rows, _CHUNK_ROWS):
+            part = slice(start, start + _CHUNK_ROWS)
+            image[part] = sg.evaluate(self._chosen(wide), directions[part]).numpy()
+        if not bool(wide.all()):
+            image += sg.to_equirect(self._chosen(~wide), rows).numpy()
+        return image
+
+    def _chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
+        lobes = self.lobes
+        return sg.SphericalGaussians(
+            axis=lobes.axis[which],
+            sharpness=lobes.sharpness[which],
+            amplitude=lobes.amplitude[which],
+        )
 
 
 def load_light(path: Path) -> RecoveredLight:

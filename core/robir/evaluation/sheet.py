@@ -23,7 +23,7 @@ Picture = NDArray[np.uint8]
 _MAX_ROWS = 4
 _GAP = 4
 _LABEL_HEIGHT = 26
-_BACKGROUND = 24
+_BACKGROUND = 36
 
 
 def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) -> Picture:

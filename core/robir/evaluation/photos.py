@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a re-render repeats a photograph, as displayed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from robir.capture.capture import View
+from robir.evaluation import metrics
+
+Picture = NDArray[np.uint8]
+
+
+def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
+    """PSNR and SSIM of a re-render against the photograph, over the photograph's mask.
+
+    Args:
+        rerender: (h, w, 3) or (h, w, 4) display codes of the same view, at any size; where it is
+            transparent it counts as black. The photograph is reduced to its size.
+        view: The photograph; pixels whose mask is above a half count.
+
+    Returns:
+        {"psnr", "ssim"} of the display values in [0, 1], or None where the mask is empty.
+    """
+    height, width = rerender.shape[:2]
+    ours = rerender[..., :3] / 255.0
+    if rerender.shape[2] == 4:
+        ours = ours * (rerender[..., 3:] / 255.0)
+    photo = Image.fromarray(view.image_display)
+    mask = Image.fromarray(view.mask)
+    if photo.size != (width, height):
+        photo = photo.resize((width, height), Image.Resampling.BOX)
+        mask = mask.resize((width, height), Image.Resampling.BOX)
+    inside = np.asarray(mask) > 127
+    if not inside.any():
+        return None
+    theirs = np.asarray(photo) / 255.0
+    return {
+        "psnr": metrics.psnr(ours[inside], theirs[inside]),
+        "ssim": metrics.masked_ssim(ours, theirs, inside),
+    }
+
+
+def mean_scores(scores: list[dict[str, float] | None]) -> dict[str, Any]:
+    """Means over views, with their number; None where nothing was scored."""
+    known = [score for score in scores if score is not None]
+    if not known:
+        return {"psnr": None, "ssim": None, "views": 0}
+    means = {name: float(np.mean([score[name] for score in known])) for name in ("psnr", "ssim")}
+    return means | {"views": len(known)}
+
+
+def read_picture(path: Path) -> Picture:
+    """An image file as (H, W, 3) or (H, W, 4) codes."""
+    with Image.open(path) as image:
+        return np.array(image.convert("RGBA" if image.mode == "RGBA" else "RGB"))

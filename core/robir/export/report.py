@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report: one self-contained page, pictures first, and the same numbers as JSON."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from numpy.typing import NDArray
+from PIL import Image
+
+from robir import __version__
+from robir.capture.capture import Capture, View
+from robir.evaluation.layers import Layers, view_layers
+from robir.evaluation.light import RecoveredLight
+from robir.evaluation.photos import mean_scores, photo_scores, read_picture
+from robir.evaluation.sheet import display_codes, layer_pictures
+from robir.geometry.mesh import Mesh
+from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+
+Array = NDArray[np.floating[Any]]
+Picture = NDArray[np.uint8]
+
+_MAX_ROWS = 4
+_NOT_MEASURED = (
+    "albedo, roughness, normals and light against truth: `robir evaluate OUT --truth CAPTURE` "
+    "does that for rendered captures",
+    "the object's underside and whatever no camera saw",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendering:
+    """What Blender made for the report.
+
+    Attributes:
+        rerenders: Cycles pictures of held-out views by name.
+        relit: Cycles pictures under another light by view's name.
+        relit_with: Name of that light.
+        missing: Sentences on what could not be made and how to get it.
+        seconds: "wall" and "cpu" spent in Blender.
+    """
+
+    rerenders: dict[str, Path] = field(default_factory=dict)
+    relit: dict[str, Path] = field(default_factory=dict)
+    relit_with: str = ""
+    missing: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=lambda: {"wall": 0.0, "cpu": 0.0})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Products:
+    """What the report shows.
+
+    Attributes:
+        capture: The photographs.
+        mesh: The surface, capture frame.
+        arrays: Textures as the appearance stage left them.
+        light: Recovered light.
+        tone_curve: Contents of export/tone_curve.json.
+        choices: Contents of the appearance stage's choices.json.
+        rendering: Blender's part.
+        seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.
+    """
+
+    capture: Capture
+    mesh: Mesh
+    arrays: dict[str, Array]
+    light: RecoveredLight
+    tone_curve: dict[str, Any]
+    choices: list[dict[str, Any]]
+    rendering: Rendering
+    seconds: Callable[[], dict[str, float]]
+
+
+def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
+    """Write report/index.html and report/report.json.
+
+    Returns:
+        The JSON's content.
+    """
+    views = products.capture.held_out or products.capture.train
+    own = _own_rerenders(paths)
+    shown = _shown_views(views, products.rendering)
+    layers = view_layers(products.mesh, products.arrays, (view.camera for view in shown))
+    rows = [
+        _row(view, seen, own, products.rendering) for view, seen in zip(shown, layers, strict=True)
+    ]
+    numbers = _numbers(paths, products, own)
+    write_json(paths.report_json, numbers)
+    page = Environment(
+        loader=PackageLoader("robir.export"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template("report.html")
+    text = page.render(
+        rows=rows,
+        numbers=numbers,
+        tone_plot=_inline(paths.tone_plot.read_bytes()),
+        environment=_inline_picture(_environment_picture(products.light)),
+        textures=[
+            (name, _inline((paths.textures / f"{name}.png").read_bytes()))
+            for name in ("albedo", "roughness", "metallic", "coverage", "uncertainty")
+            if (paths.textures / f"{name}.png").is_file()
+        ],
+        relit_with=products.rendering.relit_with,
+    )
+    with replacing(paths.report) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return numbers
+
+
+def _own_rerenders(paths: JobPaths) -> dict[str, Picture]:
+    with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def _shown_views(views: tuple[View, ...], rendering: Rendering) -> list[View]:
+    """Rendered views where there are any, else evenly chosen ones."""
+    rendered = [view for view in views if view.name in rendering.rerenders]
+    if rendered:
+        return rendered[:_MAX_ROWS]
+    picked = np.linspace(0, len(views) - 1, min(_MAX_ROWS, len(views))).round().astype(int)
+    return [views[index] for index in picked]
+
+
+def _row(
+    view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
+) -> dict[str, Any]:
+    """Pictures of one view as data addresses, None where there is none."""
+    pictures = {name: _inline_picture(p) for name, p in layer_pictures(layers).items()}
+    if view.name in rendering.rerenders:
+        again, how = _inline(rendering.rerenders[view.name].read_bytes()), "Cycles"
+    elif view.name in own:
+        again, how = _inline_picture(own[view.name]), "our own renderer"
+    else:
+        again, how = None, ""
+    relit = rendering.relit.get(view.name)
+    photo = np.dstack([view.image_display, view.mask])
+    return {
+        "name": view.name,
+        "photo": _inline_picture(photo),
+        "rerender": again,
+        "rerender_by": how,
+        **pictures,
+        "relit": None if relit is None else _inline(relit.read_bytes()),
+    }
+
+
+def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> dict[str, Any]:
+    """Contents of report.json."""
+    capture, rendering = products.capture, products.rendering
+    by_name = {view.name: view for view in capture.views}
+    run = read_json(paths.run)
+    held_out = mean_scores(
+        [photo_scores(image, by_name[name]) for name, image in own.items() if name in by_name]
+    )
+    cycles = mean_scores(
+        [
+            photo_scores(read_picture(file), by_name[name])
+            for name, file in rendering.rerenders.items()
+        ]
+    )
+    curve = {name: value for name, value in products.tone_curve.items() if name != "samples"}
+    seconds = {stage: run["seconds"][stage] for stage in run["seconds"] if stage != "export"}
+    return {
+        "robir_version": __version__,
+        "capture": {
+            "source": str(capture.source),
+            "format": capture.format,
+            "train_views": len(capture.train),
+            "held_out_views": len(capture.held_out),
+            "image_size": [capture.views[0].camera.width, capture.views[0].camera.height],
+        },
+        "device": run["device"],
+        "preset": run["preset"],
+        "seed": run["seed"],
+        "held_out": held_out,
+        "cycles": cycles,
+        "tone_curve": curve,
+        "choices": {choice["choice"]: choice for choice in products.choices},
+        "light": _light_summary(products.light),
+        "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
+        "texture_size": int(products.arrays["inside"].shape[0]),
+        "seen_share": _seen_share(products.arrays),
+        "warnings": run["warnings"],
+        "missing": list(rendering.missing),
+        "not_measured": list(_NOT_MEASURED),
+        "seconds": seconds
+        | {"export": _rounded(products.seconds()), "rendering": _rounded(rendering.seconds)},
+    }
+
+
+def _light_summary(light: RecoveredLight) -> dict[str, Any]:
+    """Counts, and the sharp lobes by elevation, azimuth and share of the whole power."""
+    power = light.power()
+    suns = []
+    for index in np.nonzero(light.is_sharp)[0]:
+        x, y, z = (float(value) for value in light.lobes.axis[index])
+        suns.append(
+            {
+                "axis": [x, y, z],
+                "elevation_degrees": float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0)))),
+                "azimuth_degrees": float(np.degrees(np.arctan2(y, x))),
+                "power_share": float(power[index] / max(power.sum(), 1e-12)),
+            }
+        )
+    suns.sort(key=lambda sun: -sun["power_share"])
+    return {"lobes": len(power), "sharp": suns}
+
+
+def _seen_share(arrays: dict[str, Array]) -> float:
+    """Share of the surface's texels that at least one training view saw."""
+    inside = arrays["inside"].astype(bool)
+    return float((arrays["coverage"][inside] > 0).mean()) if inside.any() else 0.0
+
+
+def _environment_picture(light: RecoveredLight) -> Picture:
+    """The environment with its median at mid-grey; suns burn out."""
+    image = light.environment(128)
+    grey = max(float(np.median(image.mean(axis=-1))), 1e-6)
+    return display_codes((0.18 * image / grey / (1.0 + 0.18 * image / grey)) ** (1 / 2.2))
+
+
+def _rounded(seconds: dict[str, float]) -> dict[str, float]:
+    return {name: round(value, 2) for name, value in seconds.items()}
+
+
+def _inline_picture(picture: Picture) -> str:
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, format="PNG")
+    return _inline(stream.getvalue())
+
+
+def _inline(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

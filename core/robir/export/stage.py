@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The export stage: the reconstruction's arrays in, the result folder's products out."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robir.capture.capture import Capture
+from robir.capture.store import load_capture, view_path
+from robir.errors import CancelledError, RobirError
+from robir.evaluation.layers import load_textures, result_mesh
+from robir.export.blender import Outcome, run_headless
+from robir.export.config import ExportConfig
+from robir.export.environment import export_light
+from robir.export.gltf import write_glb
+from robir.export.report import Products, Rendering, write_report
+from robir.export.textures import finished_textures, write_textures
+from robir.export.tone import export_tone_curve
+from robir.geometry.mesh import Mesh
+from robir.jobs.context import StageContext
+from robir.jobs.paths import JobPaths, read_json, write_json
+
+REVISION = 1
+
+RELIGHT_ENVIRONMENT = "city"
+"""A map with a hard sun that Blender ships and no capture of ours is lit by."""
+
+_ASSET_SHARE = 0.2
+_RENDER_SHARE = 0.95
+
+
+def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
+    """Write export/, renders/ and report/.
+
+    Args:
+        context: Paths and settings.
+
+    Returns:
+        Counts and scores for the manifest.
+    """
+    cpu, wall = time.process_time(), time.monotonic()
+    paths, report = context.paths, context.reporter
+    report.progress(0.0, "reading the reconstruction")
+    capture = load_capture(paths.stage("capture"))
+    mesh = result_mesh(paths, capture.bounds)
+    arrays = load_textures(paths)
+    report.progress(0.05, "writing textures and the asset")
+    textures = finished_textures(arrays, len(capture.train))
+    write_textures(textures, paths.textures)
+    write_glb(paths.asset, mesh, textures, asset_name(capture))
+    report.progress(0.12, "writing light, tone curve and cameras")
+    light = export_light(paths)
+    tone_curve = export_tone_curve(paths)
+    export_cameras(paths, capture)
+    own = {"cpu": time.process_time() - cpu, "wall": time.monotonic() - wall}
+    rendering = _render(context, capture, tone_curve)
+    cpu, wall = time.process_time(), time.monotonic()
+    report.progress(_RENDER_SHARE, "writing the report")
+    numbers = write_report(
+        paths,
+        Products(
+            capture=capture,
+            mesh=mesh,
+            arrays=arrays,
+            light=light,
+            tone_curve=tone_curve,
+            choices=read_json(paths.stage("appearance") / "choices.json"),
+            rendering=rendering,
+            seconds=lambda: {
+                "cpu": own["cpu"] + time.process_time() - cpu,
+                "wall": own["wall"] + time.monotonic() - wall,
+            },
+        ),
+    )
+    report.progress(1.0, "exported")
+    return _manifest_metrics(mesh, rendering, numbers)
+
+
+def asset_name(capture: Capture) -> str:
+    """Name of the object: the capture's folder, reduced to letters, digits, dot, dash and _."""
+    return re.sub(r"[^\w.-]+", "_", capture.source.name, flags=re.ASCII).strip("_") or "asset"
+
+
+def export_cameras(paths: JobPaths, capture: Capture) -> None:
+    """Write cameras.json: every view with its photograph, in the capture's own frame."""
+    folder = paths.stage("capture")
+    views = []
+    for view in capture.views:
+        camera = view.camera
+        photo = os.path.relpath(view_path(folder, view.name), paths.cameras.parent)
+        views.append(
+            {
+                "name": view.name,
+                "split": view.split,
+                "width": camera.width,
+                "height": camera.height,
+                "fx": camera.fx,
+                "fy": camera.fy,
+                "cx": camera.cx,
+                "cy": camera.cy,
+                "camera_to_world": camera.camera_to_world.tolist(),
+                "image": Path(photo).as_posix(),
+            }
+        )
+    bounds = {"centre": capture.bounds.centre.tolist(), "radius": capture.bounds.radius}
+    write_json(paths.cameras, {"views": views, "bounds": bounds})
+
+
+def _render(
+    context: StageContext[ExportConfig], capture: Capture, tone_curve: dict[str, Any]
+) -> Rendering:
+    """Everything that Blender makes; whatever it cannot make is said, never fatal."""
+    config, paths = context.config, context.paths
+    if not config.renders:
+        return Rendering(missing=("Blender was not asked for (export.renders = false)",))
+    views = [v.name for v in (capture.held_out or capture.train)[: config.render_views]]
+    quality = ["--samples", str(config.render_samples), "--max-side", str(config.render_max_side)]
+    out = str(paths.root)
+    environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", ",".join(views)]
+    commands = (
+        ("scene", ["scene", out]),
+        ("rerender", ["render", out, "--views", ",".join(views), *quality]),
+        ("relight", ["relight", out, *environment, *quality]),
+    )
+    done: dict[str, Outcome] = {}
+    missing: list[str] = []
+    for index, (name, arguments) in enumerate(commands):
+
+        def follow(fraction: float, message: str, index: int = index) -> None:
+            share = (index + fraction) / len(commands)
+            context.reporter.progress(
+                _ASSET_SHARE + (_RENDER_SHARE - _ASSET_SHARE) * share, message
+            )
+
+        try:
+            done[name] = run_headless(arguments, follow)
+        except CancelledError:
+            raise
+        except RobirError as error:
+            context.reporter.warn(f"no {name} in Cycles: {error}")
+            missing.append(f"{name} in Cycles: {error}")
+            break
+    if not tone_curve["blender_view_transform"]:
+        missing.append(
+            "Cycles pictures through the recovered curve: Blender has no such view transform, "
+            "they are shown with Standard; load tone_curve.cube for the curve itself"
+        )
+    return _Work(done, tuple(missing)).rendering()
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Outcomes of the headless commands that ended well."""
+
+    done: dict[str, Outcome]
+    missing: tuple[str, ...]
+
+    def files(self, name: str) -> dict[str, Path]:
+        """Pictures by view: the view's name follows the command's prefix in the file's name."""
+        prefix = {"rerender": "rerender_", "relight": f"relit_{RELIGHT_ENVIRONMENT}_"}[name]
+        outcome = self.done.get(name)
+        files = outcome.files if outcome else ()
+        return {file.stem.removeprefix(prefix): file for file in files}
+
+    def rendering(self) -> Rendering:
+        return Rendering(
+            rerenders=self.files("rerender"),
+            relit=self.files("relight"),
+            relit_with=RELIGHT_ENVIRONMENT,
+            missing=self.missing,
+            seconds={
+                "wall": sum(outcome.wall for outcome in self.done.values()),
+                "cpu": sum(outcome.cpu for outcome in self.done.values()),
+            },
+        )
+
+
+def _manifest_metrics(mesh: Mesh, rendering: Rendering, numbers: dict[str, Any]) -> dict[str, Any]:
+    metrics: dict[str, Any] = {
+        "faces": len(mesh.faces),
+        "rendering_cpu_seconds": round(rendering.seconds["cpu"], 2),
+        "rendering_wall_seconds": round(rendering.seconds["wall"], 2),
+    }
+    for name in ("held_out", "cycles"):
+        if numbers[name]["psnr"] is not None:
+            metrics[f"{name}_psnr"] = round(numbers[name]["psnr"], 3)
+    return metrics

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The GLB against a second reader (trimesh) and against the Khronos validator."""
+
+import io
+import json
+import os
+import shutil
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+import trimesh
+from evaluation import sphere_run
+from PIL import Image
+
+from robir.export.gltf import write_glb
+from robir.export.textures import finished_textures
+
+VALIDATE = """
+const validator = require('gltf-validator');
+const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
+validator.validateBytes(bytes).then((report) => console.log(JSON.stringify(report.issues)));
+"""
+
+
+@pytest.fixture(scope="module")
+def glb(tmp_path_factory):
+    file = tmp_path_factory.mktemp("glb") / "asset.glb"
+    textures = finished_textures(sphere_run.sphere_textures(), 12)
+    write_glb(file, sphere_run.world_mesh(), textures, "sphere")
+    return file
+
+
+def document(glb):
+    content = glb.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    return json.loads(content[20 : 20 + length]), content[20 + length + 8 :]
+
+
+def embedded(glb, index):
+    table, binary = document(glb)
+    view = table["bufferViews"][table["images"][index]["bufferView"]]
+    png = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    return np.array(Image.open(io.BytesIO(png)))
+
+
+def test_a_second_reader_finds_mesh_and_texture_coordinates(glb):
+    loaded = trimesh.load(glb, process=False).geometry["sphere"]
+    mesh = sphere_run.world_mesh()
+    x, y, z = np.asarray(loaded.vertices).T
+    triangles = np.stack([x, -z, y], axis=1)[loaded.faces]
+    assert triangles == pytest.approx(mesh.vertices[mesh.faces], abs=0)
+    # trimesh keeps v upwards, as we do inside
+    uv = np.asarray(loaded.visual.uv)[loaded.faces]
+    assert uv == pytest.approx(mesh.uvs[mesh.uv_faces], abs=1e-6)
+    x, y, z = np.asarray(loaded.vertex_normals).T
+    normals = np.stack([x, -z, y], axis=1)[loaded.faces]
+    assert normals == pytest.approx(mesh.normals[mesh.faces], abs=1e-5)
+
+
+def test_textures_are_where_gltf_wants_them(glb):
+    arrays = sphere_run.sphere_textures()
+    inside = arrays["inside"]
+    surface = embedded(glb, 1)[inside]
+    assert set(np.unique(surface[:, 1])) == {round(0.4 * 255), round(0.7 * 255)}
+    assert not surface[:, 2].any()
+    albedo = embedded(glb, 0)[inside]
+    assert albedo[:, 0].max() == 203
+    table, _ = document(glb)
+    material = table["materials"][0]["pbrMetallicRoughness"]
+    assert material["baseColorTexture"]["index"] == 0
+    assert material["metallicRoughnessTexture"]["index"] == 1
+    assert table["extras"]["robir_version"]
+
+
+def test_the_khronos_validator_finds_no_fault(glb):
+    node, roots = shutil.which("node"), os.environ.get("NODE_PATH", "")
+    npm = shutil.which("npm")
+    if npm:
+        found = subprocess.run([npm, "root", "-g"], capture_output=True, text=True, check=False)
+        roots = os.pathsep.join(filter(None, [roots, found.stdout.strip()]))
+    environment = {**os.environ, "NODE_PATH": roots}
+    probe = [node or "node", "-e", "require('gltf-validator')"]
+    if not node or subprocess.run(probe, env=environment, capture_output=True).returncode:
+        pytest.skip("THE GLB WAS NOT VALIDATED: needs node and `npm install -g gltf-validator`")
+    run = subprocess.run(
+        [node, "-e", VALIDATE, str(glb)], env=environment, capture_output=True, check=True
+    )
+    issues = json.loads(run.stdout)
+    assert issues["numErrors"] == 0, issues["messages"]
+    assert issues["numWarnings"] == 0, issues["messages"]

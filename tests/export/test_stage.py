@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage writes the whole contract, with and without Blender."""
+
+import base64
+import importlib.util
+import json
+import re
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import PyOpenColorIO as OCIO
+import pytest
+from evaluation import sphere_run
+
+from robir.capture.store import load_capture
+from robir.errors import CancelledError, ConfigError, DeviceError, UsageError
+from robir.export import blender, stage
+from robir.export.config import ExportConfig
+from robir.jobs.context import StageContext
+from robir.jobs.paths import read_json, write_json
+
+
+@dataclass
+class Recorder:
+    fractions: list = field(default_factory=list)
+    warnings: list = field(default_factory=list)
+    stop_at: float = 2.0
+
+    def progress(self, fraction, message):
+        self.fractions.append(fraction)
+        if fraction >= self.stop_at:
+            raise CancelledError("stopped")
+
+    def warn(self, message):
+        self.warnings.append(message)
+
+    def metric(self, name, value):
+        pass
+
+
+def context(paths, reporter, **settings):
+    return StageContext(
+        paths=paths,
+        config=ExportConfig(**settings),
+        source=Path("capture"),
+        masks=None,
+        seed=0,
+        device="cpu",
+        reporter=reporter,
+    )
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    paths = sphere_run.make_run(tmp_path_factory.mktemp("run") / "out")
+    recorder = Recorder()
+    metrics = stage.run(context(paths, recorder, renders=False))
+    return paths, recorder, metrics
+
+
+def test_the_result_folder_is_complete(exported):
+    paths, recorder, metrics = exported
+    present = {p.relative_to(paths.root).as_posix() for p in paths.export.rglob("*") if p.is_file()}
+    assert present == {
+        "export/asset.glb",
+        "export/cameras.json",
+        "export/environment.exr",
+        "export/light.json",
+        "export/tone_curve.cube",
+        "export/tone_curve.json",
+        "export/tone_curve.png",
+        "export/textures/albedo.exr",
+        "export/textures/albedo.png",
+        "export/textures/coverage.png",
+        "export/textures/roughness.png",
+        "export/textures/uncertainty.png",
+    }
+    assert paths.report.is_file()
+    assert recorder.fractions == sorted(recorder.fractions)
+    assert recorder.fractions[-1] == 1.0
+    assert metrics["faces"] == len(sphere_run.sphere_mesh().faces)
+    json.dumps(metrics, allow_nan=False)
+
+
+def test_environment_image_has_frame_and_energy(exported):
+    image = next(iter(OpenEXR.File(str(exported[0].environment)).channels().values())).pixels
+    assert image.shape == (512, 1024, 3)
+    assert image.dtype == np.float32
+    brightest = np.unravel_index(image.sum(-1).argmax(), image.shape[:2])
+    v, u = (brightest[0] + 0.5) / 512, (brightest[1] + 0.5) / 1024
+    azimuth, elevation = 2 * np.pi * (0.5 - u), np.pi * (0.5 - v)
+    flat = np.cos(elevation)
+    towards = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
+    assert np.degrees(np.arccos(np.dot(towards, sphere_run.SUN_DIRECTION))) < 0.5
+    edges = np.sin(np.pi * (0.5 - np.arange(513) / 512))
+    solid = ((edges[:-1] - edges[1:]) * 2 * np.pi / 1024)[:, None, None]
+    sun = ((image - sphere_run.SKY) * solid).sum(axis=(0, 1))
+    assert sun == pytest.approx(sphere_run.SUN, rel=0.02)
+
+
+def test_cameras_are_those_of_the_capture(exported):
+    paths = exported[0]
+    capture = load_capture(paths.stage("capture"))
+    table = read_json(paths.cameras)
+    assert table["bounds"]["radius"] == sphere_run.RADIUS
+    for entry, view in zip(table["views"], capture.views, strict=True):
+        assert (entry["name"], entry["split"]) == (view.name, view.split)
+        assert entry["fx"] == view.camera.fx
+        assert np.array(entry["camera_to_world"]) == pytest.approx(view.camera.camera_to_world)
+        assert (paths.export / entry["image"]).resolve().is_file()
+
+
+def test_look_up_table_is_read_by_opencolorio(exported):
+    transform = OCIO.FileTransform(str(exported[0].tone_lut), interpolation=OCIO.INTERP_LINEAR)
+    processor = OCIO.Config.CreateRaw().getProcessor(transform).getDefaultCPUProcessor()
+    table = read_json(exported[0].tone_curve)
+    assert len(table["samples"]["linear"]) == len(table["samples"]["display"])
+    for linear, display in zip(*table["samples"].values(), strict=True):
+        if linear > 2e-2:
+            assert processor.applyRGB([linear] * 3)[0] == pytest.approx(display, abs=4e-3)
+
+
+class Sources(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.images, self.others = [], []
+
+    def handle_starttag(self, tag, attrs):
+        named = dict(attrs)
+        if tag == "img":
+            self.images.append(named["src"])
+        self.others += [named[k] for k in ("href", "src") if tag != "img" and k in named]
+
+
+def test_report_is_self_contained(exported):
+    page = exported[0].report.read_text(encoding="utf-8")
+    sources = Sources()
+    sources.feed(page)
+    assert not sources.others
+    assert not re.findall(r"url\(|https?://|<script", page)
+    # three views of photo, re-render, albedo, roughness, normals; two plots; four textures
+    assert len(sources.images) == 3 * 5 + 2 + 4
+    for source in sources.images:
+        head, _, data = source.partition(",")
+        assert head == "data:image/png;base64"
+        assert base64.b64decode(data, validate=True).startswith(b"\x89PNG")
+
+
+def test_report_numbers_have_the_public_keys(exported):
+    numbers = read_json(exported[0].report_json)
+    for stage_name in ("capture", "geometry", "transport", "appearance", "export", "rendering"):
+        assert set(numbers["seconds"][stage_name]) == {"wall", "cpu"}
+    assert numbers["device"] == "cpu"
+    assert numbers["preset"] == "draft"
+    assert numbers["held_out"]["psnr"] == 100.0
+    assert numbers["held_out"]["ssim"] == pytest.approx(1.0)
+    assert numbers["cycles"]["psnr"] is None
+    assert numbers["tone_curve"]["family"] == "standard"
+    assert numbers["choices"]["tone curve"]["chosen"] == "standard"
+    assert numbers["light"]["sharp"][0]["elevation_degrees"] == pytest.approx(41.81, abs=0.01)
+    assert numbers["missing"]
+
+
+def test_without_blender_the_rest_is_there_and_the_report_says_how(tmp_path, monkeypatch):
+    paths = sphere_run.make_run(tmp_path / "out")
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "bpy" else find(name, *a)
+    )
+    recorder = Recorder()
+    stage.run(context(paths, recorder))
+    assert "pip install" in recorder.warnings[0]
+    assert paths.asset.is_file()
+    assert not paths.scene.exists()
+    assert "pip install" in read_json(paths.report_json)["missing"][0]
+    assert "pip install" in paths.report.read_text(encoding="utf-8")
+
+
+def test_a_name_from_outside_cannot_write_html(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    file = paths.stage("appearance") / "choices.json"
+    choices = read_json(file)
+    choices[0]["why"] = "<script>alert(1)</script>"
+    write_json(file, choices)
+    stage.run(context(paths, Recorder(), renders=False))
+    assert "<script" not in paths.report.read_text(encoding="utf-8")
+
+
+FAKE = """
+import json, sys, time
+print(json.dumps({"progress": 0.5, "message": "half"}), flush=True)
+if sys.argv[1] == "fail":
+    sys.stderr.write("noise\\nerror: no such view\\n"); sys.exit(2)
+if sys.argv[1] == "die":
+    import os, signal; os.kill(os.getpid(), signal.SIGKILL)
+if sys.argv[1] == "hang":
+    time.sleep(60)
+sum(i * i for i in range(2_000_000))
+print(json.dumps({"files": ["a.png"], "notes": ["n"]}))
+"""
+
+
+@pytest.fixture
+def fake_addon(tmp_path, monkeypatch):
+    package = tmp_path / "robir_addon"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "headless.py").write_text(FAKE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(blender, "missing_blender", lambda: None)
+
+
+def test_headless_outcome_progress_and_time(fake_addon):
+    seen = []
+    outcome = blender.run_headless(["go"], lambda f, m: seen.append((f, m)))
+    assert seen == [(0.5, "half")]
+    assert (outcome.files, outcome.notes) == ((Path("a.png"),), ("n",))
+    assert 0.02 < outcome.cpu <= outcome.wall + 0.5
+
+
+def test_headless_errors_keep_their_sentence_and_kind(fake_addon):
+    with pytest.raises(UsageError, match=r"^no such view$"):
+        blender.run_headless(["fail"], lambda f, m: None)
+    with pytest.raises(DeviceError, match="-9"):
+        blender.run_headless(["die"], lambda f, m: None)
+
+
+def test_a_request_to_stop_ends_blender(fake_addon):
+    def stop(fraction, message):
+        raise CancelledError("stop")
+
+    with pytest.raises(CancelledError):
+        blender.run_headless(["hang"], stop)
+
+
+def test_settings_are_checked():
+    with pytest.raises(ConfigError, match=r"export\.render_samples"):
+        ExportConfig(render_samples=0)

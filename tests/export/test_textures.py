@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Islands grow by what was asked, codes and colour states are what the files promise."""
+
+import numpy as np
+import OpenEXR
+import pytest
+from evaluation import sphere_run
+from PIL import Image
+
+from robir.export import textures
+
+
+def island(size=64):
+    inside = np.zeros((size, size), bool)
+    inside[20:40, 16:50] = True
+    rows, columns = np.mgrid[:size, :size]
+    image = np.stack([rows, columns, rows + columns], axis=-1) / 128.0
+    return np.where(inside[..., None], image, 0.0), inside
+
+
+def test_islands_grow_with_the_nearest_texel():
+    image, inside = island()
+    filled = textures.grown(image, inside, 8)
+    assert filled[inside] == pytest.approx(image[inside])
+    assert filled[30, 8] == pytest.approx(image[30, 16])  # 8 texels off
+    assert filled[12, 30] == pytest.approx(image[20, 30])
+    assert filled[30, 57] == pytest.approx(image[30, 49])
+    mean = image[inside].mean(axis=0)
+    assert filled[30, 7] == pytest.approx(mean)
+    assert filled[0, 0] == pytest.approx(mean)
+    # corners are as near as they are in the plane, brute force over all texels inside
+    spots = np.argwhere(inside)
+    for texel in ((15, 12), (44, 54), (36, 51)):
+        distance = np.linalg.norm(spots - texel, axis=1)
+        ties = [image[tuple(s)] for s in spots[distance == distance.min()]]
+        assert any(filled[texel] == pytest.approx(t) for t in ties)
+
+
+@pytest.mark.parametrize(("size", "margin"), [(256, 8), (2048, 8), (4096, 16)])
+def test_margin_follows_the_size(size, margin):
+    inside = np.zeros((size, size), bool)
+    inside[:, : size // 2] = True
+    flat = np.ones((size, size), np.float32)
+    ramp = np.where(inside, np.linspace(0, 1, size, dtype=np.float32)[:, None], 0.0)
+    arrays = {
+        "inside": inside,
+        "albedo_linear": np.repeat(flat[..., None], 3, axis=-1),
+        "roughness": ramp,
+        "metallic": 0 * flat,
+        "coverage": 3 * flat,
+        "uncertainty": flat,
+    }
+    row = textures.finished_textures(arrays, 12).roughness[-1]
+    assert np.count_nonzero(row > 0.99) == size // 2 + margin
+
+
+def test_files_carry_their_colour_state(tmp_path):
+    arrays = sphere_run.sphere_textures()
+    done = textures.finished_textures(arrays, 12)
+    (tmp_path / "metallic.png").write_bytes(b"old")
+    textures.write_textures(done, tmp_path)
+    inside = arrays["inside"]
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {
+        "albedo.png",
+        "albedo.exr",
+        "roughness.png",
+        "coverage.png",
+        "uncertainty.png",
+    }
+    with Image.open(tmp_path / "albedo.png") as image:
+        albedo = np.array(image)
+    # 0.6 linear is 203 in sRGB by the standard's formula, not 153
+    expected = np.round(255 * (1.055 * 0.6 ** (1 / 2.4) - 0.055))
+    assert albedo[inside][:, 0].max() == expected == 203
+    channels = OpenEXR.File(str(tmp_path / "albedo.exr")).channels()
+    linear = next(iter(channels.values())).pixels
+    assert linear.dtype == np.float16
+    assert linear[inside].astype(float) == pytest.approx(arrays["albedo_linear"][inside], abs=1e-3)
+    with Image.open(tmp_path / "roughness.png") as image:
+        assert image.mode == "L"
+        assert set(np.unique(np.array(image)[inside])) == {round(0.4 * 255), round(0.7 * 255)}
+    with Image.open(tmp_path / "coverage.png") as image:
+        coverage = np.array(image)
+    assert set(np.unique(coverage[inside])) == {round(255 * 6 / 12)}
+    assert not coverage[~inside].any()
+
+
+def test_metal_gets_its_own_file(tmp_path):
+    arrays = sphere_run.sphere_textures()
+    arrays["metallic"][arrays["inside"]] = 1.0
+    textures.write_textures(textures.finished_textures(arrays, 12), tmp_path)
+    with Image.open(tmp_path / "metallic.png") as image:
+        assert (np.array(image)[arrays["inside"]] == 255).all()
