@@ -23,7 +23,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import PyOpenColorIO as ocio
+import PyOpenColorIO
 import scipy.sparse
 import scipy.sparse.linalg
 import torch
@@ -49,10 +49,13 @@ _OUTSET = ((0.5894, 0.3582, 0.0524), (0.1346, 0.8461, 0.0193), (0.0894, 0.1849, 
 class _Transform:
     """A view transform of the sRGB display, applied to (N, 3) arrays."""
 
-    def __init__(self, config: ocio.Config, view: str, source: str = "Linear Rec.709") -> None:
+    def __init__(
+        self, config: PyOpenColorIO.Config, view: str, source: str = "Linear Rec.709"
+    ) -> None:
         """Compile the transform from a linear colour space to display codes."""
-        group = ocio.GroupTransform()
-        group.appendTransform(ocio.DisplayViewTransform(src=source, display="sRGB", view=view))
+        group = PyOpenColorIO.GroupTransform()
+        display = PyOpenColorIO.DisplayViewTransform(src=source, display="sRGB", view=view)
+        group.appendTransform(display)
         self._cpu = config.getProcessor(group).getDefaultCPUProcessor()
 
     def __call__(self, linear: Array) -> Array:
@@ -62,7 +65,7 @@ class _Transform:
         return np.clip(pixels.astype(np.float64), 0.0, 1.0)
 
 
-def _filmic_table(config: ocio.Config) -> Array:
+def _filmic_table(config: PyOpenColorIO.Config) -> Array:
     low, high = tone_table.LOG2_RANGE_FILMIC
     grey = 2.0 ** np.linspace(low, high, _NODES_FILMIC)
     display = _Transform(config, "Filmic")(np.repeat(grey[:, None], 3, axis=1)).mean(axis=1)
@@ -70,14 +73,14 @@ def _filmic_table(config: ocio.Config) -> Array:
     return np.maximum.accumulate(display + 1e-7 * np.arange(_NODES_FILMIC))
 
 
-def _wide_primaries(config: ocio.Config) -> Array:
+def _wide_primaries(config: PyOpenColorIO.Config) -> Array:
     processor = config.getProcessor("Linear Rec.709", "Linear FilmLight E-Gamut")
     pixels = np.eye(3, dtype=np.float32)
     processor.getDefaultCPUProcessor().applyRGB(pixels)
     return pixels.T.astype(np.float64)
 
 
-def _agx_lattice(config: ocio.Config) -> NDArray[np.uint16]:
+def _agx_lattice(config: PyOpenColorIO.Config) -> NDArray[np.uint16]:
     low, high = tone_table.LOG2_RANGE_AGX
     index = np.indices((_NODES_AGX,) * 3).reshape(3, -1).T
     wide = 2.0 ** (low + (high - low) * index / (_NODES_AGX - 1))
@@ -150,7 +153,7 @@ def tabulate(config_path: Path) -> dict[str, NDArray[np.generic]]:
     Returns:
         Arrays by name, as the module's head lists them.
     """
-    config = ocio.Config.CreateFromFile(str(config_path))
+    config = PyOpenColorIO.Config.CreateFromFile(str(config_path))
     tables: dict[str, NDArray[np.generic]] = {
         "filmic_display": _filmic_table(config).astype(np.float32),
         "agx_matrix": _wide_primaries(config),
