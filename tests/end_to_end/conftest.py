@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One small capture with truth, rendered once, and its reconstruction."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+SETTINGS = (
+    "geometry.level_cells=[48, 80]",
+    "geometry.level_steps=[150, 250]",
+    "geometry.face_budget=5000",
+    "transport.num_surfels=8000",
+    "transport.num_directions=256",
+    "appearance.texture_size=256",
+    "export.render_views=2",
+    "export.render_samples=16",
+    "export.render_max_side=96",
+)
+"""A draft cut to half a CPU-minute, for a capture of 96x96 pixels."""
+
+
+@dataclass(frozen=True)
+class Spine:
+    """A capture and the folder it was reconstructed into."""
+
+    capture: Path
+    out: Path
+
+
+def robir(*words: str, expect: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run the command line as a user does."""
+    command = [sys.executable, "-m", "robir", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == expect, done.stderr[-2000:]
+    return done
+
+
+def reconstruct_words(capture: Path, out: Path) -> list[str]:
+    """The command that makes the asset."""
+    changes = [word for setting in SETTINGS for word in ("--set", setting)]
+    words = ["reconstruct", str(capture), "-o", str(out), "--progress", "json", "--threads", "1"]
+    return [*words, *changes]
+
+
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The truck under a hard sun, 24 views of 96x96, photographed through Filmic."""
+    folder = tmp_path_factory.mktemp("spine") / "capture"
+    command = [sys.executable, "-m", "blender_scenes", "truck", str(folder)]
+    size = ["--resolution", "96", "--views", "24", "--test-views", "4", "--samples", "16"]
+    subprocess.run([*command, *size, "--view-transform", "Filmic"], check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def spine(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Spine:
+    """The finished reconstruction, renders included."""
+    out = tmp_path_factory.mktemp("result") / "out"
+    robir(*reconstruct_words(capture, out))
+    return Spine(capture=capture, out=out)

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Posed images in, a relit asset out, with bars on the accuracy; everything real."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robir.jobs.paths import STAGES, JobPaths, read_json
+from tests.end_to_end.conftest import Spine, reconstruct_words, robir
+
+pytestmark = [pytest.mark.slow, pytest.mark.blender]
+
+
+@pytest.fixture(scope="module")
+def scores(spine: Spine) -> dict:
+    done = robir("evaluate", str(spine.out), "--truth", str(spine.capture), "--json")
+    return json.loads(done.stdout)
+
+
+def test_the_result_folder_is_complete(spine):
+    paths = JobPaths(spine.out)
+    products = [
+        paths.asset, paths.scene, paths.environment, paths.light, paths.tone_curve, paths.tone_lut,
+        paths.tone_plot, paths.cameras, paths.report, paths.report_json,
+    ]  # fmt: skip
+    assert not [path.name for path in products if not path.is_file()]
+    assert {path.name for path in paths.textures.iterdir()} >= {"albedo.png", "roughness.png"}
+    assert list(paths.renders.glob("rerender_*.png"))
+    assert list(paths.renders.glob("relit_*.png"))
+
+
+def test_the_report_has_the_numbers_it_promises(spine):
+    report = read_json(JobPaths(spine.out).report_json)
+    assert set(STAGES) <= set(report["seconds"])
+    assert report["held_out"]["psnr"] > 20.0
+    assert {"device", "preset", "tone_curve", "choices"} <= report.keys()
+
+
+def test_geometry_is_accurate(scores):
+    assert scores["mask_iou"] > 0.97
+    assert scores["normals"]["mean_degrees"] < 16.0
+    assert scores["chamfer"]["chamfer"] < 12.0
+
+
+def test_albedo_is_free_of_shadow(scores):
+    ours = scores["albedo"]["psnr_linear"]["per_channel_lsq"]
+    photo = scores["photo_as_albedo"]["psnr_linear"]["per_channel_lsq"]
+    assert ours > 18.0
+    assert ours > photo + 3.0
+    assert 0.75 < scores["shadow"]["ratio"] < 1.25
+
+
+def test_light_and_tone_curve_are_found(scores):
+    assert scores["light"]["strongest_lobe_degrees"] < 5.0
+    assert scores["tone_curve"]["family"] != "standard"
+
+
+def test_cycles_shows_what_was_photographed(spine):
+    assert read_json(JobPaths(spine.out).report_json)["cycles"]["psnr"] > 20.0
+
+
+def test_a_second_start_does_nothing(spine):
+    before = stage_hashes(spine.out)
+    done = robir(*reconstruct_words(spine.capture, spine.out))
+    assert "finished already" in done.stderr
+    assert done.stdout.strip() == str(spine.out)
+    assert stage_hashes(spine.out) == before
+
+
+def test_killed_in_its_longest_stages_and_resumed_it_is_the_same(spine, tmp_path):
+    """The real stages, killed in geometry and again in appearance."""
+    out = tmp_path / "out"
+    words = reconstruct_words(spine.capture, out)
+    for stage in ("geometry", "appearance"):
+        kill_in_stage(words, out, stage)
+        words = [*reconstruct_words(spine.capture, out), "--resume"]
+    robir(*words)
+    assert stage_hashes(out) == stage_hashes(spine.out)
+
+
+def kill_in_stage(words: list[str], out: Path, stage: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "robir", *words],
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+    )
+    status = JobPaths(out).status
+    while process.poll() is None and not (status.exists() and f'"{stage}"' in status.read_text()):
+        time.sleep(0.1)
+    time.sleep(1.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def stage_hashes(out: Path) -> dict[str, str]:
+    """Hash of every array of every stage."""
+    hashes = {}
+    for path in sorted((out / "stages").rglob("*.npz")):
+        with np.load(path, allow_pickle=False) as arrays:
+            digest = hashlib.sha256()
+            for name in sorted(arrays.files):
+                digest.update(arrays[name].tobytes())
+        hashes[path.relative_to(out).as_posix()] = digest.hexdigest()
+    assert hashes
+    return hashes
+
+
+def test_a_setting_of_the_last_stage_runs_the_last_stage_only(spine, tmp_path):
+    words = [*reconstruct_words(spine.capture, spine.out), "--set", "export.renders=false"]
+    refused = robir(*words, expect=2)
+    assert "export.renders: True -> False" in refused.stderr
