@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,7 +31,7 @@ TABLES_PATH = Path(__file__).with_name("tone_tables.npz")
 LOG2_RANGE_FILMIC = (-12.473931188, 4.026068812)
 LOG2_RANGE_AGX = (-12.47393, 12.5260688117)
 
-Tables = Mapping[str, NDArray[np.generic]]
+Tables = Mapping[str, NDArray[Any]]
 _Rows = tuple[tuple[float, ...], ...]
 
 
@@ -41,7 +42,7 @@ def load_tables() -> Tables:
         return {name: file[name] for name in file.files}
 
 
-def _rows(matrix: NDArray[np.generic]) -> _Rows:
+def _rows(matrix: NDArray[Any]) -> _Rows:
     return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
