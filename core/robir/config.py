@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from robir.errors import ConfigError
 from robir.export.config import ExportConfig
 from robir.geometry.config import GeometryConfig
 from robir.settings import (
+    checked_table,
     merge,
     parse_assignment,
     read_toml,
@@ -66,16 +67,13 @@ def resolve(base: RunConfig, file: Path | None, assignments: Sequence[str]) -> R
     Raises:
         ConfigError: If a setting is unknown, of the wrong type or out of range.
     """
-    config = base
+    table = table_from_settings(base)
     if file is not None:
-        config = _changed(config, read_toml(file), str(file))
+        table = merge(table, checked_table(RunConfig, read_toml(file), str(file)))
     for assignment in assignments:
-        config = _changed(config, parse_assignment(assignment), f"--set {assignment}")
-    return config
-
-
-def _changed(config: RunConfig, changes: Mapping[str, Any], source: str) -> RunConfig:
-    return settings_from_table(RunConfig, merge(table_from_settings(config), changes), source)
+        changes = parse_assignment(assignment)
+        table = merge(table, checked_table(RunConfig, changes, f"--set {assignment}"))
+    return settings_from_table(RunConfig, table, "settings")
 
 
 def fingerprint(*facts: Any) -> str:

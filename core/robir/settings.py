@@ -70,35 +70,49 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def settings_from_table(
-    cls: type[SettingsT], table: Mapping[str, Any], source: str, section: str = ""
-) -> SettingsT:
-    """Build a settings dataclass from a nested table.
+def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: str) -> SettingsT:
+    """Build a settings dataclass from a nested table; absent fields keep their defaults.
 
     Args:
         cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses.
-        table: Values by field name; absent fields keep their defaults.
+        table: Values by field name.
         source: Where the table comes from, for messages: a file name or "--set".
-        section: Dotted name of this table within the whole, empty for the root.
 
     Raises:
         ConfigError: If a key is unknown, a value has the wrong type, or the class refuses it.
     """
+    return _built(cls, checked_table(cls, table, source))
+
+
+def checked_table(
+    cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
+) -> dict[str, Any]:
+    """The table with every value of the annotated type; ranges are not looked at yet.
+
+    Args:
+        cls: As for `settings_from_table`.
+        table: Values by field name.
+        source: Where the table comes from, for messages.
+        section: Dotted name of this table within the whole, empty for the root.
+
+    Raises:
+        ConfigError: If a key is unknown or a value has the wrong type.
+    """
     hints = get_type_hints(cls)
-    names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+    names = [field.name for field in fields(cls)]
     values: dict[str, Any] = {}
     for key, value in table.items():
         dotted = f"{section}.{key}" if section else key
         if key not in names:
             raise ConfigError(_unknown_key(dotted, key, names, source))
         hint = hints[key]
-        if is_dataclass(hint) and isinstance(hint, type):
-            if not isinstance(value, Mapping):
-                raise ConfigError(f"{source}: {dotted} is a section, not a value ({value!r})")
-            values[key] = settings_from_table(hint, value, source, dotted)
-        else:
+        if not is_dataclass(hint):
             values[key] = _converted(value, hint, dotted, source)
-    return cls(**values)
+        elif isinstance(value, Mapping):
+            values[key] = checked_table(hints[key], value, source, dotted)
+        else:
+            raise ConfigError(f"{source}: {dotted} is a section, not a value ({value!r})")
+    return values
 
 
 def table_from_settings(settings: Any) -> dict[str, Any]:
@@ -126,6 +140,17 @@ def changed_settings(
         elif old != new:
             sentences.append(f"{dotted}: {old!r} -> {new!r}")
     return sentences
+
+
+def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
+    """The dataclass of checked values."""
+    hints = get_type_hints(cls)
+    return cls(
+        **{
+            key: _built(hints[key], value) if isinstance(value, Mapping) else value
+            for key, value in values.items()
+        }
+    )
 
 
 def _unknown_key(dotted: str, key: str, names: list[str], source: str) -> str:

@@ -13,25 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from robir.bench.plan import BenchRun
-from robir.jobs.paths import STAGES, JobPaths, read_json
+from robir.jobs.paths import STAGES, JobPaths, read_json, replacing
 
 
 def scores_file(folder: Path) -> Path:
-    """One JSON line a run, in the order they ended."""
+    """One JSON line a run."""
     return folder / "scores.jsonl"
 
 
 def read_scores(folder: Path) -> dict[str, dict[str, Any]]:
-    """Last record of each run, by name; a half-written last line is left out."""
-    records: dict[str, dict[str, Any]] = {}
-    if scores_file(folder).exists():
-        for line in scores_file(folder).read_text(encoding="utf-8").splitlines():
-            try:
-                record = json.loads(line)
-            except ValueError:
-                continue
-            records[record["name"]] = record
-    return records
+    """Record of each run that was tried, by name."""
+    file = scores_file(folder)
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return {record["name"]: record for record in map(json.loads, lines)}
 
 
 def carry_out(runs: Sequence[BenchRun], folder: Path, say: Callable[[str], None]) -> None:
@@ -42,16 +36,16 @@ def carry_out(runs: Sequence[BenchRun], folder: Path, say: Callable[[str], None]
         folder: Of the results and `scores.jsonl`.
         say: Takes a line about each run.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    records = read_scores(folder)
     for number, run in enumerate(runs, 1):
-        done = read_scores(folder).get(run.name)
-        if done is not None and "error" not in done:
+        if "scores" in records.get(run.name, {}):
             say(f"{number}/{len(runs)} {run.name}: done before")
             continue
-        record = _record(run, folder)
-        with scores_file(folder).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
-        say(f"{number}/{len(runs)} {run.name}: {record.get('error', 'done')}")
+        records[run.name] = _record(run, folder)
+        with replacing(scores_file(folder)) as temporary:
+            lines = (json.dumps(record) + "\n" for record in records.values())
+            temporary.write_text("".join(lines), encoding="utf-8")
+        say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
 
 
 def _record(run: BenchRun, folder: Path) -> dict[str, Any]:
