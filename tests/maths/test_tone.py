@@ -156,7 +156,7 @@ def test_gradients_of_both_ways_are_inverse(curve):
 def test_clipping_families():
     clipping = {curve.name: curve.is_clipping for curve in tone.families()}
     assert clipping["standard"]
-    assert not (clipping["filmic"] or clipping["agx"] or clipping["khronos_pbr_neutral"])
+    assert not any(clipping[name] for name in ("filmic", "agx", "khronos_pbr_neutral"))
     assert tone.AcesToneCurve(0.01).is_clipping
     assert not tone.AcesToneCurve(1.0).is_clipping
 

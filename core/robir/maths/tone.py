@@ -114,7 +114,8 @@ def cube_text(curve: AbstractToneCurve, size: int) -> str:
     else:
         shaper = curve.display_from_linear(linear[:, None].expand(-1, 3))
     header = [
-        f'TITLE "{curve.name}: linear Rec.709 to sRGB display"',
+        # OpenColorIO's reader of two-part files knows comments, but no TITLE.
+        f"# {curve.name}: linear Rec.709 to sRGB display",
         f"LUT_1D_SIZE {_NUM_SHAPER}",
         f"LUT_1D_INPUT_RANGE 0.0 {MAX_LINEAR}",
         f"LUT_3D_SIZE {size}",

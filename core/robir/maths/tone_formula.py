@@ -66,9 +66,10 @@ class AcesToneCurve(AbstractToneCurve):
     def __init__(self, tone_gamma: float | Tensor = 0.5) -> None:
         """Fix g; raises ConfigError outside (0, 1]."""
         self.tone_gamma = torch.as_tensor(tone_gamma)
-        if not 0.0 < float(self.tone_gamma) <= 1.0:
+        value = self.parameters["tone_gamma"]
+        if not 0.0 < value <= 1.0:
             raise ConfigError(
-                f"tone curve robir_aces: tone_gamma is {float(self.tone_gamma):g}; "
+                f"tone curve robir_aces: tone_gamma is {value:g}; "
                 "give a number above 0 and at most 1"
             )
 
@@ -83,7 +84,7 @@ class AcesToneCurve(AbstractToneCurve):
     @property
     def parameters(self) -> dict[str, float]:
         """The scalar g."""
-        return {"tone_gamma": float(self.tone_gamma)}
+        return {"tone_gamma": float(self.tone_gamma.detach())}
 
     @property
     def is_clipping(self) -> bool:
