@@ -88,27 +88,40 @@ def reconstruct(
     paths = JobPaths(request.out)
     capture = capture_fingerprint(request.source, request.masks, request.out)
     folder.create(paths)
-    with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
-        expected = stage_fingerprints(
-            request.config, {name: stages[name].REVISION for name in STAGES}, capture
-        )
-        states: dict[str, StageState] = {
-            stage: stage_state(paths, stage, expected[stage]) for stage in STAGES
-        }
-        run = folder.read_run(paths)
-        if run is not None:
-            folder.refuse_other_capture(paths, run, request.source, capture)
-        pending = [stage for stage in STAGES if states[stage] != "done"]
-        reporter = RunReporter(paths, display, pending)
-        if run is not None and not pending:
-            write_json(paths.run, run | {"state": "done"})
-            reporter.finish(f"{request.out} is finished already; nothing to do")
-            return paths
-        is_worth_keeping = any(state in ("done", "stale") for state in states.values())
-        if run is not None and is_worth_keeping and not request.is_resume:
-            folder.refuse_without_resume(paths, run, capture, request.config)
-        _Run(request, paths, reporter, run, capture).work(stages, states, expected)
+    try:
+        with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
+            _bring_up_to_date(request, paths, display, stages, capture)
+    except OSError as error:
+        raise translated(error, "", paths.root) from error
     return paths
+
+
+def _bring_up_to_date(
+    request: RunRequest,
+    paths: JobPaths,
+    display: Display,
+    stages: Mapping[str, StageModule],
+    capture: str,
+) -> None:
+    """Look at what is there, refuse what must not be touched, and run the rest."""
+    revisions = {name: stages[name].REVISION for name in STAGES}
+    expected = stage_fingerprints(request.config, revisions, capture)
+    states: dict[str, StageState] = {
+        stage: stage_state(paths, stage, expected[stage]) for stage in STAGES
+    }
+    run = folder.read_run(paths)
+    if run is not None:
+        folder.refuse_other_capture(paths, run, request.source, capture)
+    pending = [stage for stage in STAGES if states[stage] != "done"]
+    reporter = RunReporter(paths, display, pending)
+    if run is not None and not pending:
+        write_json(paths.run, run | {"state": "done"})
+        reporter.finish(f"{request.out} is finished already; nothing to do")
+        return
+    is_worth_keeping = any(state in ("done", "stale") for state in states.values())
+    if run is not None and is_worth_keeping and not request.is_resume:
+        folder.refuse_without_resume(paths, run, capture, request.config)
+    _Run(request, paths, reporter, run, capture).work(stages, states, expected)
 
 
 class _Run:
