@@ -4,7 +4,7 @@
 # make test                        everything the project checks about itself
 # make setup                       only the environment; .venv/bin/robir is then the command
 
-PYTHON ?= python3.11
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
