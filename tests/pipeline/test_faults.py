@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robir.config import RunConfig
 from robir.errors import (
     CancelledError,
     CaptureError,
@@ -23,8 +24,9 @@ from robir.errors import (
     UsageError,
 )
 from robir.jobs.lock import folder_lock
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import STAGES, JobPaths, read_json
 from robir.jobs.status import read_status
+from robir.pipeline.faults import _MEMORY_CURES
 from robir.pipeline.runner import reconstruct
 from tests.pipeline.fakes import Silent, fake_stages, make_capture, request
 
@@ -48,7 +50,7 @@ def raising(error):
     ("error", "expected", "words"),
     [
         (OSError(errno.ENOSPC, "No space left on device", "x.npz"), StorageError, "make room"),
-        (MemoryError(), DeviceError, r"out of memory in geometry: lower geometry\."),
+        (MemoryError(), DeviceError, "out of memory in geometry: lower geometry"),
         (RuntimeError("CUDA out of memory. Tried to allocate"), DeviceError, "geometry"),
         (
             RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory"),
@@ -67,6 +69,13 @@ def test_faults_are_told_in_words(tmp_path, error, expected, words):
     reconstruct(
         request(tmp_path / "capture", tmp_path / "out", is_resume=True), Silent(), fake_stages()
     )
+
+
+def test_the_setting_named_against_lack_of_memory_exists():
+    assert set(_MEMORY_CURES) == set(STAGES)
+    for dotted in _MEMORY_CURES.values():
+        section, _, key = dotted.partition(".")
+        assert hasattr(getattr(RunConfig(), section), key)
 
 
 def test_a_bug_stays_a_bug(tmp_path):

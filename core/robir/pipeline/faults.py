@@ -19,12 +19,13 @@ _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, 
 _FULL_BELOW_BYTES = 1 << 20
 
 _MEMORY_CURES = {
-    "capture": "lower capture.max_side",
-    "geometry": "lower geometry.resolution or use the preset draft",
-    "transport": "lower transport.num_directions or transport.num_surfels",
-    "appearance": "lower appearance.texture_size or use the preset draft",
-    "export": "lower export.max_side",
+    "capture": "capture.max_side",
+    "geometry": "geometry.level_cells",
+    "transport": "transport.num_surfels",
+    "appearance": "appearance.num_solve_surfels",
+    "export": "export.render_max_side",
 }
+"""The setting that decides most about each stage's memory."""
 
 
 def translated(error: BaseException, stage: str, out: Path) -> BaseException:
@@ -49,7 +50,7 @@ def translated(error: BaseException, stage: str, out: Path) -> BaseException:
         )
     if _is_out_of_memory(error):
         return DeviceError(
-            f"out of memory in {stage}: {_MEMORY_CURES.get(stage, 'use the preset draft')}, "
+            f"out of memory in {stage}: lower {_MEMORY_CURES.get(stage, 'the preset')} with --set, "
             "then continue with --resume"
         )
     if _is_full(out):
