@@ -13,7 +13,8 @@ from PIL import Image
 
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
-from robir.capture.recognise import read_capture
+from robir.capture.findings import check_frames
+from robir.capture.recognise import read_capture, read_frames
 from robir.errors import CaptureError
 
 
@@ -63,6 +64,11 @@ def sparse(odd_shots, tmp_path) -> Path:
 def test_nothing_there(tmp_path):
     refused(tmp_path / "nowhere", "does not exist")
     refused(tmp_path, "neither photographs nor camera poses", "transforms_train.json")
+
+
+def test_a_folder_of_captures(shots, tmp_path):
+    writers.nerf_synthetic(tmp_path / "mug", shots)
+    refused(tmp_path, "no capture itself", "mug")
 
 
 def test_photographs_without_poses(shots, tmp_path):
@@ -143,7 +149,8 @@ def test_poses_that_are_no_matrix(synthetic, matrix):
 
 def test_wrong_image_size(studio):
     Image.new("RGB", (40, 48), "gray").save(studio / "images/frame_00002.png")
-    refused(studio, "frame_00002.png", "40x48", "48x48")
+    Image.new("L", (40, 48), 255).save(studio / "mattes/frame_00002.png")
+    refused(studio, "frame_00002.png", "40x48", "its pose is for 48x48")
 
 
 def test_wrong_mask_size(studio):
@@ -195,7 +202,7 @@ def test_a_fisheye_colmap_model(odd_shots, tmp_path):
 def test_flat_photographs(studio, level, word):
     for index in (1, 4):
         Image.new("RGB", (48, 48), (level,) * 3).save(studio / f"images/frame_{index:05d}.png")
-    refused(studio, f"2 photographs are {word}", "00001", "00004")
+    refused(studio, f"2 of 8 photographs are {word}", "00001", "00004")
 
 
 @pytest.mark.parametrize(("level", "word"), [(0, "empty"), (255, "full")])
@@ -294,3 +301,36 @@ def test_every_unreadable_photograph_is_named(synthetic):
     for name in ("r_1.png", "r_6.png"):
         (synthetic / "train" / name).write_bytes(b"nothing")
     refused(synthetic, "r_1.png", "r_6.png")
+
+
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("colmap", "sparse/0/images.bin"), ("colmap", "sparse/0/cameras.bin"),
+     ("colmap", "sparse/0/points3D.bin"), ("neus", "cameras_sphere.npz"),
+     ("llff", "poses_bounds.npy"), ("nerfstudio", "transforms.json")],
+)
+def test_random_damage_is_refused_or_harmless(form, name, odd_shots, tmp_path):
+    """Flipped, cut and repeated bytes of a file of poses never end in another exception."""
+    write = {
+        "colmap": lambda: writers.colmap(tmp_path, odd_shots, binary=True),
+        "neus": lambda: writers.neus(tmp_path, odd_shots),
+        "llff": lambda: writers.llff(tmp_path, odd_shots, numeric=False),
+        "nerfstudio": lambda: writers.nerfstudio(tmp_path, odd_shots),
+    }[form]
+    write()
+    path = tmp_path / name
+    whole = path.read_bytes()
+    generator = np.random.default_rng(5)
+    refusals = 0
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for _ in range(int(generator.integers(1, 6))):
+            damaged[int(generator.integers(len(damaged)))] = int(generator.integers(256))
+        if generator.random() < 0.3:
+            damaged = damaged[: int(generator.integers(len(damaged)))]
+        path.write_bytes(damaged)
+        try:
+            check_frames(read_frames(tmp_path))
+        except CaptureError:
+            refusals += 1
+    assert refusals > 0 or "points3D" in name

@@ -129,12 +129,16 @@ def test_masks_that_fit_two_photographs_are_refused(tmp_path):
         from_folder(tmp_path, _frames("train/r_0.png", "test/r_0.png"))
 
 
-def test_given_masks_win_over_alpha(shots, tmp_path):
-    writers.nerf_synthetic(tmp_path, shots)
+@pytest.mark.parametrize("write", [writers.nerf_synthetic, writers.nerfstudio])
+def test_given_masks_win_over_the_captures_own(write, shots, tmp_path):
+    write(tmp_path, shots)
     wide = [type(s)(s.camera, np.dstack([s.rgba[:, :, :3], _grown(s.rgba[:, :, 3])]))
             for s in shots]
     masks = tmp_path / "drawn"
     writers.save_masks(masks, wide, [f"r_{i}_mask.png" for i in range(8)])
+    if write is writers.nerfstudio:
+        for i in range(8):
+            (masks / f"r_{i}_mask.png").rename(masks / f"frame_{i:05d}_mask.png")
     capture = read_capture(tmp_path, masks, CaptureConfig())
     for view, shot in zip(capture.views, wide, strict=True):
         assert np.array_equal(view.mask, shot.rgba[:, :, 3])

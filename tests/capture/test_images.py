@@ -16,7 +16,7 @@ from robir.capture.camera import Camera
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion, Frame, Lens
 from robir.capture.images import fitted_mask, read_mask, read_photo, shrink, undistort
-from robir.capture.recognise import read_capture
+from robir.capture.recognise import read_capture, read_frames
 from robir.capture.views import load_views
 from robir.errors import CaptureError
 
@@ -162,6 +162,7 @@ def test_a_distorted_capture_keeps_its_object_in_place(form, tmp_path):
         path = tmp_path / "transforms.json"
         keys = {"k1": -0.2, "k2": 0.04, "p1": 0.03, "p2": -0.02}
         path.write_text(json.dumps(json.loads(path.read_text()) | keys))
+    assert {frame.lens.distortion for frame in read_frames(tmp_path).frames} == {lens}
     capture = read_capture(tmp_path, None, CaptureConfig())
     for view in capture.views:
         truth = shoot(view.camera, samples=1).rgba[:, :, 3] > 0

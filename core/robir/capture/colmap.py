@@ -218,19 +218,19 @@ def _read_points(path: Path) -> Array:
 
 def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
     """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.T
-    pose[:3, 3] = -rotation.T @ np.array(translation)
-    return pose @ OPENGL_FROM_OPENCV
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T
+        pose[:3, 3] = -rotation.T @ np.array(translation)
+        return pose @ OPENGL_FROM_OPENCV
 
 
 def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:

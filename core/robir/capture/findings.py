@@ -110,7 +110,7 @@ def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
     found = [
         error(
             "bad-pose",
-            f"The pose of {len(names)} photographs {fault}",
+            f"The pose of {len(names)} of {len(frames)} photographs {fault}",
             "Estimate the poses again, or remove these photographs.",
             *names,
         )
@@ -121,7 +121,7 @@ def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
         found.append(
             warning(
                 "duplicate-poses",
-                f"{len(twins)} photographs share their pose with another",
+                f"{len(twins)} of {len(frames)} photographs share their pose with another",
                 "Remove repeated photographs; if they differ, their poses are wrong.",
                 *twins,
             )
@@ -142,8 +142,8 @@ def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
     return [
         warning(
             "focal-lengths",
-            f"{len(odd)} photographs have a focal length less than half or more than twice "
-            "that of the others",
+            f"{len(odd)} of {len(frames)} photographs have a focal length less than half "
+            "or more than twice that of the others",
             _SIDES_CURE,
             *odd,
         )
@@ -178,7 +178,7 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
             found.append(
                 error(
                     f"all-{what}",
-                    f"{len(names)} photographs are {what} all over the object",
+                    f"{len(names)} of {len(views)} photographs are {what} all over the object",
                     "Replace them, or remove them together with their poses.",
                     *names,
                 )
@@ -188,7 +188,7 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
         found.append(
             warning(
                 "duplicate-images",
-                f"{len(twins)} photographs are equal to another, pixel by pixel",
+                f"{len(twins)} of {len(views)} photographs are equal to another, pixel by pixel",
                 "Remove the repeated ones; two poses for one photograph contradict each other.",
                 *twins,
             )
@@ -197,8 +197,8 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
         found.append(
             warning(
                 "over-exposed",
-                f"{len(over)} photographs are clipped (255) on more than 5 % of the object; "
-                f"{100 * clipped_share(views):.1f} % of all object pixels are",
+                f"{len(over)} of {len(views)} photographs are clipped (255) on more than 5 % of "
+                f"the object; {100 * clipped_share(views):.1f} % of all object pixels are",
                 "Clipped pixels only tell how bright the object is at least; "
                 "photograph or render with less exposure.",
                 *over,
@@ -208,7 +208,8 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
         found.append(
             warning(
                 "under-exposed",
-                f"{len(under)} photographs are black on more than 20 % of the object",
+                f"{len(under)} of {len(views)} photographs are black on more than 20 % of "
+                "the object",
                 "Photograph or render with more exposure.",
                 *under,
             )
@@ -257,7 +258,7 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
         found.append(
             warning(
                 "tiny-masks",
-                f"{len(tiny)} masks cover less than 0.5 % of their photographs",
+                f"{len(tiny)} of {len(views)} masks cover less than 0.5 % of their photographs",
                 "Check these masks, or crop the photographs.",
                 *tiny,
             )
@@ -274,7 +275,11 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
         )
     elif cut:
         found.append(
-            note("cut-off", f"The object is cut off by the border of {len(cut)} photographs", *cut)
+            note(
+                "cut-off",
+                f"The object is cut off by the border of {len(cut)} of {len(views)} photographs",
+                *cut,
+            )
         )
     return found
 
@@ -306,7 +311,7 @@ def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
         found.append(
             warning(
                 "cameras-inside",
-                f"{len(inside)} cameras are inside the object's bounding sphere",
+                f"{len(inside)} of {len(views)} cameras are inside the object's bounding sphere",
                 "Check that poses and masks belong together; "
                 "masks should hold one object, not its surroundings.",
                 *inside,

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse."""
 
+MAX_NUMBER = 1e12
+"""Matrix entries beyond this come from damaged files, not from cameras."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distortion:
@@ -187,8 +190,8 @@ def pose_fault(pose: Array) -> str | None:
 
     A common scale of the three axes is allowed, as Blender writes it for scaled cameras.
     """
-    if not np.isfinite(pose).all():
-        return "holds NaN or infinite numbers"
+    if not np.isfinite(pose).all() or np.abs(pose).max() > MAX_NUMBER:
+        return "holds NaN, infinite or absurdly large numbers"
     axes = pose[:3, :3]
     lengths = np.linalg.norm(axes, axis=0)
     if lengths.min() < 1e-9 or abs(np.linalg.det(axes / lengths)) < 1e-3:

@@ -18,6 +18,7 @@ from scipy import linalg
 
 from robir.capture.frames import (
     IMAGE_SUFFIXES,
+    MAX_NUMBER,
     OPENGL_FROM_OPENCV,
     Array,
     Frame,
@@ -140,7 +141,7 @@ def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:
     """Intrinsics and camera-to-world of a projection; a pose of NaN or zeros if it is none."""
     matrix = matrix[:3]
     left = matrix[:, :3]
-    if not np.isfinite(matrix).all():
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > MAX_NUMBER:
         return Lens(angle_x=1.0), np.full((4, 4), np.nan)
     scale = np.linalg.norm(left, axis=1).max()
     if scale == 0 or abs(np.linalg.det(left / scale)) < 1e-12:
@@ -171,7 +172,7 @@ def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:
 def _sphere(path: Path, matrices: dict[str, Array], numbers: list[str]) -> Sphere | None:
     """The sphere of `scale_mat`, or None where the archive has no usable one."""
     matrix = matrices.get(_SCALE + numbers[0]) if numbers else None
-    if matrix is None or not np.isfinite(matrix).all():
+    if matrix is None or not (np.abs(matrix) < MAX_NUMBER).all():
         return None
     radius = float(np.linalg.norm(matrix[:3, :3], axis=0).max())
     if radius <= 0:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from robir.capture import colmap, llff, nerf_synthetic, nerfstudio, neus, transforms
@@ -33,30 +35,52 @@ def read_frames(source: Path) -> FrameSet:
     """
     if not source.exists():
         raise refuse("no-capture", f"{source} does not exist", "Give the folder of a capture.")
+    reader = _reader(source)
+    if reader is None and source.is_file():
+        source = source.parent
+        reader = _reader(source)
+    if reader is None:
+        raise _not_recognised(source)
+    return reader()
+
+
+def _reader(source: Path) -> Callable[[], FrameSet] | None:
+    """What reads a folder or a file of poses, or None; the first of these that fits."""
     if source.is_file():
         if transforms.looks_like(source) and source.name != nerf_synthetic.TRAIN:
-            return nerfstudio.read(source)
+            return partial(nerfstudio.read, source)
         if source.suffix == ".npz" and neus.is_camera_file(source):
-            return neus.read(source)
-        source = source.parent
+            return partial(neus.read, source)
+        return None
     if (source / nerf_synthetic.TRAIN).is_file():
-        return nerf_synthetic.read(source)
+        return partial(nerf_synthetic.read, source)
     if (source / nerfstudio.NAME).is_file():
-        return nerfstudio.read(source / nerfstudio.NAME)
+        return partial(nerfstudio.read, source / nerfstudio.NAME)
     archive = neus.find(source)
     if archive is not None:
-        return neus.read(archive)
+        return partial(neus.read, archive)
     if (source / llff.NAME).is_file():
-        return llff.read(source / llff.NAME)
+        return partial(llff.read, source / llff.NAME)
     if colmap.find_models(source):
-        return colmap.read(source)
-    raise _not_recognised(source)
+        return partial(colmap.read, source)
+    return None
 
 
 def _not_recognised(source: Path) -> CaptureRefusedError:
+    """Why a folder is no capture, and where the capture may be."""
+    children = [child for child in sorted(source.iterdir()) if child.is_dir()]
+    captures = [child.name for child in children if _reader(child) is not None]
+    if captures:
+        return refuse(
+            "no-capture",
+            f"{source} is no capture itself but holds {len(captures)}",
+            "Give one of them.",
+            *captures,
+        )
     photographs = [
         path.relative_to(source).as_posix()
-        for path in sorted(source.rglob("*"))
+        for folder in (source, *children)
+        for path in sorted(folder.iterdir())
         if path.suffix.lower() in IMAGE_SUFFIXES
     ]
     known = (
