@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.statistics import Pairs, Radiance
-from robir.maths.spherical_gaussian import SphericalGaussians
+from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
 
@@ -243,9 +243,8 @@ def lobes_of(
     """
     soft_axes, soft_sharpness = soft_lobes(len(amplitudes.soft))
     sharp = torch.from_numpy(sharpness).float()
-    energy = 2 * np.pi / sharp * -torch.expm1(-2 * sharp)
     return SphericalGaussians(
         axis=torch.cat([soft_axes, torch.from_numpy(axes).float().reshape(-1, 3)]),
         sharpness=torch.cat([torch.full((len(soft_axes),), soft_sharpness), sharp]),
-        amplitude=torch.cat([amplitudes.soft, amplitudes.sharp / energy[:, None]]),
+        amplitude=torch.cat([amplitudes.soft, amplitude_from_irradiance(sharp, amplitudes.sharp)]),
     )

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem
 from robir.appearance.solver import Light
 from robir.appearance.statistics import diffuse_radiance, linear_observations
 from robir.capture.capture import View
 from robir.transport.observe import Observations, observe
+from robir.transport.tracer import EmbreeTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
@@ -60,31 +62,39 @@ class TexelAlbedo:
         albedo: (N, 3) float32, linear Rec.709.
         coverage: (N,) int, views that show the texel.
         uncertainty: (N,) float32, one standard deviation of log albedo.
+        roughness: (N,) float32.
+        metallic: (N,) float32, 0 or 1.
     """
 
     albedo: Floats
     coverage: NDArray[np.int64]
     uncertainty: Floats
+    roughness: Floats
+    metallic: Floats
 
 
-def interpolated(problem: Problem, texels: Texels, values: Tensor) -> Tensor:
-    """Values of the surface samples at texels, from the nearest samples alike in orientation.
+class Blend:
+    """Interpolates values of the surface samples at texels, from those alike in orientation."""
 
-    Args:
-        problem: Scene under a tone curve.
-        texels: Where.
-        values: (S, C) at all samples.
+    def __init__(self, problem: Problem, texels: Texels) -> None:
+        """Find the nearest samples of every texel, once.
 
-    Returns:
-        (N, C).
-    """
-    surfels = problem.scene.transport.surfels
-    tree = cKDTree(np.concatenate([surfels.position, NORMAL_SCALE * surfels.normal], axis=1))
-    query = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
-    distance, index = tree.query(query, k=4)
-    weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
-    weight /= weight.sum(1, keepdims=True)
-    return torch.einsum("nk,nkc->nc", torch.from_numpy(weight).float(), values[index])
+        Args:
+            problem: Scene with its samples.
+            texels: Where values are wanted.
+        """
+        surfels = problem.scene.transport.surfels
+        seen = np.flatnonzero(problem.radiance.seen.numpy())
+        points = np.concatenate([surfels.position, NORMAL_SCALE * surfels.normal], axis=1)[seen]
+        query = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
+        distance, index = cKDTree(points).query(query, k=4, eps=0.1)
+        weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
+        self._index = seen[index]
+        self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
+
+    def __call__(self, values: Tensor) -> Floats:
+        """Values (S, C) of all samples at the texels, (N, C)."""
+        return np.einsum("nk,nkc->nc", self._weight, values.numpy()[self._index])
 
 
 def sun_transfer(
@@ -110,7 +120,8 @@ def texel_albedo(
     light: Light,
     texels: Texels,
     views: tuple[View, ...],
-    specular: SpecularAtTexels,
+    gloss: Gloss,
+    tracer: EmbreeTracer,
 ) -> TexelAlbedo:
     """Albedo of every texel.
 
@@ -119,26 +130,30 @@ def texel_albedo(
         light: Solved light.
         texels: Points of the atlas.
         views: Photographs, at the size they are to be read at.
-        specular: Called with texels and their observations, gives the specular radiance (N, V, 3)
-            to take off.
+        gloss: Specular material of the samples.
+        tracer: Tracer of the mesh.
 
     Returns:
-        Albedo, coverage and uncertainty; texels no view shows take their neighbours' albedo.
+        Albedo (base colour where the material is metal), coverage, uncertainty, roughness and
+        metal; texels no view shows take their neighbours' albedo.
     """
     scene = problem.scene
-    soft = interpolated(
-        problem, texels, scene.soft @ light.amplitudes.soft + problem.indirect
-    ).numpy()
+    blend = Blend(problem, texels)
+    soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
+    floor, gain = blend(torch.from_numpy(gloss.floor)), blend(torch.from_numpy(gloss.gain))
+    metallic = blend(torch.from_numpy(gloss.metallic)[:, None])[:, 0] > 0.5
+    roughness = blend(torch.from_numpy(gloss.roughness)[:, None])[:, 0]
     narrow = sun_transfer(problem, light, texels, light.sharpness, 8)
     sun = light.amplitudes.sharp.numpy()
-    seen = observe(scene.tracer_for_views, texels.position, texels.normal, views, scene.offset)
+    seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve)
-    linear = torch.maximum(linear - specular(texels, seen), 0.02 * linear)
     radiance = diffuse_radiance(_sharpest(seen), linear)
+    total = radiance.linear.numpy()
     irradiance = soft + narrow @ sun
-    exitant = np.pi * radiance.linear.numpy()
-    floor = 0.02 * irradiance.mean(0)
-    albedo = exitant / np.sqrt(irradiance**2 + floor**2)
+    exitant = np.pi * np.maximum(total - floor, 0.1 * total)
+    dim = 0.02 * irradiance.mean(0)
+    albedo = exitant / np.sqrt(irradiance**2 + dim**2)
+    albedo[metallic] = (total / np.maximum(gain, 1e-3))[metallic]
     coverage = (seen.weight > 0).sum(1)
     certain = coverage >= 2
     edge = np.zeros(len(albedo), bool)
@@ -150,7 +165,7 @@ def texel_albedo(
         facing = np.clip(texels.normal @ light.axes.T, 0, None)
         share = wide / np.maximum(facing, 1e-3)
         unsure = (share > 0.02) & (share < 0.98) & (facing * strength > 0.1)
-        edge = unsure.any(1)
+        edge = unsure.any(1) & ~metallic
     clipped = radiance.clipped.numpy()
     certain &= ~edge & ~clipped.any(1)
     reference = _Reference(texels, albedo, certain)
@@ -158,11 +173,14 @@ def texel_albedo(
     albedo = _settle_clipped(albedo, clipped, reference, texels)
     albedo[coverage == 0] = reference.nearest_albedo(texels, coverage == 0)
     spread = _spread(linear, seen)
+    albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
     uncertainty = np.where(coverage > 0, np.hypot(spread, np.where(edge, 0.25, 0.05)), 1.0)
     return TexelAlbedo(
-        albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO).astype(np.float32),
+        albedo=albedo.astype(np.float32),
         coverage=coverage,
         uncertainty=uncertainty.astype(np.float32),
+        roughness=roughness.astype(np.float32),
+        metallic=metallic.astype(np.float32),
     )
 
 
@@ -191,7 +209,6 @@ class _Reference:
     def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        # A tenth of the texels is dense enough to know the local palette.
         chosen = np.flatnonzero(certain)
         self._albedo = albedo[chosen]
         self._tree = cKDTree(

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tone curve the photographs went through.
+
+The fit's own loss cannot choose: a compressive curve shrinks every contrast it is judged by. What
+can is prediction in display space: take a sample's albedo to a neighbour that receives another
+irradiance, and compare the predicted display colour with the photographed one. Only under the true
+curve does a shadow darken bright and dark materials by the same factor. Pairs count by how much
+their irradiances differ.
+
+One kind of evidence comes before any fit: a curve that clips piles pixels up at code 255, one that
+rolls off does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light import log_ratio
+from robir.appearance.problem import Problem, Scene, make_problem
+from robir.appearance.solver import Light, find_suns, fit
+from robir.maths.tone import families
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.observe import Observations
+
+ERROR_CAP = 0.08
+"""Display error beyond which a pair is of two materials and says nothing more."""
+
+CLIPPED_SHARE = 0.004
+"""Share of observations at code 255 from which clipping is plain."""
+
+SPIKE_RATIO = 1.5
+"""How many times the pixels at 255 must outnumber those at 245 to 254 for a spike."""
+
+BLOCK = 0.2
+"""Side of the blocks over which the score's standard error is taken, unit frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClippingEvidence:
+    """What the histogram says about white.
+
+    Attributes:
+        clipped_share: Observations with a channel at code 255.
+        bright_share: Observations with their brightest channel at 245 to 254.
+    """
+
+    clipped_share: float
+    bright_share: float
+
+    @property
+    def verdict(self) -> bool | None:
+        """True for a clipping curve, False for one that rolls off, None if nothing is bright."""
+        if self.clipped_share > CLIPPED_SHARE:
+            return self.clipped_share > SPIKE_RATIO * self.bright_share / 2
+        if self.bright_share > 4 * CLIPPED_SHARE:
+            return False
+        return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A tone curve with its score.
+
+    Attributes:
+        curve: The tone curve.
+        score: Mean display error of cross-predicted pairs, in 8-bit codes.
+        standard_error: Of the difference to the best candidate, over blocks of the surface.
+        light: The light that was found under it.
+        problem: The scene under it.
+    """
+
+    curve: AbstractToneCurve
+    score: float
+    standard_error: float
+    light: Light
+    problem: Problem
+
+
+def clipping_evidence(observations: Observations) -> ClippingEvidence:
+    """Shares of clipped and of nearly white observations."""
+    valid = observations.weight > 0
+    brightest = observations.display.max(2)
+    clipped = observations.clipped.any(2)
+    total = max(1, int(valid.sum()))
+    return ClippingEvidence(
+        clipped_share=float((clipped & valid).sum() / total),
+        bright_share=float(((brightest >= 245) & ~clipped & valid).sum() / total),
+    )
+
+
+def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
+    """Display error and weight of every ordered pair, (2 P,) each."""
+    scene = problem.scene
+    sharp = scene.sharp_transfer(light.axes, light.sharpness, scene.rows)
+    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, scene.rows))
+    radiance = problem.rows_radiance(scene.rows)
+    albedo = log_ratio(radiance.linear, irradiance).exp()
+    first = torch.cat([scene.pairs.first, scene.pairs.second])
+    second = torch.cat([scene.pairs.second, scene.pairs.first])
+    shown = problem.curve.display_from_linear(albedo * irradiance / np.pi)
+    carried = problem.curve.display_from_linear(albedo[second] * irradiance[first] / np.pi)
+    error = (carried - shown[first]).abs()
+    error = error.masked_fill(radiance.clipped[first] | radiance.clipped[second], 0)
+    contrast = (irradiance[first].log() - irradiance[second].log()).abs().mean(1)
+    weight = (contrast.clamp(max=1.5) - 0.3).clamp(min=0)
+    return error.clamp(max=ERROR_CAP).mean(1), weight
+
+
+def rank_tone_curves(
+    scene: Scene, config: AppearanceConfig, seed: int
+) -> tuple[list[Candidate], ClippingEvidence]:
+    """Score every family that the histogram allows; best first.
+
+    The suns are searched once, under the first curve: where shadows lie does not depend on it.
+
+    Args:
+        scene: Samples with their transport.
+        config: Families and sizes.
+        seed: Of the search.
+
+    Returns:
+        Candidates, the chosen one first, then by score; and the histogram's evidence.
+    """
+    evidence = clipping_evidence(scene.transport.observations)
+    allowed = [curve for curve in families() if curve.name in config.families]
+    verdict = evidence.verdict
+    fitting = [curve for curve in allowed if verdict is None or curve.is_clipping == verdict]
+    fitting = fitting or allowed
+    # Filmic lies between the families, so its suns start all of them.
+    first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
+    found = find_suns(make_problem(scene, first), config, seed)
+    blocks = _blocks(scene)
+    fits, tables = [], []
+    for curve in fitting:
+        problem = make_problem(scene, curve)
+        light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
+        fits.append((curve, light, problem))
+        error, weight = pair_errors(problem, light)
+        error, weight = error.double().numpy(), weight.double().numpy()
+        tables.append((np.bincount(blocks, error * weight), np.bincount(blocks, weight)))
+    scores = [255 * total.sum() / max(mass.sum(), 1e-9) for total, mass in tables]
+    best = int(np.argmin(scores))
+    candidates = [
+        Candidate(
+            curve=curve,
+            score=float(scores[index]),
+            standard_error=_standard_error(tables[index], tables[best]),
+            light=_with_history(light, found),
+            problem=problem,
+        )
+        for index, (curve, light, problem) in enumerate(fits)
+    ]
+    return _order(candidates), evidence
+
+
+def _with_history(light: Light, found: Light) -> Light:
+    return Light(
+        axes=light.axes,
+        sharpness=light.sharpness,
+        amplitudes=light.amplitudes,
+        loss=light.loss,
+        history=found.history,
+    )
+
+
+def _order(candidates: list[Candidate]) -> list[Candidate]:
+    """By score, but the simplest within one standard error of the best comes first.
+
+    The rule does not cross between curves that clip and curves that roll off: taking one for the
+    other costs far more than any simplicity is worth.
+    """
+    ranked = sorted(candidates, key=lambda candidate: candidate.score)
+    best = ranked[0]
+    for candidate in candidates:
+        alike = candidate.curve.is_clipping == best.curve.is_clipping
+        if alike and candidate.score - best.score <= candidate.standard_error:
+            ranked.remove(candidate)
+            return [candidate, *ranked]
+    return ranked
+
+
+def _blocks(scene: Scene) -> np.ndarray:
+    """Block number of the first sample of every ordered pair."""
+    position = scene.transport.surfels.position[scene.rows]
+    cell = np.floor(position / BLOCK).astype(np.int64)
+    _, block = np.unique(cell, axis=0, return_inverse=True)
+    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
+
+
+def _standard_error(
+    table: tuple[np.ndarray, np.ndarray], best: tuple[np.ndarray, np.ndarray]
+) -> float:
+    """Standard error of the difference of two scores over blocks (ratio estimate)."""
+    size = max(len(table[0]), len(best[0]))
+    padded = [np.pad(column, (0, size - len(column))) for column in (*table, *best)]
+    mine, my_mass, its, its_mass = padded
+    difference = mine / max(my_mass.sum(), 1e-9) - its / max(its_mass.sum(), 1e-9)
+    count = int((my_mass > 0).sum())
+    if count < 2:
+        return float("inf")
+    used = difference[my_mass > 0]
+    return float(255 * np.sqrt(count * used.var(ddof=1)))
