@@ -19,9 +19,12 @@ from blender_scenes.format import ViewTruth, read_view
 from blender_scenes.request import SceneRequest, random_stream
 from blender_scenes.view_transform import display_from_linear
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("bpy") is None, reason="rendering needs the bpy wheel: pip install bpy"
-)
+pytestmark = [
+    pytest.mark.blender,
+    pytest.mark.skipif(
+        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
+    ),
+]
 
 ROOT = Path(__file__).parents[2]
 GROUND_RADIUS = 0.98
