@@ -5,6 +5,7 @@ import base64
 import importlib.util
 import json
 import re
+import time
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -232,8 +233,10 @@ def test_a_request_to_stop_ends_blender(fake_addon):
     def stop(fraction, message):
         raise CancelledError("stop")
 
+    start = time.monotonic()
     with pytest.raises(CancelledError):
         blender.run_headless(["hang"], stop)
+    assert time.monotonic() - start < 20
 
 
 def test_settings_are_checked():

@@ -67,7 +67,9 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
     missing = missing_blender()
     if missing is not None:
         raise DeviceError(missing)
+    # -P: what this process imports decides, not what lies in the current folder
     command = [sys.executable, "-P", "-m", "robir_addon.headless", *arguments]
+    search_path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     start, before = time.monotonic(), os.times()
     last: dict[str, list[str]] = {}
     with (
@@ -78,7 +80,7 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
             stderr=complaints,
             text=True,
             encoding="utf-8",
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)},
+            env={**os.environ, "PYTHONPATH": search_path},
         ) as process,
     ):
         try:

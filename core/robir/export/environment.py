@@ -11,9 +11,10 @@ ROWS = 512
 
 
 def export_light(paths: JobPaths) -> RecoveredLight:
-    """Write environment.exr (512 x 1024, 32-bit linear Rec.709, Blender's world frame) and light.json.
+    """Write environment.exr and light.json.
 
-    The image keeps the energy of lobes that are narrower than its texels.
+    The image is 512 x 1024, 32-bit, linear Rec.709, in Blender's world frame, and keeps the energy
+    of lobes that are narrower than its texels.
     """
     table = paths.stage("appearance") / "light.json"
     light = load_light(table)
