@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from robir.capture.frames import (
+    MAX_NUMBER,
     OPENGL_FROM_OPENCV,
     Array,
     Distortion,
@@ -134,7 +135,7 @@ def _read_model(folder: Path) -> _Model:
             posed = list(_text_images(images))
     except CaptureRefusedError:
         raise
-    except (OSError, ValueError, IndexError, struct.error) as fault:
+    except (OSError, ValueError, OverflowError, struct.error) as fault:
         raise refuse(
             "bad-colmap",
             f"The COLMAP model in {folder} is truncated or damaged ({fault})",
@@ -211,9 +212,10 @@ def _read_points(path: Path) -> Array:
                 points.append(struct.unpack_from("<3d", content, at + 8))
                 (track,) = struct.unpack_from("<Q", content, at + 43)
                 at += 51 + 8 * track
-    except (OSError, ValueError, struct.error):
+        found = np.array(points, dtype=np.float64).reshape(-1, 3)
+    except (OSError, ValueError, OverflowError, struct.error):
         return np.zeros((0, 3))
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
+    return found[(np.abs(found) < MAX_NUMBER).all(axis=1)]
 
 
 def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
@@ -253,7 +255,8 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
                 "Undistort the photographs with `colmap image_undistorter` and give that folder.",
                 path.name,
             )
-    if not np.isfinite(values).all() or fx <= 0 or fy <= 0 or width < 1 or height < 1:
+    is_sane = all(abs(value) < MAX_NUMBER for value in values)
+    if not is_sane or min(fx, fy) <= 0 or min(width, height) < 1:
         raise refuse(
             "bad-intrinsics",
             f"{path}: a {name} camera of {width}x{height} pixels has the parameters {values}",

@@ -14,9 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from robir.capture.frames import IMAGE_SUFFIXES, Array, Frame, FrameSet, Lens, unique_names
+from robir.capture.frames import (
+    IMAGE_SUFFIXES,
+    MAX_NUMBER,
+    Array,
+    Frame,
+    FrameSet,
+    Lens,
+    unique_names,
+)
 from robir.capture.masks import from_folder, natural_order
-from robir.capture.refusal import refuse
+from robir.capture.refusal import DAMAGED_ARRAYS, refuse
 
 FORMAT = "llff"
 NAME = "poses_bounds.npy"
@@ -77,7 +85,7 @@ def _rows(path: Path) -> Array:
     try:
         with path.open("rb") as file:
             rows = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError) as fault:
+    except DAMAGED_ARRAYS as fault:
         raise refuse(
             "bad-poses", f"{path} is no readable array ({fault})", "Copy it again.", path.name
         ) from None
@@ -100,7 +108,7 @@ def _pose(row: Array) -> Array:
 
 def _lens(path: Path, row: Array) -> Lens:
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
-    if not (np.isfinite([height, width, focal]).all() and min(height, width, focal) > 0):
+    if not all(0 < value < MAX_NUMBER for value in (height, width, focal)):
         raise refuse(
             "bad-intrinsics",
             f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}",

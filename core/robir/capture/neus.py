@@ -9,7 +9,6 @@ frame. The format counts pixels from the centre of the first one, so half a pixe
 from __future__ import annotations
 
 import zipfile
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from robir.capture.frames import (
     unique_names,
 )
 from robir.capture.masks import from_folder
-from robir.capture.refusal import refuse
+from robir.capture.refusal import DAMAGED_ARRAYS, refuse
 
 FORMAT = "neus"
 NAME = "cameras_sphere.npz"
@@ -102,7 +101,7 @@ def _matrices(path: Path) -> dict[str, Array]:
                 for key in archive.files
                 if key.startswith((_MATRIX, _SCALE)) and "_inv_" not in key
             }
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as fault:
+    except DAMAGED_ARRAYS as fault:
         raise refuse(
             "bad-cameras",
             f"{path} is no readable archive of camera matrices ({fault})",

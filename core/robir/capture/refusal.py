@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterable
 
 from robir.capture.capture import Finding
@@ -10,6 +13,12 @@ from robir.errors import CaptureError
 
 MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
+
+DAMAGED_ARRAYS = (
+    OSError, ValueError, KeyError, EOFError, SyntaxError, RuntimeError, MemoryError, OverflowError,
+    zipfile.BadZipFile, zlib.error, tokenize.TokenError,
+)
+"""What reading a damaged file of arrays raises."""
 
 
 class CaptureRefusedError(CaptureError):

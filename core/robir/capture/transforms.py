@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
+from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array, Distortion, Lens
 from robir.capture.refusal import CaptureRefusedError, refuse
 
 PINHOLE_MODELS = frozenset(
@@ -128,7 +128,7 @@ def lens(path: Path, content: dict[str, Any], entry: dict[str, Any], where: str)
         if value is None:
             return None
         good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not math.isfinite(value):
+        if not good or not abs(value) < MAX_NUMBER:
             raise refuse(
                 "bad-intrinsics",
                 f'{path}: "{key}" of {where} is {value!r}, not a finite number',
