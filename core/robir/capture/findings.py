@@ -160,20 +160,16 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
         Findings.
     """
     found = []
-    black, white, over, under = [], [], [], []
+    flat: dict[str, list[str]] = {"black": [], "white": []}
     same: dict[bytes, list[str]] = defaultdict(list)
     for view in views:
         same[hashlib.sha256(view.image_display.tobytes()).digest()].append(view.name)
         pixels = _object_pixels(view)
         if pixels.max() <= 2:
-            black.append(view.name)
+            flat["black"].append(view.name)
         elif pixels.min() >= 253:
-            white.append(view.name)
-        else:
-            brightest = pixels.max(axis=1)
-            over += [view.name] if (brightest == 255).mean() > 0.05 else []
-            under += [view.name] if (brightest <= 3).mean() > 0.2 else []
-    for names, what in ((black, "black"), (white, "white")):
+            flat["white"].append(view.name)
+    for what, names in flat.items():
         if names:
             found.append(
                 error(
@@ -183,8 +179,10 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
                     *names,
                 )
             )
+    if found:
+        return found
     twins = [name for names in same.values() if len(names) > 1 for name in names]
-    if twins and not black and not white:
+    if twins:
         found.append(
             warning(
                 "duplicate-images",
@@ -193,6 +191,14 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
                 *twins,
             )
         )
+    return found + _check_exposure(views)
+
+
+def _check_exposure(views: Sequence[View]) -> list[Finding]:
+    found = []
+    brightest = {view.name: _object_pixels(view).max(axis=1) for view in views}
+    over = [name for name, values in brightest.items() if (values == 255).mean() > 0.05]
+    under = [name for name, values in brightest.items() if (values <= 3).mean() > 0.2]
     if over:
         found.append(
             warning(
@@ -215,9 +221,7 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
             )
         )
     if has_spike(views):
-        found.append(
-            note("clipping", "Object pixels pile up at 255: the tone curve clips")
-        )
+        found.append(note("clipping", "Object pixels pile up at 255: the tone curve clips"))
     return found
 
 
