@@ -88,20 +88,28 @@ def _rays(
     position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
     towards = observations.positions[view] - position
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    cosine = (towards * normal).sum(1)
-    mirror = 2 * cosine[:, None] * normal - towards
-    nearest = np.concatenate(
-        [
-            (mirror[start : start + 65536] @ directions.T).argmax(1)
-            for start in range(0, len(mirror), 65536)
-        ]
-    )
+    return _as_rays(sample, view, towards, normal, directions)
+
+
+def _as_rays(
+    sample: NDArray[np.int64],
+    view: NDArray[np.int64],
+    view_dir: Floats,
+    normal: Floats,
+    directions: Floats,
+) -> _Rays:
+    cosine = (view_dir * normal).sum(1).clip(0.02, 1)
+    mirror = 2 * cosine[:, None] * normal - view_dir
+    nearest = [
+        (mirror[start : start + 65536] @ directions.T).argmax(1)
+        for start in range(0, len(mirror), 65536)
+    ]
     return _Rays(
         sample,
         view,
-        torch.from_numpy(towards.astype(np.float32)),
+        torch.from_numpy(view_dir.astype(np.float32)),
         torch.from_numpy(cosine.astype(np.float32)),
-        torch.from_numpy(nearest),
+        torch.from_numpy(np.concatenate(nearest) if nearest else np.zeros(0, np.int64)),
     )
 
 
@@ -133,24 +141,17 @@ class _Reflections:
         self._light = light
         self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
 
-    def radiance(self, rays: _Rays, roughness: float, part: Tensor | None = None) -> Tensor:
-        """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour.
-
-        Args:
-            rays: Observations.
-            roughness: Of the surface.
-            part: (M,) bool, only these observations; all if None.
-        """
-        chosen = slice(None) if part is None else part
-        sample = torch.from_numpy(rays.sample)[chosen]
-        cosine, view_dir = rays.cosine[chosen], rays.view_dir[chosen]
+    def radiance(self, rays: _Rays, roughness: float) -> Tensor:
+        """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
+        sample = torch.from_numpy(rays.sample)
+        cosine, view_dir, mirror = rays.cosine, rays.view_dir, rays.mirror
         # Width of the GGX lobe about the mirror direction at a typical slant.
         alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
         sharpness = float(1 / (2 * alpha**2 * 0.75))
         kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
-        mass = (self._above @ kernel)[sample, rays.mirror[chosen]].clamp(min=1e-6)
+        mass = (self._above @ kernel)[sample, mirror].clamp(min=1e-6)
         blurred = torch.stack(
-            [(values @ kernel)[sample, rays.mirror[chosen]] / mass for values in self._incident], 1
+            [(values @ kernel)[sample, mirror] / mass for values in self._incident], 1
         )
         scale, bias = microfacet.environment_brdf(cosine, torch.full_like(cosine, roughness))
         dielectric = blurred * (F0 * scale + bias)[:, None]
@@ -164,6 +165,34 @@ class _Reflections:
                 lobe = microfacet.specular_brdf(axis, view_dir, normal, wide, torch.tensor([f0]))
                 target += lobe * arriving
         return torch.stack([dielectric, metal], 1)
+
+
+def specular_towards(
+    problem: Problem, light: Light, gloss: Gloss, sample: NDArray[np.int64], view_dir: Floats
+) -> tuple[Floats, Floats]:
+    """Specular radiance of samples towards any direction.
+
+    Args:
+        problem: Scene under a tone curve.
+        light: Solved light.
+        gloss: Specular material of the samples.
+        sample: (N,) sample of each direction.
+        view_dir: (N, 3) unit, away from the surface.
+
+    Returns:
+        For a dielectric (N, 3), and per unit of base colour of a metal (N, 3).
+    """
+    result = np.zeros((2, len(sample), 3), np.float32)
+    directions = problem.scene.transport.visibility.directions
+    levels = gloss.roughness[sample]
+    for roughness in np.unique(levels):
+        chosen = np.flatnonzero(levels == roughness)
+        rows, local = np.unique(sample[chosen], return_inverse=True)
+        normal = problem.scene.transport.surfels.normal[sample[chosen]]
+        rays = _as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)
+        both = _Reflections(problem, light, rows).radiance(rays, float(roughness))
+        result[:, chosen] = both.numpy().transpose(1, 0, 2)
+    return result[0], result[1]
 
 
 def _dense(values: Tensor, rays: _Rays, shape: tuple[int, int]) -> Tensor:
@@ -237,9 +266,7 @@ def estimate_gloss(
     in_solve = np.isin(seen, scene.rows)
     rows = seen[in_solve]
     reflections = _Reflections(problem, light, rows)
-    cost, count = _costs(
-        problem, reflections, _rays(surfels, observations, rows, directions), rows
-    )
+    cost, count = _costs(problem, reflections, _rays(surfels, observations, rows, directions), rows)
     choices = [
         _choose(cost[cluster[in_solve] == index], count[cluster[in_solve] == index])
         for index in range(num_materials)

@@ -17,7 +17,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light import log_ratio, pair_residual
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.tracer import EmbreeTracer
@@ -185,7 +184,11 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) 
     best_loss = np.inf
     for index in range(rounds):
         radius = reach * 0.6**index
-        trials = [best.axis, *_ring(best.axis, radius, 7, 0.9 * index), *_ring(best.axis, radius / 2, 4, 0.5)]
+        trials = [
+            best.axis,
+            *_ring(best.axis, radius, 7, 0.9 * index),
+            *_ring(best.axis, radius / 2, 4, 0.5),
+        ]
         sharpness = 2 / max(radius / 3, 0.01) ** 2
         transfer = np.stack(
             [
@@ -219,8 +222,7 @@ def _ring(axis: Floats, radius: float, count: int, turn: float) -> list[Floats]:
     tangent /= np.linalg.norm(tangent)
     bitangent = np.cross(axis, tangent)
     angles = turn + np.arange(count) * 2 * np.pi / count
-    ring = (
-        np.cos(radius) * axis
-        + np.sin(radius) * (np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent)
+    ring = np.cos(radius) * axis + np.sin(radius) * (
+        np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent
     )
     return [direction.astype(np.float32) for direction in ring]

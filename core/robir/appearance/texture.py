@@ -74,7 +74,11 @@ class TexelAlbedo:
 
 
 class Blend:
-    """Interpolates values of the surface samples at texels, from those alike in orientation."""
+    """Interpolates values of the surface samples at texels, from those alike in orientation.
+
+    Attributes:
+        nearest: (N,) the one sample nearest to each texel.
+    """
 
     def __init__(self, problem: Problem, texels: Texels) -> None:
         """Find the nearest samples of every texel, once.
@@ -90,6 +94,7 @@ class Blend:
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
         weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
         self._index = seen[index]
+        self.nearest = self._index[:, 0]
         self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
 
     def __call__(self, values: Tensor) -> Floats:
@@ -212,9 +217,7 @@ class _Reference:
         chosen = np.flatnonzero(certain)
         self._albedo = albedo[chosen]
         self._tree = cKDTree(
-            np.concatenate(
-                [texels.position[chosen], NORMAL_SCALE * texels.normal[chosen]], axis=1
-            )
+            np.concatenate([texels.position[chosen], NORMAL_SCALE * texels.normal[chosen]], axis=1)
         )
 
     def _query(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> NDArray[np.int64]:

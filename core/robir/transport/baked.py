@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,11 @@ class Transport:
                 "clipped": np.packbits(seen.clipped, axis=None),
                 "camera_positions": seen.positions,
             },
-            "visibility.npz": {"directions": visibility.directions, "bits": visibility.bits},
+            "visibility.npz": {
+                "directions": visibility.directions,
+                "bits": visibility.bits,
+                "is_traced": np.bool_(visibility.is_traced),
+            },
             "bounce.npz": {
                 "data": visibility.bounce.data,
                 "indices": visibility.bounce.indices,
@@ -78,12 +82,15 @@ class Transport:
             )
         with np.load(folder / "visibility.npz", allow_pickle=False) as arrays:
             directions, bits = arrays["directions"], arrays["bits"]
+            is_traced = bool(arrays["is_traced"])
         with np.load(folder / "bounce.npz", allow_pickle=False) as arrays:
             count = len(surfels)
             bounce = csr_matrix(
                 (arrays["data"], arrays["indices"], arrays["indptr"]), shape=(count, count)
             )
-        visibility = Visibility(directions=directions, bits=bits, bounce=bounce)
+        visibility = Visibility(
+            directions=directions, bits=bits, bounce=bounce, is_traced=is_traced
+        )
         return cls(surfels=surfels, visibility=visibility, observations=observations)
 
 
@@ -109,17 +116,12 @@ def bake(
     surfels = _seen_surfels(tracer, mesh, chosen, config, seed)
     directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, config.ray_offset)
+    nothing = csr_matrix(visibility.bounce.shape, dtype=np.float32)
     if not config.use_visibility:
         free = np.packbits(surfels.normal @ directions.T > 0, axis=1)
-        visibility = Visibility(
-            directions=directions, bits=free, bounce=csr_matrix(visibility.bounce.shape)
-        )
+        visibility = replace(visibility, bits=free, bounce=nothing, is_traced=False)
     elif not config.use_indirect:
-        visibility = Visibility(
-            directions=directions,
-            bits=visibility.bits,
-            bounce=csr_matrix(visibility.bounce.shape, dtype=np.float32),
-        )
+        visibility = replace(visibility, bounce=nothing)
     observations = observe(tracer, surfels.position, surfels.normal, chosen, config.ray_offset)
     return Transport(surfels=surfels, visibility=visibility, observations=observations)
 

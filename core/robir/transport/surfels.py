@@ -38,9 +38,7 @@ class Surfels:
 
     def subset(self, keep: NDArray[np.bool_]) -> Surfels:
         """The samples where `keep` holds."""
-        return Surfels(
-            position=self.position[keep], normal=self.normal[keep], spacing=self.spacing
-        )
+        return Surfels(position=self.position[keep], normal=self.normal[keep], spacing=self.spacing)
 
     def nearest(self, position: Floats, normal: Floats, count: int = 1) -> NDArray[np.int64]:
         """Nearest samples in position and orientation.

@@ -36,11 +36,13 @@ class Visibility:
         directions: (D, 3) float32, unit, evenly spread over the sphere.
         bits: (S, D/8) uint8, packed; 1 where the direction is above the surface and unblocked.
         bounce: (S, S) sparse; row i applied to exitant radiance gives indirect irradiance at i.
+        is_traced: Whether surfaces block light; false only in the ablation without visibility.
     """
 
     directions: Floats
     bits: NDArray[np.uint8]
     bounce: csr_matrix
+    is_traced: bool
 
     def unpacked(self) -> NDArray[np.bool_]:
         """Bits as booleans, (S, D)."""
@@ -87,7 +89,9 @@ def trace_visibility(
         (np.concatenate(values).astype(np.float32), (np.concatenate(rows), hit)),
         shape=(num_surfels, num_surfels),
     )
-    return Visibility(directions=directions, bits=np.packbits(seen, axis=1), bounce=bounce)
+    return Visibility(
+        directions=directions, bits=np.packbits(seen, axis=1), bounce=bounce, is_traced=True
+    )
 
 
 def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our own re-render of a view: what the model says a camera would see."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from robir.appearance.gloss import Gloss, specular_towards
+from robir.appearance.problem import Problem
+from robir.appearance.solver import Light
+from robir.appearance.texture import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.capture.capture import View
+from robir.geometry.mesh import Mesh
+from robir.transport.surfels import interpolate
+from robir.transport.tracer import EmbreeTracer
+
+Floats = NDArray[np.float32]
+
+
+class AtlasLookup:
+    """Texel values at points of the mesh."""
+
+    def __init__(self, mesh: Mesh, inside: NDArray[np.bool_]) -> None:
+        """Number the texels of the atlas.
+
+        Args:
+            mesh: Unwrapped mesh.
+            inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
+        """
+        self._mesh = mesh
+        self._number = np.full(inside.shape, -1, np.int64)
+        self._number[inside] = np.arange(inside.sum())
+        # Points on a chart's rim may fall just outside it: the nearest texel within takes over.
+        rows, columns = np.nonzero(inside)
+        self._inside = np.stack([rows, columns], axis=1)
+
+    def __call__(self, face: NDArray[np.int32], barycentric: Floats) -> NDArray[np.int64]:
+        """Index of the texel under each point, (N,)."""
+        corners = self._mesh.uvs[self._mesh.uv_faces[face]]
+        uv = np.einsum("nc,ncd->nd", barycentric, corners)
+        size = len(self._number)
+        column = np.clip((uv[:, 0] * size).astype(int), 0, size - 1)
+        row = np.clip(((1 - uv[:, 1]) * size).astype(int), 0, size - 1)
+        found = self._number[row, column]
+        for shift_row, shift_column in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1)):
+            missing = found < 0
+            near_row = np.clip(row[missing] + shift_row, 0, size - 1)
+            near_column = np.clip(column[missing] + shift_column, 0, size - 1)
+            found[missing] = self._number[near_row, near_column]
+        return found
+
+
+def render_view(
+    problem: Problem,
+    light: Light,
+    gloss: Gloss,
+    view: View,
+    surface: tuple[Mesh, EmbreeTracer, AtlasLookup, TexelAlbedo],
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Render a view with the recovered asset, light and tone curve.
+
+    Args:
+        problem: Scene under the chosen tone curve.
+        light: Solved light.
+        gloss: Specular material of the samples.
+        view: Camera and mask; only object pixels are rendered.
+        surface: Mesh, its tracer, texel look-up and texel values.
+
+    Returns:
+        Display image (H, W, 3) uint8 and the pixels (H, W) that were rendered.
+    """
+    mesh, tracer, lookup, values = surface
+    rows, columns = np.nonzero(view.mask > 127)
+    pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
+    origins, directions = view.camera.rays(pixels)
+    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+    texel = np.full(len(rows), -1, np.int64)
+    struck = np.flatnonzero(hits.face >= 0)
+    texel[struck] = lookup(hits.face[struck], hits.barycentric[struck])
+    kept = np.flatnonzero(texel >= 0)
+    position, normal = interpolate(mesh, hits.face[kept], hits.barycentric[kept])
+    points = Texels(position=position, normal=normal)
+    blend = Blend(problem, points)
+    soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
+    sun = sun_transfer(problem, light, points, light.sharpness, 8)
+    irradiance = soft + sun @ light.amplitudes.sharp.numpy()
+    albedo = values.albedo[texel[kept]]
+    metallic = values.metallic[texel[kept], None]
+    dielectric, metal = specular_towards(
+        problem, light, gloss, blend.nearest, -directions[kept].astype(np.float32)
+    )
+    radiance = (1 - metallic) * (albedo * irradiance / np.pi + dielectric)
+    radiance += metallic * albedo * metal
+    shown = problem.curve.display_from_linear(torch.from_numpy(radiance.astype(np.float32)))
+    image = np.zeros((*view.mask.shape, 3), np.uint8)
+    image[rows[kept], columns[kept]] = np.rint(255 * shown.clamp(0, 1).numpy())
+    drawn = np.zeros(view.mask.shape, bool)
+    drawn[rows[kept], columns[kept]] = True
+    return image, drawn
