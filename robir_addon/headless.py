@@ -20,7 +20,8 @@ from robir.jobs.paths import JobPaths
 
 from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
-from .importer import import_result, set_environment
+from .importer import import_result, read_json, set_environment
+from .lut import ToneTable, read_tone_table
 from .rendering import prepare_scene, render_still, set_threads, write_film
 
 
@@ -68,14 +69,14 @@ def render_views(
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Render capture views of scene.blend as they were photographed."""
     paths, scene = _open_scene(options)
-    cameras = _chosen_cameras(scene, options.views)
+    cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     files = []
     for index, camera in enumerate(cameras):
         message = f"rendering view {camera[VIEW]}"
         _say(reports, {"progress": index / len(cameras), "message": message})
         use_camera(scene, camera, options.max_side)
         files.append(paths.renders / f"rerender_{camera[VIEW]}.png")
-        render_still(scene, files[-1])
+        render_still(scene, files[-1], table)
     return files, ()
 
 
@@ -83,7 +84,7 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
     """Render scene.blend under another light: stills of the chosen views, or a turning light."""
     environment = _environment_file(options.environment)
     paths, scene = _open_scene(options)
-    cameras = _chosen_cameras(scene, options.views)
+    cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     turn = math.radians(options.rotation)
     if options.turntable:
         return _turntable(options, reports, environment, cameras[0]), ()
@@ -94,7 +95,7 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
         _say(reports, {"progress": index / len(cameras), "message": message})
         use_camera(scene, camera, options.max_side)
         files.append(paths.renders / f"relit_{environment.stem}_{camera[VIEW]}.png")
-        render_still(scene, files[-1])
+        render_still(scene, files[-1], table)
     return files, ()
 
 
@@ -106,7 +107,8 @@ def _turntable(
 ) -> list[Path]:
     """Frames of one full turn of the light, and a film of them."""
     scene, count = bpy.context.scene, options.turntable
-    renders = JobPaths(options.out.resolve()).renders
+    paths = JobPaths(options.out.resolve())
+    renders, table = paths.renders, _tone_table(paths)
     name = f"turntable_{environment.stem}_{camera[VIEW]}"
     use_camera(scene, camera, options.max_side)
     frames = []
@@ -116,7 +118,7 @@ def _turntable(
         turn = math.radians(options.rotation) + 2.0 * math.pi * index / count
         set_environment(scene.world, environment, turn)
         frames.append(renders / name / f"{index + 1:04d}.png")
-        render_still(scene, frames[-1])
+        render_still(scene, frames[-1], table)
     film = renders / f"{name}.mp4"
     write_film(frames, film)
     return [*frames, film]
@@ -135,6 +137,13 @@ def _open_scene(options: argparse.Namespace) -> tuple[JobPaths, bpy.types.Scene]
     scene.cycles.samples = options.samples
     set_threads(scene)
     return paths, scene
+
+
+def _tone_table(paths: JobPaths) -> ToneTable | None:
+    """The recovered curve where it is none of Blender's view transforms."""
+    if read_json(paths.tone_curve)["blender_view_transform"]:
+        return None
+    return read_tone_table(paths.tone_lut)
 
 
 def _chosen_cameras(scene: bpy.types.Scene, views: str) -> list[bpy.types.Object]:

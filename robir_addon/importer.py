@@ -58,9 +58,9 @@ def import_result(root: Path, scene: bpy.types.Scene) -> Imported:
     """
     root = root.resolve()
     paths = JobPaths(root)
-    table = _read(paths.cameras)
+    table = read_json(paths.cameras)
     views, centre = table["views"], table["bounds"]["centre"]
-    tone_curve = _read(paths.tone_curve)
+    tone_curve = read_json(paths.tone_curve)
     mesh = read_glb(paths.asset)
     if not paths.environment.is_file():
         raise ResultError(f"{paths.environment} is missing; export the result again")
@@ -102,7 +102,8 @@ def remove_result(mark: str) -> None:
             blocks.remove(block)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
+    """Contents of one of the result folder's JSON files; damage is a ResultError."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as fault:
@@ -205,7 +206,7 @@ def _set_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> t
         return ()
     return (
         f"the recovered tone curve ({tone_curve['family']}) is none of Blender's view transforms: "
-        "pictures are shown with Standard; export/tone_curve.cube holds the curve itself",
+        "the viewport shows Standard; rendered files go through export/tone_curve.cube",
     )
 
 

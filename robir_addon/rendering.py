@@ -5,6 +5,9 @@ import os
 from pathlib import Path
 
 import bpy
+import numpy as np
+
+from .lut import ToneTable
 
 FRAMES_PER_SECOND = 24
 
@@ -42,27 +45,54 @@ def set_threads(scene: bpy.types.Scene) -> None:
         scene.render.threads = int(threads)
 
 
-def render_still(scene: bpy.types.Scene, path: Path) -> None:
-    """Render the scene's camera to an RGBA PNG through the view transform; the file appears whole.
+def render_still(scene: bpy.types.Scene, path: Path, table: ToneTable | None = None) -> None:
+    """Render the scene's camera to an RGBA PNG as displayed; the file appears whole.
 
     Args:
         scene: Scene to render.
         path: File to replace.
+        table: Tone curve to show it through; None for the scene's view transform.
     """
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5: must come before the file format
         settings.media_type = "IMAGE"
-    settings.file_format = "PNG"
+    settings.file_format = "PNG" if table is None else "OPEN_EXR"
     settings.color_mode = "RGBA"
-    settings.color_depth = "8"
+    settings.color_depth = "8" if table is None else "32"
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}-{os.getpid()}.png")
-    scene.render.filepath = str(temporary)
+    raw = temporary.with_suffix(".exr")
+    scene.render.filepath = str(temporary if table is None else raw)
     try:
         bpy.ops.render.render(write_still=True, scene=scene.name)
+        if table is not None:
+            _develop(raw, temporary, table)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+        raw.unlink(missing_ok=True)
+
+
+def _develop(raw: Path, path: Path, table: ToneTable) -> None:
+    """Turn a linear render into a PNG of straight display codes."""
+    linear = bpy.data.images.load(str(raw))
+    linear.colorspace_settings.name = "Non-Color"  # the numbers as they are
+    width, height = linear.size
+    pixels = np.empty(width * height * 4, dtype=np.float32)
+    linear.pixels.foreach_get(pixels)
+    bpy.data.images.remove(linear)
+    pixels = pixels.reshape(-1, 4)
+    alpha = pixels[:, 3:]
+    # the renderer multiplies by coverage; the curve is for the surface alone
+    straight = pixels[:, :3] / np.maximum(alpha, 1e-6)
+    codes = np.concatenate([table.display(np.where(alpha > 0, straight, 0.0)), alpha], axis=1)
+    shown = bpy.data.images.new("shown", width, height, alpha=True)
+    shown.colorspace_settings.name = "Non-Color"  # they are display codes already
+    shown.pixels.foreach_set(codes.ravel().astype(np.float32))
+    shown.file_format = "PNG"
+    shown.filepath_raw = str(path)
+    shown.save()
+    bpy.data.images.remove(shown)
 
 
 def write_film(frames: list[Path], path: Path) -> None:

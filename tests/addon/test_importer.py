@@ -2,12 +2,14 @@
 """The importer against the core's own cameras, files and closed-form pictures."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from evaluation import sphere_run
 from PIL import Image
 
@@ -17,6 +19,7 @@ from robir.export import stage
 from robir.export.config import ExportConfig
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.maths import tone
 
 pytestmark = pytest.mark.blender
 
@@ -106,7 +109,7 @@ def test_a_curve_blender_lacks_is_said(result, scene, tmp_path):
     from robir_addon.importer import import_result
 
     copy = JobPaths(tmp_path / "copy")
-    subprocess.run(["cp", "-r", str(result.root), str(copy.root)], check=True)
+    shutil.copytree(result.root, copy.root)
     table = read_json(copy.tone_curve)
     write_json(copy.tone_curve, table | {"family": "robir_aces", "blender_view_transform": None})
     imported = import_result(copy.root, scene)
@@ -208,6 +211,37 @@ def test_scene_renders_like_the_photographs(built):
         assert np.mean((ours[..., 3] > 0.5) == (view.mask > 127)) > 0.99
         # the photographs are of a purely diffuse sphere; Principled adds its gloss
         assert psnr(ours[..., :3], view.image_display / 255.0, inside) > 23.0
+
+
+@pytest.mark.parametrize("family", ["standard", "robir_aces", "agx"])
+def test_tone_table_is_the_curve(tmp_path, family):
+    from robir_addon.lut import read_tone_table
+
+    curve = tone.curve_from_name(family)
+    (tmp_path / "tone.cube").write_text(tone.cube_text(curve, 65), encoding="ascii")
+    linear = np.random.default_rng(0).uniform(-7, 3, (500, 3))
+    linear = 2.0**linear
+    expected = curve.display_from_linear(torch.from_numpy(linear)).numpy()
+    found = read_tone_table(tmp_path / "tone.cube").display(linear)
+    assert np.abs(found - expected).max() < 0.02
+    assert np.abs(found - expected).mean() < 2e-3
+
+
+@pytest.mark.slow
+def test_a_curve_blender_lacks_is_applied_to_renders(built, tmp_path):
+    """Standard called by a name without a view transform must give the picture of Standard."""
+    copy = JobPaths(tmp_path / "copy")
+    shutil.copytree(built.root, copy.root)
+    chosen = ["--views", "held_out_000", "--samples", 16]
+    assert headless("render", copy.root, *chosen).returncode == 0
+    expected = picture(copy.renders / "rerender_held_out_000.png")
+    table = read_json(copy.tone_curve)
+    write_json(copy.tone_curve, table | {"blender_view_transform": None})
+    assert headless("render", copy.root, *chosen).returncode == 0
+    found = picture(copy.renders / "rerender_held_out_000.png")
+    assert found[..., 3] == pytest.approx(expected[..., 3], abs=1.5 / 255)
+    solid = expected[..., 3] > 0.5
+    assert found[solid] == pytest.approx(expected[solid], abs=2.5 / 255)
 
 
 @pytest.mark.slow

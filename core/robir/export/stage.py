@@ -147,8 +147,8 @@ def _render(
             break
     if not tone_curve["blender_view_transform"]:
         missing.append(
-            "Cycles pictures through the recovered curve: Blender has no such view transform, "
-            "they are shown with Standard; load tone_curve.cube for the curve itself"
+            "a view transform in scene.blend: Blender has none like the recovered curve, its "
+            "viewport shows Standard; our renders went through tone_curve.cube"
         )
     return _Work(done, tuple(missing)).rendering()
 
