@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir import __version__
+from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.light import RecoveredLight
@@ -28,6 +29,8 @@ Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
 _MAX_ROWS = 4
+_MARGIN = 1.08
+_MAX_SIDE = 480
 _NOT_MEASURED = (
     "albedo, roughness, normals and light against truth: `robir evaluate OUT --truth CAPTURE` "
     "does that for rendered captures",
@@ -88,7 +91,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     views = products.capture.held_out or products.capture.train
     own = _own_rerenders(paths)
     shown = _shown_views(views, products.rendering)
-    layers = view_layers(products.mesh, products.arrays, (view.camera for view in shown))
+    layers = view_layers(products.mesh, products.arrays, (_fine(view.camera) for view in shown))
     rows = [
         _row(view, seen, own, products.rendering) for view, seen in zip(shown, layers, strict=True)
     ]
@@ -107,7 +110,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
         tone_plot=_inline(paths.tone_plot.read_bytes()),
         environment=_inline_picture(_environment_picture(products.light)),
         textures=[
-            (name, _inline((paths.textures / f"{name}.png").read_bytes()))
+            (name, _inline_picture(_thumbnail(read_picture(paths.textures / f"{name}.png"))))
             for name in ("albedo", "roughness", "metallic", "coverage", "uncertainty")
             if (paths.textures / f"{name}.png").is_file()
         ],
@@ -135,24 +138,57 @@ def _shown_views(views: tuple[View, ...], rendering: Rendering) -> list[View]:
 def _row(
     view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
 ) -> dict[str, Any]:
-    """Pictures of one view as data addresses, None where there is none."""
-    pictures = {name: _inline_picture(p) for name, p in layer_pictures(layers).items()}
+    """Pictures of one view as data addresses, cut to the object; None where there is none."""
     if view.name in rendering.rerenders:
-        again, how = _inline(rendering.rerenders[view.name].read_bytes()), "Cycles"
-    elif view.name in own:
-        again, how = _inline_picture(own[view.name]), "our own renderer"
+        again, how = read_picture(rendering.rerenders[view.name]), "Cycles"
     else:
-        again, how = None, ""
+        again, how = own.get(view.name), "our own renderer"
     relit = rendering.relit.get(view.name)
-    photo = np.dstack([view.image_display, view.mask])
-    return {
-        "name": view.name,
-        "photo": _inline_picture(photo),
+    alpha = np.where(layers.hit, 255, 0).astype(np.uint8)
+    pictures = {
+        "photo": np.dstack([view.image_display, view.mask]),
         "rerender": again,
-        "rerender_by": how,
-        **pictures,
-        "relit": None if relit is None else _inline(relit.read_bytes()),
+        **{name: np.dstack([p, alpha]) for name, p in layer_pictures(layers).items()},
+        "relit": None if relit is None else read_picture(relit),
     }
+    window = _window(view.mask)
+    shown = {
+        name: None if picture is None else _inline_picture(_cut(picture, window))
+        for name, picture in pictures.items()
+    }
+    return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
+
+
+def _window(mask: Picture) -> Array:
+    """Square about the mask with a margin: left, top, right, bottom in widths of the picture."""
+    height, width = mask.shape
+    rows, columns = np.nonzero(mask > 127)
+    if len(rows) == 0:
+        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
+    low = np.array([columns.min(), rows.min()], float)
+    high = np.array([columns.max(), rows.max()], float) + 1.0
+    half = 0.5 * _MARGIN * (high - low).max()
+    middle = 0.5 * (low + high)
+    return np.concatenate([middle - half, middle + half]) / width
+
+
+def _cut(picture: Picture, window: Array) -> Picture:
+    """The window of a picture of any size; transparent where it reaches beyond the picture."""
+    box = np.round(window * picture.shape[1]).astype(int).tolist()
+    return _thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)))
+
+
+def _thumbnail(picture: Picture) -> Picture:
+    """The picture at no more than the page can show."""
+    image = Image.fromarray(picture)
+    image.thumbnail((_MAX_SIDE, _MAX_SIDE))
+    return np.asarray(image)
+
+
+def _fine(camera: Camera) -> Camera:
+    """The camera with enough pixels for smooth outlines on the page."""
+    factor = max(1, round(_MAX_SIDE / max(camera.width, camera.height)))
+    return camera.resized(factor * camera.width, factor * camera.height)
 
 
 def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> dict[str, Any]:

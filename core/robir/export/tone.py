@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,7 +15,8 @@ from robir.maths import tone
 
 _SAMPLES = 129
 _CUBE_SIZE = 33
-_INK, _ACCENT, _MUTED = "#1d2733", "#c8502d", "#9aa5b1"
+_INK, _ACCENT, _MUTED = "#1d2733", "#c8502d", "#7d8894"
+_STYLES = ("-", "--", "-.", ":")
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
@@ -42,29 +44,28 @@ def _plot(table: dict[str, Any]) -> bytes:
     figure = Figure(figsize=(6.4, 3.8), dpi=130, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    for candidate in table["candidates"]:
-        family = candidate["family"]
-        if family != table["family"]:
-            samples = tone.as_samples(tone.curve_from_name(family), _SAMPLES)
-            axes.plot(samples["linear"], samples["display"], color=_MUTED, linewidth=1.0)
-            middle = int(0.42 * _SAMPLES)
-            axes.annotate(
-                family,
-                (samples["linear"][middle], samples["display"][middle]),
-                color=_MUTED,
-                fontsize=7,
-                ha="right",
-            )
     samples = table["samples"]
     axes.plot(
-        samples["linear"], samples["display"], color=_ACCENT, linewidth=2.4, label=table["family"]
+        samples["linear"], samples["display"], color=_ACCENT, linewidth=2.6, label=table["family"]
     )
+    others = [c["family"] for c in table["candidates"] if c["family"] != table["family"]]
+    for family, style in zip(others, itertools.cycle(_STYLES)):
+        samples = tone.as_samples(tone.curve_from_name(family), _SAMPLES)
+        axes.plot(
+            samples["linear"],
+            samples["display"],
+            color=_MUTED,
+            linewidth=1.1,
+            linestyle=style,
+            label=family,
+            zorder=1,
+        )
     axes.axvline(0.18, color=_INK, linewidth=0.6, linestyle=":")
     axes.set_xscale("log", base=2)
     axes.set_xlabel("scene radiance, linear (dotted: 0.18)")
     axes.set_ylabel("display code / 255")
     axes.set_ylim(0.0, 1.02)
-    axes.legend(frameon=False, loc="upper left")
+    axes.legend(frameon=False, loc="upper left", fontsize=9)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     stream = io.BytesIO()
