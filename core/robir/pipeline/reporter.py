@@ -15,11 +15,11 @@ from robir.jobs.status import Kind, StatusWriter
 _log = logging.getLogger(__name__)
 
 _SHARES = {
-    "capture": 0.03,
-    "geometry": 0.42,
-    "transport": 0.08,
-    "appearance": 0.27,
-    "export": 0.20,
+    "capture": 0.01,
+    "geometry": 0.55,
+    "transport": 0.02,
+    "appearance": 0.28,
+    "export": 0.14,
 }
 """Typical share of each stage in the time of a draft on two cores; only for the time left."""
 
