@@ -107,7 +107,7 @@ def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
         Mean over the mask's pixels and the channels, at most 1.
     """
     a, b = truth * mask[..., None], estimate * mask[..., None]
-    _, similarity = structural_similarity(
+    similarity = structural_similarity(
         a,
         b,
         data_range=1.0,
@@ -116,8 +116,8 @@ def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
         sigma=1.5,
         use_sample_covariance=False,
         full=True,
-    )
-    return float(similarity[mask].mean())
+    )[1]
+    return float(np.mean(similarity[mask]))
 
 
 def lmse(estimate_linear: Array, truth_linear: Array, mask: Mask, window: int = 20) -> float | None:
@@ -150,9 +150,9 @@ def lmse(estimate_linear: Array, truth_linear: Array, mask: Mask, window: int = 
 
 def _window_sums(image: Array, window: int, step: int) -> Array:
     """Sums over all full windows, (rows, columns, C), by a summed-area table."""
-    table = np.pad(image.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
+    table: Array = np.pad(image.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
     low, high = table[:-window, :-window], table[window:, window:]
-    inner = high - table[:-window, window:] - table[window:, :-window] + low
+    inner: Array = high - table[:-window, window:] - table[window:, :-window] + low
     return inner[::step, ::step]
 
 

@@ -96,7 +96,8 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         complaints.seek(0)
         sentence = (complaints.read().strip().splitlines() or [""])[-1].removeprefix("error: ")
     if code != 0:
-        kind = _ERRORS.get(code, DeviceError if code < 0 else RobirError)
+        unknown: type[RobirError] = DeviceError if code < 0 else RobirError
+        kind = _ERRORS.get(code, unknown)
         raise kind(sentence or f"Blender ended with code {code}")
     after = os.times()
     return Outcome(
