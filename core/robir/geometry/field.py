@@ -141,7 +141,7 @@ class Field:
             inv_std: NeuS steepness.
 
         Returns:
-            Display RGB times coverage (R, 3), and coverage (R,), in [0, 1].
+            Display RGB of what the ray meets (R, 3), and its coverage (R,), in [0, 1].
         """
         origins, directions = rays
         start, ray = intervals.start, intervals.ray
@@ -159,4 +159,4 @@ class Field:
         local = 0.5 * (local[start] + local[start + 1]) * share[:, None]
         mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
         rgb = network(mixed, normals, directions)
-        return rgb * coverage[:, None], coverage
+        return rgb, coverage

@@ -15,14 +15,20 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import RaySampler
-from robir.geometry.regularise import eikonal_step, laplacian_step
+from robir.geometry.regularise import laplacian_step, smoothed
 from robir.geometry.sampling import Occupancy, march
 
-SHARPNESS = (80.0, 110.0)
+SHARPNESS = (30.0, 160.0)
 """NeuS steepness at the start and at the end, for an object of longest side 2."""
+
+MASK_WEIGHT = 0.05
+"""Weight of the coverage's cross-entropy against the colour."""
 
 REFRESH = 25
 """Steps between updates of the occupancy and of the nodes that carry features."""
+
+GRADIENT_PASSES = 2
+"""Passes of the (1, 2, 1) / 4 filter over the gradient of the distances."""
 
 SMOOTH_EVERY = 10
 """Steps between the proximal steps on the field."""
@@ -31,17 +37,20 @@ SMOOTH_EVERY = 10
 class _Optimiser:
     """Adam over field and network, whose state follows the rows of the features.
 
+    The gradient of the distances is smoothed first, so that the surface moves in patches rather
+    than node by node (after Nicolet et al. 2021, "Large steps in inverse rendering of geometry").
+
     Args:
         field: Field of the present level.
         network: Colour network.
-        fused: Whether torch's fused Adam may be used.
     """
 
     def __init__(self, field: Field, network: ColourNetwork) -> None:
+        self._field = field
         self._adam = torch.optim.Adam(
             [
                 {"params": [field.sdf], "base": 0.4 * field.lattice.cell},
-                {"params": [field.features], "base": 0.08},
+                {"params": [field.features], "base": 0.3},
                 {"params": list(network.parameters()), "base": 5e-3},
             ],
             betas=(0.9, 0.99),
@@ -66,15 +75,27 @@ class _Optimiser:
             group["lr"] = group["base"] * factor
         self._adam.zero_grad(set_to_none=True)
         loss.backward()
+        gradient = self._field.sdf.grad
+        assert gradient is not None
+        self._field.sdf.grad = smoothed(gradient, self._field.lattice, GRADIENT_PASSES)
         self._adam.step()
 
 
 def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
-    """Robust colour loss (Charbonnier) plus cross-entropy of the coverage."""
+    """Robust colour loss (Charbonnier) plus cross-entropy of the coverage.
+
+    The colour is compared at the photograph's own coverage: a surface that lets a little light
+    through must not be pushed to and fro by the brightness of its colour. Coverage that is full
+    but for the dropped intervals counts as full, or it would inflate the surface for ever.
+    """
     rgb, coverage = predicted
-    colour = ((rgb - target[:, :3]) ** 2 + 1e-4).sqrt().mean()
-    mask = torch.nn.functional.binary_cross_entropy(coverage.clamp(1e-3, 1.0 - 1e-3), target[:, 3])
-    return colour + 0.2 * mask
+    wanted = target[:, 3]
+    colour = ((rgb * wanted[:, None] - target[:, :3]) ** 2 + 1e-4).sqrt().mean()
+    full = 0.98
+    mask = torch.nn.functional.binary_cross_entropy(
+        coverage.clamp(1e-3, full), wanted.clamp(max=full)
+    )
+    return colour + MASK_WEIGHT * mask
 
 
 def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
@@ -93,6 +114,7 @@ def fit(
     config: GeometryConfig,
     generator: torch.Generator,
     progress: Callable[[float], None],
+    settle: Callable[[Field], None],
 ) -> Field:
     """Fit a field to the rays of a capture.
 
@@ -102,6 +124,7 @@ def fit(
         config: Levels, steps, rays.
         generator: Source of the samples' jitter and of the network's weights, on the CPU.
         progress: Called with the share done after every few steps.
+        settle: Called at the end of every level, may change the field's distances in place.
 
     Returns:
         The field of the finest level.
@@ -145,4 +168,5 @@ def fit(
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
                     laplacian_step(field.sdf, level, 0.15)
+        settle(field)
     return field

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that keep a distance field smooth and a distance, taken apart from the optimiser.
+"""Smoothing of a distance field, taken apart from the optimiser.
 
 Inside Adam the gradients of a regulariser at rarely sampled nodes are blown up to full steps;
 as separate explicit steps on the whole lattice they do what their formula says.
@@ -35,32 +35,22 @@ def laplacian_step(sdf: Tensor, lattice: Lattice, amount: float) -> None:
     grid.lerp_(total.div_(6.0), amount)
 
 
-def eikonal_step(sdf: Tensor, lattice: Lattice, amount: float) -> None:
-    """One explicit descent step of the eikonal energy sum (|gradient| - 1)^2, in place.
-
-    The descent direction is the divergence of (1 - 1 / |g|) g: diffusion where the gradient is
-    too long, its reverse, held to a third of that, where it is too short.
+def smoothed(values: Tensor, lattice: Lattice, passes: int) -> Tensor:
+    """Values filtered by (1, 2, 1) / 4 along each axis, zero beyond the border.
 
     Args:
-        sdf: (N,).
-        lattice: Nodes of the field.
-        amount: Step in units of the explicit scheme, stable below about 1/6.
+        values: (N,).
+        lattice: Nodes.
+        passes: How often.
+
+    Returns:
+        (N,), a new tensor unless `passes` is 0.
     """
-    grid = sdf.view(lattice.shape)
-    cell = lattice.cell
-    wide = _padded(grid)
-    centre = [
-        (wide[2:, 1:-1, 1:-1] - wide[:-2, 1:-1, 1:-1]) / (2.0 * cell),
-        (wide[1:-1, 2:, 1:-1] - wide[1:-1, :-2, 1:-1]) / (2.0 * cell),
-        (wide[1:-1, 1:-1, 2:] - wide[1:-1, 1:-1, :-2]) / (2.0 * cell),
-    ]
-    length = (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2).sqrt_().clamp_(min=1e-3)
-    conductance = (1.0 - 1.0 / length).clamp_(-1.0 / 3.0, 1.0)
-    change = torch.zeros_like(grid)
-    for axis in range(3):
-        size = grid.shape[axis]
-        low, high = conductance.narrow(axis, 0, size - 1), conductance.narrow(axis, 1, size - 1)
-        flux = torch.diff(grid, dim=axis) * (0.5 * (low + high))
-        change.narrow(axis, 0, size - 1).add_(flux)
-        change.narrow(axis, 1, size - 1).sub_(flux)
-    grid.add_(change, alpha=amount)
+    grid = values.view(lattice.shape)
+    for _ in range(passes):
+        for axis, size in enumerate(lattice.shape):
+            out = grid * 0.5
+            out.narrow(axis, 0, size - 1).add_(grid.narrow(axis, 1, size - 1), alpha=0.25)
+            out.narrow(axis, 1, size - 1).add_(grid.narrow(axis, 0, size - 1), alpha=0.25)
+            grid = out
+    return grid.reshape(-1)

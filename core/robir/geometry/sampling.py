@@ -21,7 +21,7 @@ BLOCK = 4
 BLOCK_STEPS = 10
 """Steps a ray takes along such an edge."""
 
-LEAST_WEIGHT = 1e-3
+LEAST_WEIGHT = 2e-4
 """Intervals that contribute less than this to their pixel are dropped."""
 
 

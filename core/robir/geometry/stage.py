@@ -14,10 +14,13 @@ from robir.errors import CaptureError
 from robir.geometry.clean import largest_pieces
 from robir.geometry.config import GeometryConfig
 from robir.geometry.filtering import bilateral, taubin
+from robir.geometry.field import Field
 from robir.geometry.fit import fit
+from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver, carve, spread_views
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh import Mesh
+from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.simplify import decimate, fill_holes, with_creases
 from robir.geometry.surface import distance_to_mesh, extract
@@ -27,6 +30,9 @@ from robir.jobs.paths import replacing
 
 REVISION = 1
 """Raised whenever the same input gives another result."""
+
+SETTLE_TOLERANCE = 0.03
+"""Height above the support plane, unit frame, at which the fitted surface counts as ground."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -81,7 +87,18 @@ def reconstruct(
     def progress(share: float) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
 
-    field = fit(sampler, (lattice, hull.to(device)), config, generator, progress)
+    plane = detect(photos, lattice, hull, generator)
+    ground = None if plane is None else Ground(plane, photos, lattice, hull)
+    start = hull if ground is None else ground.flatten(lattice, hull, ground.bare)
+
+    def settle(field: Field) -> None:
+        if ground is None:
+            return
+        sdf = field.sdf.detach()
+        flat = ground.settled(field.lattice, sdf, SETTLE_TOLERANCE)
+        sdf.copy_(ground.flatten(field.lattice, sdf, flat))
+
+    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
     reporter.progress(0.86, "cleaning the mesh")
     mesh = largest_pieces(extract(field.lattice, field.sdf))
     mesh = bilateral(taubin(mesh, 10), 20, 10)
@@ -92,6 +109,7 @@ def reconstruct(
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
+        "ground": "none" if plane is None else "flattened",
     }
     return mesh, metrics
 
