@@ -172,10 +172,17 @@ def test_without_blender_the_rest_is_there_and_the_report_says_how(tmp_path, mon
         importlib.util, "find_spec", lambda name, *a: None if name == "bpy" else find(name, *a)
     )
     recorder = Recorder()
+    paths.renders.mkdir()
+    paths.export.mkdir()
+    # of an earlier asset, but for the one that the user asked for
+    for name in ("rerender_a.png", "relit_city_a.png", "relit_mine_a.png"):
+        (paths.renders / name).touch()
+    paths.scene.touch()
     stage.run(context(paths, recorder))
     assert "pip install" in recorder.warnings[0]
     assert paths.asset.is_file()
     assert not paths.scene.exists()
+    assert [file.name for file in paths.renders.iterdir()] == ["relit_mine_a.png"]
     assert "pip install" in read_json(paths.report_json)["missing"][0]
     assert "pip install" in paths.report.read_text(encoding="utf-8")
 

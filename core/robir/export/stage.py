@@ -30,6 +30,8 @@ REVISION = 1
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
 
+_RERENDER = "rerender_"
+_RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
 _ASSET_SHARE = 0.2
 _RENDER_SHARE = 0.95
 
@@ -116,6 +118,7 @@ def _render(
 ) -> Rendering:
     """Everything that Blender makes; whatever it cannot make is said, never fatal."""
     config, paths = context.config, context.paths
+    _remove_old_renders(paths)
     if not config.renders:
         return Rendering(missing=("Blender was not asked for (export.renders = false)",))
     views = [v.name for v in (capture.held_out or capture.train)[: config.render_views]]
@@ -153,6 +156,14 @@ def _render(
     return _Work(done, tuple(missing)).rendering()
 
 
+def _remove_old_renders(paths: JobPaths) -> None:
+    """Forget what Blender made of an earlier asset; pictures the user asked for stay."""
+    paths.scene.unlink(missing_ok=True)
+    for prefix in (_RERENDER, _RELIT):
+        for file in paths.renders.glob(f"{prefix}*.png"):
+            file.unlink()
+
+
 @dataclass(frozen=True, slots=True)
 class _Work:
     """Outcomes of the headless commands that ended well."""
@@ -162,7 +173,7 @@ class _Work:
 
     def files(self, name: str) -> dict[str, Path]:
         """Pictures by view: the view's name follows the command's prefix in the file's name."""
-        prefix = {"rerender": "rerender_", "relight": f"relit_{RELIGHT_ENVIRONMENT}_"}[name]
+        prefix = {"rerender": _RERENDER, "relight": _RELIT}[name]
         outcome = self.done.get(name)
         files = outcome.files if outcome else ()
         return {file.stem.removeprefix(prefix): file for file in files}
