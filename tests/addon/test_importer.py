@@ -181,7 +181,7 @@ def headless(*arguments):
 
 
 def psnr(first, second, mask):
-    return -10 * np.log10(np.mean((first[mask] - second[mask]) ** 2))
+    return -10 * np.log10(max(np.mean((first[mask] - second[mask]) ** 2), 1e-12))
 
 
 def picture(file):
