@@ -38,9 +38,9 @@ def test_islands_grow_with_the_nearest_texel():
 
 @pytest.mark.parametrize(("size", "margin"), [(256, 8), (2048, 8), (4096, 16)])
 def test_margin_follows_the_size(size, margin):
-    inside = np.zeros((size, size), bool)
-    inside[:, : size // 2] = True
-    flat = np.ones((size, size), np.float32)
+    inside = np.zeros((size, 64), bool)  # as high as the texture is, narrow to be quick
+    inside[:, :32] = True
+    flat = np.ones((size, 64), np.float32)
     ramp = np.where(inside, np.linspace(0, 1, size, dtype=np.float32)[:, None], 0.0)
     arrays = {
         "inside": inside,
@@ -51,7 +51,7 @@ def test_margin_follows_the_size(size, margin):
         "uncertainty": flat,
     }
     row = textures.finished_textures(arrays, 12).roughness[-1]
-    assert np.count_nonzero(row > 0.99) == size // 2 + margin
+    assert np.count_nonzero(row > 0.99) == 32 + margin
 
 
 def test_files_carry_their_colour_state(tmp_path):
