@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
-from robir.appearance.light import lobes_of
+from robir.appearance.light import soft_lobes
 from robir.appearance.problem import Problem
 from robir.appearance.solver import Light
 from robir.appearance.statistics import HIGH_SHARE, LOW_SHARE, linear_observations
@@ -120,10 +120,8 @@ class _Reflections:
         scene = problem.scene
         visibility = scene.transport.visibility
         directions = torch.from_numpy(visibility.directions)
-        lobes = lobes_of(light.amplitudes, light.axes[:0], light.sharpness[:0])
-        count = len(light.amplitudes.soft)
-        weights = torch.exp(lobes.sharpness[:count] * (directions @ lobes.axis[:count].T - 1))
-        sky = weights @ lobes.amplitude[:count]
+        axes, sharpness = soft_lobes(len(light.amplitudes.soft))
+        sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
         normal = torch.from_numpy(scene.transport.surfels.normal[rows])
         bits = np.unpackbits(visibility.bits[rows], axis=1, count=len(directions))
         seen = torch.from_numpy(bits.astype(np.float32))

@@ -110,6 +110,11 @@ def pair_residual(log_albedo: Tensor, clipped: Tensor, pairs: Pairs) -> Tensor:
     return low + high
 
 
+def pair_loss(log_albedo: Tensor, clipped: Tensor, pairs: Pairs) -> Tensor:
+    """Weighted mean over pairs of the absolute differences, summed over channels."""
+    return (pair_residual(log_albedo, clipped, pairs).abs().sum(1) * pairs.weight).sum()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Priors:
     """Weights of the priors on albedo and light, relative to the neighbour term.
@@ -119,6 +124,7 @@ class Priors:
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
         smooth: Weight of neighbouring soft lobes being alike.
+        shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
         width: Width of an albedo cluster in log units, at the end of the annealing.
     """
@@ -127,6 +133,7 @@ class Priors:
     bounds: float = 1.0
     hue: float = 0.03
     smooth: float = 0.01
+    shadow: float = 0.25
     parsimony: float = 0.0
     width: float = 0.15
 
@@ -134,22 +141,20 @@ class Priors:
 def solve_amplitudes(
     radiance: Radiance,
     transfer: Transfer,
-    pairs: Pairs,
+    pairs: tuple[Pairs, Pairs],
     priors: Priors,
     iterations: int,
     start: Amplitudes | None = None,
-    generator: torch.Generator | None = None,
 ) -> tuple[Amplitudes, float]:
     """Light strengths whose eliminated albedo is the most plausible.
 
     Args:
         radiance: Of the samples that take part (U,).
         transfer: Of the same samples.
-        pairs: Of the same samples.
+        pairs: Neighbours among the same samples, and pairs across shadows.
         priors: Weights.
         iterations: Adam steps.
         start: Where to begin; a neutral sky with equally strong suns if None.
-        generator: Randomness of the parsimony pairs.
 
     Returns:
         Amplitudes and the final neighbour loss (mean absolute log difference).
@@ -163,6 +168,8 @@ def solve_amplitudes(
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(4).indices
     loss_value = 0.0
+    neighbours, across = pairs
+    generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
         for group in optimiser.param_groups:
@@ -171,9 +178,9 @@ def solve_amplitudes(
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
-        residual = pair_residual(log_albedo, radiance.clipped, pairs).abs().sum(1)
-        neighbour = (residual * pairs.weight).sum()
-        loss = neighbour + priors.bounds * range_loss(log_albedo, radiance.clipped, priors)
+        neighbour = pair_loss(log_albedo, radiance.clipped, neighbours)
+        loss = neighbour + priors.shadow * pair_loss(log_albedo, radiance.clipped, across)
+        loss = loss + priors.bounds * range_loss(log_albedo, radiance.clipped, priors)
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()

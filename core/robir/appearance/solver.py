@@ -15,11 +15,11 @@ from robir.appearance.light import (
     Amplitudes,
     Priors,
     log_ratio,
-    pair_residual,
+    pair_loss,
     solve_amplitudes,
 )
 from robir.appearance.problem import Problem
-from robir.appearance.statistics import neighbour_pairs
+from robir.appearance.statistics import Pairs, neighbour_pairs, shadow_pairs
 from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
 
 Floats = NDArray[np.float32]
@@ -27,6 +27,10 @@ Floats = NDArray[np.float32]
 SCAN_SURFELS = 2500
 SUN_SHARPNESS = 2000.0
 """Of a sun before its own is searched: about 1.3 degrees across."""
+
+EDGE_SHARPNESS = 250.0
+"""Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
+across, about what a mesh error of one grid cell does to a shadow."""
 
 MIN_GAIN = 0.01
 """A further sharp lobe must lower the neighbour loss by this share, or the scene does without."""
@@ -129,13 +133,27 @@ def fit(
     amplitudes, loss = solve_amplitudes(
         problem.rows_radiance(rows),
         problem.transfer(sharp, rows),
-        problem.scene.pairs,
+        (problem.scene.pairs, _across_shadows(problem, axes)),
         Priors(parsimony=parsimony),
         iterations,
         start=start,
-        generator=torch.Generator().manual_seed(len(rows)),
     )
     return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
+
+
+def _across_shadows(problem: Problem, axes: Floats) -> Pairs:
+    """Pairs across the shadows of the suns, away from their edges."""
+    scene, rows = problem.scene, problem.scene.rows
+    surfels = scene.transport.surfels
+    normal = surfels.normal[rows]
+    wide = scene.sharp_transfer(axes, np.full(len(axes), EDGE_SHARPNESS, np.float32), rows).numpy()
+    suns = []
+    for index, axis in enumerate(axes):
+        cosine = normal @ axis
+        share = wide[:, index] / np.maximum(cosine, 1e-3)
+        facing = cosine > 0.15
+        suns.append(np.stack([facing & (share > 0.97), facing & (share < 0.03)]))
+    return shadow_pairs(surfels.position[rows], normal, suns)
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
@@ -186,8 +204,7 @@ def _best_sharpness(
         sharp = problem.scene.sharp_transfer(axes, tried, rows)
         irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
         log_albedo = log_ratio(radiance.linear, irradiance)
-        residual = pair_residual(log_albedo, radiance.clipped, problem.scene.pairs).abs().sum(1)
-        loss = float((residual * problem.scene.pairs.weight).sum())
+        loss = float(pair_loss(log_albedo, radiance.clipped, problem.scene.pairs))
         if loss < best_loss:
             best, best_loss = trial, loss
     return best

@@ -19,6 +19,14 @@ LOW_SHARE, HIGH_SHARE = 0.1, 0.5
 """Between these ranks of brightness a sample's views are averaged: highlights lie above, pixels
 darkened by an outline below."""
 
+SHADOW_REACH = 0.4
+"""How far apart, unit frame, a sample in shadow and its lit partner may lie."""
+
+SHADOW_NORMAL = 0.6
+"""What a difference of one unit of normal counts in that distance."""
+
+MIN_SHADOW_SAMPLES = 20
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radiance:
@@ -130,3 +138,35 @@ def neighbour_pairs(
         second=torch.from_numpy(right),
         weight=torch.from_numpy(weight),
     )
+
+
+def shadow_pairs(
+    position: NDArray[np.float32], normal: NDArray[np.float32], suns: list[NDArray[np.bool_]]
+) -> Pairs:
+    """Pairs across shadows: samples wholly in shadow with the nearest that are wholly lit.
+
+    Neighbours at fixed distances hold few pairs with one end on either side of a shadow, and it is
+    these that say how strong the sun is against the sky.
+
+    Args:
+        position: (U, 3) unit frame.
+        normal: (U, 3) unit; partners face alike, so that only visibility differs.
+        suns: For each sun (2, U): wholly lit, wholly in shadow.
+
+    Returns:
+        Pairs over the samples; none where no sun casts a shadow.
+    """
+    first, second = [], []
+    points = np.concatenate([position, SHADOW_NORMAL * normal], axis=1)
+    for lit, dark in suns:
+        lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
+        if min(len(lit_rows), len(dark_rows)) < MIN_SHADOW_SAMPLES:
+            continue
+        distance, index = cKDTree(points[lit_rows]).query(points[dark_rows], k=4)
+        near = distance < SHADOW_REACH
+        first.append(np.repeat(dark_rows, 4)[near.ravel()])
+        second.append(lit_rows[index[near]])
+    left = np.concatenate(first) if first else np.zeros(0, np.int64)
+    right = np.concatenate(second) if second else np.zeros(0, np.int64)
+    weight = torch.full((len(left),), 1 / max(1, len(left)))
+    return Pairs(first=torch.from_numpy(left), second=torch.from_numpy(right), weight=weight)

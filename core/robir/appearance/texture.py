@@ -20,7 +20,7 @@ from torch import Tensor
 
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem
-from robir.appearance.solver import Light
+from robir.appearance.solver import EDGE_SHARPNESS, Light
 from robir.appearance.statistics import diffuse_radiance, linear_observations
 from robir.capture.capture import View
 from robir.transport.observe import Observations, observe
@@ -31,10 +31,6 @@ Floats = NDArray[np.float32]
 
 NORMAL_SCALE = 0.15
 """How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
-
-EDGE_SHARPNESS = 250.0
-"""Lobe in which a sun's visibility must be whole or nil for the texel to be certain: 5 degrees
-across, about what a mesh error of one grid cell does to a shadow."""
 
 SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
