@@ -20,7 +20,7 @@ from robir.appearance.statistics import (
 )
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
@@ -49,7 +49,7 @@ class Scene:
     """
 
     transport: Transport
-    tracer: EmbreeTracer | None
+    tracer: AbstractTracer | None
     soft: Tensor
     offset: float
     rows: NDArray[np.int64]
@@ -75,7 +75,7 @@ class Scene:
 
 def make_scene(
     transport: Transport,
-    tracer: EmbreeTracer | None,
+    tracer: AbstractTracer | None,
     offset: float,
     sizes: tuple[int, int],
     rng: np.random.Generator,

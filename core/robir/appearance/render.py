@@ -14,7 +14,7 @@ from robir.appearance.texture import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
 from robir.geometry.mesh import Mesh
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 
@@ -57,7 +57,7 @@ def render_view(
     light: Light,
     gloss: Gloss,
     view: View,
-    surface: tuple[Mesh, EmbreeTracer, AtlasLookup, TexelAlbedo],
+    surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Render a view with the recovered asset, light and tone curve.
 

@@ -26,7 +26,7 @@ from robir.jobs.paths import replacing, write_json
 from robir.transport.baked import Transport
 from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import EmbreeTracer, make_tracer
+from robir.transport.tracer import AbstractTracer, make_tracer
 
 REVISION = 1
 
@@ -108,7 +108,7 @@ def _bake(
     problem: Problem,
     light: Light,
     gloss: Gloss,
-    surface: tuple[Mesh, EmbreeTracer],
+    surface: tuple[Mesh, AbstractTracer],
     capture: Capture,
     size: int,
 ) -> tuple[np.ndarray, TexelAlbedo]:
@@ -128,7 +128,7 @@ def _held_out(
     light: Light,
     gloss: Gloss,
     capture: Capture,
-    surface: tuple[Mesh, EmbreeTracer, AtlasLookup, TexelAlbedo],
+    surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
 ) -> float | None:
     """Render and store the held-out views; their PSNR against the photographs."""
     images, squared, count = {}, 0.0, 0

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
@@ -51,7 +51,7 @@ class SunProblem:
     base: Tensor
     indirect: Tensor
     pairs: Pairs
-    tracer: EmbreeTracer | None
+    tracer: AbstractTracer | None
     offset: float
 
 

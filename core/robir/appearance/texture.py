@@ -24,7 +24,7 @@ from robir.appearance.solver import EDGE_SHARPNESS, Light
 from robir.appearance.statistics import diffuse_radiance, linear_observations
 from robir.capture.capture import View
 from robir.transport.observe import Observations, observe
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
@@ -122,7 +122,7 @@ def texel_albedo(
     texels: Texels,
     views: tuple[View, ...],
     gloss: Gloss,
-    tracer: EmbreeTracer,
+    tracer: AbstractTracer,
 ) -> TexelAlbedo:
     """Albedo of every texel.
 

@@ -17,7 +17,7 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.config import TransportConfig
 from robir.transport.observe import Observations, observe, resize_view, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
-from robir.transport.tracer import EmbreeTracer, make_tracer
+from robir.transport.tracer import AbstractTracer, make_tracer
 from robir.transport.visibility import Visibility, trace_visibility
 
 
@@ -127,7 +127,7 @@ def bake(
 
 
 def _seen_surfels(
-    tracer: EmbreeTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
+    tracer: AbstractTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
 ) -> Surfels:
     """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept.
 
@@ -142,7 +142,7 @@ def _seen_surfels(
 
 
 def _count_views(
-    tracer: EmbreeTracer, surfels: Surfels, views: tuple[View, ...], config: TransportConfig
+    tracer: AbstractTracer, surfels: Surfels, views: tuple[View, ...], config: TransportConfig
 ) -> NDArray[np.int64]:
     """Number of views that see each sample."""
     seen = observe(tracer, surfels.position, surfels.normal, views, config.ray_offset)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.capture import View
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 
@@ -86,7 +86,7 @@ def resize_view(view: View, max_side: int) -> View:
 
 
 def observe(
-    tracer: EmbreeTracer,
+    tracer: AbstractTracer,
     position: Floats,
     normal: Floats,
     views: tuple[View, ...],
@@ -131,7 +131,7 @@ def observe(
     return Observations(display=display, weight=weight, clipped=clipped, positions=centres)
 
 
-def _clean_pixels(tracer: EmbreeTracer, view: View) -> NDArray[np.bool_]:
+def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
     """Object pixels that no outline of a nearer part runs through, (H, W).
 
     The inverse of depth is linear across the image of a plane, so its second difference marks

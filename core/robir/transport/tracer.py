@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against a triangle mesh: Embree on the CPU."""
+"""Rays against a triangle mesh: what every tracer offers, and Embree on the CPU."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,39 @@ class Hits:
     barycentric: Floats
 
 
-class EmbreeTracer:
-    """Ray queries against a fixed mesh on the CPU."""
+class AbstractTracer(ABC):
+    """Ray queries against a fixed mesh; both sides of a triangle count."""
+
+    @abstractmethod
+    def first_hits(self, origins: Floats, directions: Floats) -> Hits:
+        """Nearest surface along every ray.
+
+        Args:
+            origins: (N, 3), the mesh's frame.
+            directions: (N, 3), unit.
+
+        Returns:
+            The hits, in the rays' order.
+        """
+
+    @abstractmethod
+    def is_blocked(
+        self, origins: Floats, directions: Floats, reach: Floats | None = None
+    ) -> NDArray[np.bool_]:
+        """Whether anything lies on each ray.
+
+        Args:
+            origins: (N, 3), the mesh's frame.
+            directions: (N, 3), unit.
+            reach: (N,) distance up to which a hit counts; unlimited if None.
+
+        Returns:
+            (N,) bool.
+        """
+
+
+class EmbreeTracer(AbstractTracer):
+    """Embree's bounding volumes, on the CPU."""
 
     def __init__(self, vertices: Floats, faces: NDArray[np.int32]) -> None:
         """Build the acceleration structure.
@@ -43,15 +75,7 @@ class EmbreeTracer:
         self._mesh = TriangleMesh(self._scene, corners)
 
     def first_hits(self, origins: Floats, directions: Floats) -> Hits:
-        """Nearest surface along every ray.
-
-        Args:
-            origins: (N, 3).
-            directions: (N, 3), unit.
-
-        Returns:
-            The hits, in the rays' order.
-        """
+        """Nearest surface along every ray; see AbstractTracer."""
         found = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
@@ -68,16 +92,7 @@ class EmbreeTracer:
     def is_blocked(
         self, origins: Floats, directions: Floats, reach: Floats | None = None
     ) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray.
-
-        Args:
-            origins: (N, 3).
-            directions: (N, 3), unit.
-            reach: (N,) distance up to which a hit counts; unlimited if None.
-
-        Returns:
-            (N,) bool.
-        """
+        """Whether anything lies on each ray; see AbstractTracer."""
         origins = np.ascontiguousarray(origins, np.float32)
         directions = np.ascontiguousarray(directions, np.float32)
         if reach is None:
@@ -88,6 +103,11 @@ class EmbreeTracer:
         return hit >= 0
 
 
-def make_tracer(vertices: Floats, faces: NDArray[np.int32], device: str) -> EmbreeTracer:
-    """The fastest tracer for a device."""
-    return EmbreeTracer(vertices, faces)
+def make_tracer(vertices: Floats, faces: NDArray[np.int32], device: str) -> AbstractTracer:
+    """The fastest tracer for a device: Embree on "cpu", torch on any other."""
+    if device == "cpu":
+        return EmbreeTracer(vertices, faces)
+    # Not above: torch takes seconds to load and Embree does without it.
+    from robir.transport.torch_tracer import TorchTracer
+
+    return TorchTracer(vertices, faces, device)

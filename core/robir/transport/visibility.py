@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix
 
 from robir.geometry.mesh import Mesh
 from robir.transport.surfels import Surfels, interpolate
-from robir.transport.tracer import EmbreeTracer
+from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 
@@ -50,7 +50,7 @@ class Visibility:
 
 
 def trace_visibility(
-    mesh: Mesh, tracer: EmbreeTracer, surfels: Surfels, directions: Floats, offset: float
+    mesh: Mesh, tracer: AbstractTracer, surfels: Surfels, directions: Floats, offset: float
 ) -> Visibility:
     """Trace every direction above every sample's horizon.
 
@@ -121,7 +121,7 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
 
 
 def lobe_transfer(
-    tracer: EmbreeTracer | None,
+    tracer: AbstractTracer | None,
     position: Floats,
     normal: Floats,
     directions: Floats,
