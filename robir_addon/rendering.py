@@ -86,8 +86,7 @@ def _develop(raw: Path, path: Path, table: ToneTable) -> None:
     # the renderer multiplies by coverage; the curve is for the surface alone
     straight = pixels[:, :3] / np.maximum(alpha, 1e-6)
     codes = np.concatenate([table.display(np.where(alpha > 0, straight, 0.0)), alpha], axis=1)
-    shown = bpy.data.images.new("shown", width, height, alpha=True)
-    shown.colorspace_settings.name = "Non-Color"  # they are display codes already
+    shown = bpy.data.images.new("shown", width, height, alpha=True)  # bytes: codes as they are
     shown.pixels.foreach_set(codes.ravel().astype(np.float32))
     shown.file_format = "PNG"
     shown.filepath_raw = str(path)
