@@ -1,14 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removal of pieces the photographs do not support."""
+"""Removal of pieces the photographs do not support, return of parts they demand."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
+import torch
 from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+from torch.nn.functional import max_pool3d
 
+from robir.geometry.field import Field
 from robir.geometry.mesh import Mesh
+from robir.geometry.rays import RaySampler
 from robir.geometry.surface import compacted
+
+CHECKED_BATCHES = 40
+"""Batches of 2048 rays that are searched for missing parts."""
 
 LEAST_SHARE = 0.02
 """Pieces with less than this share of the largest piece's area are removed."""
@@ -27,3 +35,35 @@ def largest_pieces(mesh: Mesh) -> Mesh:
     of_face = piece[faces[:, 0]]
     area = np.bincount(of_face, weights=np.linalg.norm(cross, axis=1))
     return compacted(mesh.vertices, faces[area[of_face] >= LEAST_SHARE * area.max()])
+
+
+def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
+    """Bring back from the hull what the fit lost although the masks show it.
+
+    A thin part that is smoothed away at a coarse level leaves no surface that a gradient could
+    pull on. Rays inside the masks that meet nothing find it again.
+
+    Args:
+        field: Field of the present level.
+        hull: (N,) signed distance of the visual hull on the field's lattice.
+        sampler: Source of rays.
+
+    Returns:
+        The new signed distances (N,).
+    """
+    lattice, sdf = field.lattice, field.sdf.detach()
+    marked = torch.zeros(lattice.count, dtype=torch.bool, device=sdf.device)
+    steps = torch.arange(0.0, 2.2, 1.4 * lattice.cell, device=sdf.device)
+    for _ in range(CHECKED_BATCHES):
+        origins, directions, target = sampler.draw(2048)
+        solid = target[:, 3] > 0.95
+        origins, directions = origins[solid], directions[solid]
+        begin = -(origins * directions).sum(1, keepdim=True) - 1.1
+        points = origins[:, None] + (begin + steps)[..., None] * directions[:, None]
+        nodes = lattice.nearest(points.reshape(-1, 3))
+        reached = (sdf[nodes] < 0.5 * lattice.cell).view(len(origins), -1).any(1)
+        nodes = nodes.view(len(origins), -1)[~reached].reshape(-1)
+        marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
+    grid = marked.view(lattice.shape).float()[None, None]
+    near = max_pool3d(grid, 5, stride=1, padding=2).reshape(-1) > 0
+    return torch.where(near, torch.minimum(sdf, hull), sdf)

@@ -98,12 +98,7 @@ class Field:
         """The field on a finer lattice."""
         finer = Field(lattice, resample(self.sdf.detach(), self.lattice, lattice), 1)
         nodes = lattice.nodes(str(self.sdf.device))
-        nearest = self.lattice.scaled(nodes).round().long()
-        nearest = nearest.clamp(min=0).minimum(
-            torch.tensor(self.lattice.shape, device=nodes.device) - 1
-        )
-        _, ny, nz = self.lattice.shape
-        row = self.row[(nearest[:, 0] * ny + nearest[:, 1]) * nz + nearest[:, 2]]
+        row = self.row[self.lattice.nearest(nodes)]
         wanted = (row > 0).nonzero()[:, 0]
         index, weight = self.lattice.corners(nodes[wanted])
         index = self.row[index.long()]

@@ -6,64 +6,26 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, distance_transform_edt, label, map_coordinates
+from scipy.ndimage import binary_opening, distance_transform_edt, label
 from torch import Tensor
 
+from robir.geometry.columns import Columns
+from robir.geometry.consistency import STANDING, feet_agree
 from robir.geometry.hull import HullCarver
-from robir.geometry.lattice import Lattice, interpolate
+from robir.geometry.lattice import Lattice
 from robir.geometry.plane import SupportPlane, project_outline, within
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
 
+SPECK = 9
+"""Columns of the largest doubtful piece that joins the ground enclosing it."""
+
+RIM = 0.93
+"""Size of the part of the outline, towards its middle, that must prove to be ground."""
+
 HIGHEST = 0.6
 """Height above the plane, unit frame, up to which columns are searched for a surface."""
-
-
-class Columns:
-    """A grid of columns over the plane's outline, for heights above the plane.
-
-    Args:
-        plane: The support plane.
-        spacing: Distance between columns, unit frame.
-    """
-
-    def __init__(self, plane: SupportPlane, spacing: float) -> None:
-        self.plane = plane
-        self.spacing = spacing
-        low = plane.outline.min(0) - 2.0 * spacing
-        count = np.ceil((plane.outline.max(0) + 2.0 * spacing - low) / spacing).astype(int) + 1
-        self.low = low
-        self.shape = (int(count[0]), int(count[1]))
-        u, v = np.meshgrid(
-            low[0] + spacing * np.arange(count[0]),
-            low[1] + spacing * np.arange(count[1]),
-            indexing="ij",
-        )
-        self.feet = np.stack([u.ravel(), v.ravel()], axis=1)
-        self.inside = within(plane.outline, self.feet).reshape(self.shape)
-
-    def tops(self, lattice: Lattice, sdf: Tensor, highest: float) -> Array:
-        """Height of the uppermost surface of each column up to `highest`; -inf where none."""
-        heights = np.arange(-2.0 * self.spacing, highest, 0.5 * self.spacing)
-        top = np.full(len(self.feet), -np.inf)
-        above = np.full(len(self.feet), np.inf)
-        for height in heights[::-1]:
-            spots = np.concatenate([self.feet, np.full((len(self.feet), 1), height)], axis=1)
-            points = torch.from_numpy(self.plane.world(spots)).float()
-            value = interpolate(sdf.detach().cpu()[:, None], *lattice.corners(points))[:, 0]
-            value = value.numpy().astype(np.float64)
-            crosses = (value < 0) & np.isneginf(top)
-            with np.errstate(invalid="ignore"):
-                part = np.where(np.isfinite(above), -value / np.maximum(above - value, 1e-9), 0.0)
-            top[crosses] = height + 0.5 * self.spacing * part[crosses]
-            above = value
-        return top.reshape(self.shape)
-
-    def sample(self, values: Array, points: Array) -> Array:
-        """Values of the columns (bilinear) at points (P, 3) of the unit frame."""
-        at = (self.plane.local(points)[:, :2] - self.low) / self.spacing
-        return map_coordinates(values, at.T, order=1, mode="nearest")
 
 
 def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice) -> Array:
@@ -83,13 +45,13 @@ def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice) -> Arr
 class Ground:
     """Decides which columns are bare ground and flattens them.
 
-    A column whose hull is no higher than the hull of bare ground is ground at once: the masks
-    hold no evidence of anything there. The others join when the fit has brought their surface
-    near the plane and they connect to columns that are ground.
+    Ground begins at the outline of the plane, which the masks prove, and spreads over columns
+    that are low and whose feet the photographs agree on. A column whose hull is no higher than
+    the hull of bare ground counts as low from the start: the masks hold no evidence of anything.
 
     Args:
         plane: The support plane.
-        photos: Photographs whose masks carve.
+        photos: Photographs.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
     """
@@ -98,26 +60,39 @@ class Ground:
         self, plane: SupportPlane, photos: list[Photo], lattice: Lattice, hull: Tensor
     ) -> None:
         self.columns = Columns(plane, lattice.cell)
+        self._photos = photos
         lens = lens_heights(self.columns, photos, lattice)
         top = self.columns.tops(lattice, hull, HIGHEST)
-        self.bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
+        self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
+        inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
+        self._rim = self._bare & ~inner
+        agree = feet_agree(self.columns, self._bare, np.where(self._bare, 0.0, top), photos)
+        self.start = self._spread(self._bare & agree)
 
-    def settled(self, lattice: Lattice, sdf: Tensor, tolerance: float) -> NDArray[np.bool_]:
-        """Columns whose surface lies on the plane, connected to those that are bare.
+    def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Ground that spreads from the rim over passable columns, no way narrower than three."""
+        open_ways = binary_opening(passable | self._rim, np.ones((3, 3), bool)) | self._rim
+        piece, _ = label(open_ways)
+        ground = np.isin(piece, np.unique(piece[self._rim])) & open_ways
+        # specks that ground encloses are ground too
+        rest, _ = label(~ground)
+        return ground | (self.columns.inside & (np.bincount(rest.ravel())[rest] <= SPECK))
+
+    def settled(self, lattice: Lattice, sdf: Tensor) -> NDArray[np.bool_]:
+        """Columns that are ground given the present surface.
 
         Args:
             lattice: Nodes.
             sdf: (N,) signed distances.
-            tolerance: Largest height above or depth below the plane, unit frame.
 
         Returns:
             The columns' shape.
         """
         top = self.columns.tops(lattice, sdf, HIGHEST)
-        flat = self.columns.inside & ((top < tolerance) | self.bare)
-        flat = binary_opening(flat, np.ones((3, 3), bool)) | self.bare
-        piece, _ = label(flat)
-        return np.isin(piece, np.unique(piece[self.bare])) & flat
+        low = self.columns.inside & (top < STANDING)
+        flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
+        agree = feet_agree(self.columns, low & ~flat, top, self._photos)
+        return self._spread((self.start & low) | flat | agree)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the plane over ground columns, and fill pits below it.
@@ -137,5 +112,7 @@ class Ground:
         height = columns.plane.local(points)[:, 2]
         before = sdf.detach().cpu().numpy()
         cut = np.maximum(before, np.minimum(height, reach))
-        slab = np.maximum(np.maximum(height, -reach), -height - 3.0 * lattice.cell)
+        # pits are filled, but the rim itself is left to the masks
+        inner = columns.spacing * 2.0 - reach
+        slab = np.maximum(np.maximum(height, inner), -height - 1.5 * lattice.cell)
         return torch.from_numpy(np.minimum(cut, slab).astype(np.float32)).to(sdf.device)

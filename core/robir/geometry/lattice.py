@@ -63,6 +63,13 @@ class Lattice:
         """Node coordinates of points: (0, 0, 0) at the first node, one a cell."""
         return (points - points.new_tensor(self.lower)) / self.cell
 
+    def nearest(self, points: Tensor) -> Tensor:
+        """Flat indices of the nodes nearest to points (P, 3), int64; outside, of the border's."""
+        scaled = self.scaled(points)
+        last = scaled.new_tensor([n - 1 for n in self.shape])
+        node = torch.minimum((scaled + 0.5).clamp_(min=0.0), last).long()
+        return (node[:, 0] * self.shape[1] + node[:, 1]) * self.shape[2] + node[:, 2]
+
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes and weights of trilinear interpolation; points outside take the nearest cell.
 

@@ -11,14 +11,14 @@ import torch
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture
 from robir.errors import CaptureError
-from robir.geometry.clean import largest_pieces
+from robir.geometry.clean import largest_pieces, restore_missing
 from robir.geometry.config import GeometryConfig
-from robir.geometry.filtering import bilateral, taubin
 from robir.geometry.field import Field
+from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver, carve, spread_views
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, RaySampler, reduce_view
@@ -30,9 +30,6 @@ from robir.jobs.paths import replacing
 
 REVISION = 1
 """Raised whenever the same input gives another result."""
-
-SETTLE_TOLERANCE = 0.03
-"""Height above the support plane, unit frame, at which the fitted surface counts as ground."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -89,20 +86,19 @@ def reconstruct(
 
     plane = detect(photos, lattice, hull, generator)
     ground = None if plane is None else Ground(plane, photos, lattice, hull)
-    start = hull if ground is None else ground.flatten(lattice, hull, ground.bare)
+    start = hull if ground is None else ground.flatten(lattice, hull, ground.start)
 
     def settle(field: Field) -> None:
-        if ground is None:
-            return
         sdf = field.sdf.detach()
-        flat = ground.settled(field.lattice, sdf, SETTLE_TOLERANCE)
-        sdf.copy_(ground.flatten(field.lattice, sdf, flat))
+        restored = restore_missing(field, resample(start, lattice, field.lattice), sampler)
+        sdf.copy_(restored)
+        if ground is not None:
+            flat = ground.settled(field.lattice, sdf)
+            sdf.copy_(ground.flatten(field.lattice, sdf, flat))
 
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
     reporter.progress(0.86, "cleaning the mesh")
-    mesh = largest_pieces(extract(field.lattice, field.sdf))
-    mesh = bilateral(taubin(mesh, 10), 20, 10)
-    mesh = fill_holes(decimate(mesh, config.face_budget))
+    mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
     metrics: dict[str, float | str] = {
@@ -112,6 +108,12 @@ def reconstruct(
         "ground": "none" if plane is None else "flattened",
     }
     return mesh, metrics
+
+
+def clean_mesh(field: Field, face_budget: int) -> Mesh:
+    """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
+    mesh = largest_pieces(extract(field.lattice, field.sdf))
+    return fill_holes(decimate(taubin(mesh, 10), face_budget))
 
 
 def hull_of(photos: list[Photo], views: int) -> HullCarver:
