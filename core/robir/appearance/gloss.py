@@ -17,30 +17,27 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
-from robir.appearance.light import soft_lobes
 from robir.appearance.problem import Problem
+from robir.appearance.reflections import Reflections, ViewRays, as_rays, view_rays
 from robir.appearance.solver import Light
 from robir.appearance.statistics import HIGH_SHARE, LOW_SHARE, linear_observations
-from robir.maths import microfacet
-from robir.transport.observe import Observations
-from robir.transport.surfels import Surfels
 
 Floats = NDArray[np.float32]
 
 LEVELS = (0.12, 0.2, 0.3, 0.42, 0.56, 0.72, 0.9)
 """Roughnesses that are tried."""
 
-F0 = 0.04
-"""Reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)."""
+TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
+"""Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
 
-MATTE = 0.6
+MATTE = 0.5
 """Roughness given to materials whose views say nothing about it."""
 
 METAL_MARGIN = 0.85
 """A metal must fit this much better than a dielectric: it is the rarer material."""
 
-FLAT_MARGIN = 0.002
-"""Relative drop of the cost below which roughness counts as not observed."""
+MIN_HIGHLIGHTS = 100
+"""Views near a sun's mirror direction that a material must have for its roughness to be judged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,109 +57,6 @@ class Gloss:
     floor: Floats
     gain: Floats
     table: tuple[dict[str, float], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Rays:
-    """Observations of some samples as a flat list.
-
-    Attributes:
-        sample: (M,) index into the rows.
-        view: (M,) view index.
-        view_dir: (M, 3) unit, towards the camera.
-        cosine: (M,) normal times view direction.
-        mirror: (M,) index of the direction nearest to the mirror direction.
-    """
-
-    sample: NDArray[np.int64]
-    view: NDArray[np.int64]
-    view_dir: Tensor
-    cosine: Tensor
-    mirror: Tensor
-
-
-def _rays(
-    surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
-) -> _Rays:
-    sample, view = np.nonzero(observations.weight[rows] > 0)
-    position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
-    towards = observations.positions[view] - position
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    return _as_rays(sample, view, towards, normal, directions)
-
-
-def _as_rays(
-    sample: NDArray[np.int64],
-    view: NDArray[np.int64],
-    view_dir: Floats,
-    normal: Floats,
-    directions: Floats,
-) -> _Rays:
-    cosine = (view_dir * normal).sum(1).clip(0.02, 1)
-    mirror = 2 * cosine[:, None] * normal - view_dir
-    nearest = [
-        (mirror[start : start + 65536] @ directions.T).argmax(1)
-        for start in range(0, len(mirror), 65536)
-    ]
-    return _Rays(
-        sample,
-        view,
-        torch.from_numpy(view_dir.astype(np.float32)),
-        torch.from_numpy(cosine.astype(np.float32)),
-        torch.from_numpy(np.concatenate(nearest) if nearest else np.zeros(0, np.int64)),
-    )
-
-
-class _Reflections:
-    """Light that reaches samples from around any mirror direction."""
-
-    def __init__(self, problem: Problem, light: Light, rows: NDArray[np.int64]) -> None:
-        scene = problem.scene
-        visibility = scene.transport.visibility
-        directions = torch.from_numpy(visibility.directions)
-        axes, sharpness = soft_lobes(len(light.amplitudes.soft))
-        sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
-        normal = torch.from_numpy(scene.transport.surfels.normal[rows])
-        bits = np.unpackbits(visibility.bits[rows], axis=1, count=len(directions))
-        seen = torch.from_numpy(bits.astype(np.float32))
-        cosine = (normal @ directions.T).clamp(min=0)
-        blocked = (cosine > 0).float() - seen
-        around = (blocked * cosine).sum(1) * (4 * np.pi / len(directions))
-        # Light from blocked directions: the mean radiance that the bounce carries.
-        bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
-        self._directions = directions
-        self._incident = [
-            seen * sky[:, channel] + blocked * bounced[:, channel, None] for channel in range(3)
-        ]
-        self._above = (cosine > 0).float()
-        self._normal = normal
-        self._light = light
-        self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
-
-    def radiance(self, rays: _Rays, roughness: float) -> Tensor:
-        """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
-        sample = torch.from_numpy(rays.sample)
-        cosine, view_dir, mirror = rays.cosine, rays.view_dir, rays.mirror
-        # Width of the GGX lobe about the mirror direction at a typical slant.
-        alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
-        sharpness = float(1 / (2 * alpha**2 * 0.75))
-        kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
-        mass = (self._above @ kernel)[sample, mirror].clamp(min=1e-6)
-        blurred = torch.stack(
-            [(values @ kernel)[sample, mirror] / mass for values in self._incident], 1
-        )
-        scale, bias = microfacet.environment_brdf(cosine, torch.full_like(cosine, roughness))
-        dielectric = blurred * (F0 * scale + bias)[:, None]
-        metal = blurred * (scale + bias)[:, None]
-        normal = self._normal[sample]
-        for index in range(len(self._light.axes)):
-            axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
-            arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
-            wide = torch.full_like(cosine, max(roughness, 0.12))
-            for f0, target in ((F0, dielectric), (1.0, metal)):
-                lobe = microfacet.specular_brdf(axis, view_dir, normal, wide, torch.tensor([f0]))
-                target += lobe * arriving
-        return torch.stack([dielectric, metal], 1)
 
 
 def specular_towards(
@@ -187,13 +81,13 @@ def specular_towards(
         chosen = np.flatnonzero(levels == roughness)
         rows, local = np.unique(sample[chosen], return_inverse=True)
         normal = problem.scene.transport.surfels.normal[sample[chosen]]
-        rays = _as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)
-        both = _Reflections(problem, light, rows).radiance(rays, float(roughness))
+        rays = as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)
+        both = Reflections(problem, light, rows).radiance(rays, float(roughness))
         result[:, chosen] = both.numpy().transpose(1, 0, 2)
     return result[0], result[1]
 
 
-def _dense(values: Tensor, rays: _Rays, shape: tuple[int, int]) -> Tensor:
+def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
     """Scatter a flat list (M, C) into (U, V, C), zero where there is no observation."""
     dense = torch.zeros(*shape, values.shape[1])
     dense[rays.sample, rays.view] = values
@@ -210,35 +104,81 @@ def _low_weights(linear: Tensor, valid: Tensor) -> Tensor:
     return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Costs:
+    """Display errors of some samples at every level.
+
+    Attributes:
+        highlight: (U, L) error of a dielectric in views near a sun's mirror direction.
+        num_highlight: (U,) number of such views.
+        whole: (U, 2, L) error of a dielectric and of a metal in all views.
+        num_whole: (U,) number of views.
+    """
+
+    highlight: Tensor
+    num_highlight: Tensor
+    whole: Tensor
+    num_whole: Tensor
+
+    def pooled(self, chosen: NDArray[np.bool_]) -> _Costs:
+        """Sums over the chosen samples."""
+        rows = torch.from_numpy(chosen)
+        return _Costs(
+            self.highlight[rows].sum(0),
+            self.num_highlight[rows].sum(),
+            self.whole[rows].sum(0),
+            self.num_whole[rows].sum(),
+        )
+
+
 def _costs(
-    problem: Problem, reflections: _Reflections, rays: _Rays, rows: NDArray[np.int64]
-) -> tuple[Tensor, Tensor]:
-    """Display error per sample of both models at every level, (U, 2, L), and its weight (U,)."""
+    problem: Problem, reflections: Reflections, rays: ViewRays, rows: NDArray[np.int64]
+) -> _Costs:
+    """Errors of both models at every level.
+
+    Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
+    rougher surface merely hides errors of the sky and of the mesh, and would always win.
+    """
     observations = problem.scene.transport.observations
-    shape = observations.weight[rows].shape
-    display = torch.from_numpy(observations.display[rows].astype(np.float32) / 255)
-    linear = problem.curve.linear_from_display(display.reshape(-1, 3)).reshape(display.shape)
-    linear = linear.float()
+    shape = (len(rows), observations.weight.shape[1])
+    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
+    display = torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view]
+    linear = problem.curve.linear_from_display(display).float()
+    clipped = torch.from_numpy(observations.clipped[rows])[sample, view]
     valid = torch.from_numpy(observations.weight[rows] > 0)
-    clipped = torch.from_numpy(observations.clipped[rows])
-    costs = []
-    for level in LEVELS:
+
+    def error(prediction: Tensor) -> Tensor:
+        shown = (problem.curve.display_from_linear(prediction) - display).abs()
+        shown = shown.masked_fill(clipped & (prediction > linear), 0)
+        return shown.clamp(max=0.15).mean(1)
+
+    def summed(values: Tensor) -> Tensor:
+        return torch.zeros(len(rows)).index_add_(0, sample, values)
+
+    near = reflections.near_highlight(rays)
+    highlight = torch.full((len(rows), len(LEVELS)), float("inf"))
+    whole = torch.zeros(len(rows), 2, len(LEVELS))
+    even = reflections.from_sky(rays, MATTE)[:, 0]
+    for index, level in enumerate(LEVELS):
         both = reflections.radiance(rays, level)
-        dielectric = _dense(both[:, 0], rays, shape)
-        metal = _dense(both[:, 1], rays, shape)
-        diffuse = torch.maximum(linear - dielectric, 0.02 * linear)
-        base = (diffuse * _low_weights(diffuse, valid)[..., None]).sum(1, keepdim=True)
-        ratio = linear / metal.clamp(min=1e-5)
+        base = _low_mean(torch.maximum(linear - both[:, 0], 0.02 * linear), rays, valid)[sample]
+        ratio = _dense(linear / both[:, 1].clamp(min=1e-5), rays, shape)
         colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
-        models = (base + dielectric, colour.clamp(0, 1)[:, None] * metal)
-        for prediction in models:
-            shown = problem.curve.display_from_linear(prediction.reshape(-1, 3))
-            error = (shown.reshape(display.shape) - display).abs()
-            error = torch.where(clipped & (prediction > linear), torch.zeros_like(error), error)
-            error = error.clamp(max=0.15).mean(2) * valid
-            costs.append(error.sum(1))
-    table = torch.stack(costs, 1).reshape(len(rows), len(LEVELS), 2).transpose(1, 2)
-    return table, valid.sum(1).float()
+        whole[:, 0, index] = summed(error(base + both[:, 0]))
+        whole[:, 1, index] = summed(error(colour.clamp(0, 1)[sample] * both[:, 1]))
+        lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
+        base = _low_mean(torch.maximum(linear - lit, 0.02 * linear), rays, valid)[sample]
+        for tilt in TILTS:
+            sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
+            total = summed(error(base + even + sun) * near)
+            highlight[:, index] = torch.minimum(highlight[:, index], total)
+    return _Costs(highlight, summed(near), whole, valid.sum(1).float())
+
+
+def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
+    """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
+    dense = _dense(linear, rays, (valid.shape[0], valid.shape[1]))
+    return (dense * _low_weights(dense, valid)[..., None]).sum(1)
 
 
 def estimate_gloss(
@@ -263,12 +203,9 @@ def estimate_gloss(
     cluster = _clusters(features, num_materials, seed)
     in_solve = np.isin(seen, scene.rows)
     rows = seen[in_solve]
-    reflections = _Reflections(problem, light, rows)
-    cost, count = _costs(problem, reflections, _rays(surfels, observations, rows, directions), rows)
-    choices = [
-        _choose(cost[cluster[in_solve] == index], count[cluster[in_solve] == index])
-        for index in range(num_materials)
-    ]
+    reflections = Reflections(problem, light, rows)
+    costs = _costs(problem, reflections, view_rays(surfels, observations, rows, directions), rows)
+    choices = [_choose(costs.pooled(cluster[in_solve] == index)) for index in range(num_materials)]
     level = np.array([choice[0] for choice in choices])[cluster]
     metal = np.array([choice[1] for choice in choices])[cluster]
     gloss, specular = _apply(problem, light, seen, level, metal)
@@ -306,23 +243,25 @@ def _clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
     return labels.astype(np.int64)
 
 
-def _choose(cost: Tensor, count: Tensor) -> tuple[float, float]:
-    """Roughness and metal of one cluster from its samples' costs."""
-    if len(cost) < 5:
+def _choose(pooled: _Costs) -> tuple[float, float]:
+    """Roughness and metal of one cluster from its pooled costs."""
+    best = pooled.whole.min(1).values
+    if float(best[1]) < METAL_MARGIN * float(best[0]):
+        return _minimum(pooled.whole[1].numpy()), 1.0
+    if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
         return MATTE, 0.0
-    pooled = cost.sum(0) / count.sum()
-    metallic = float(pooled[1].min()) < METAL_MARGIN * float(pooled[0].min())
-    curve = pooled[1 if metallic else 0].numpy()
+    return _minimum(pooled.highlight.numpy()), 0.0
+
+
+def _minimum(curve: Floats) -> float:
+    """Roughness at the minimum of a parabola through the lowest level and its neighbours."""
     best = int(curve.argmin())
-    if not metallic and curve.max() - curve.min() < FLAT_MARGIN * curve.min():
-        return MATTE, 0.0
-    roughness = LEVELS[best]
-    if 0 < best < len(LEVELS) - 1:
-        left, middle, right = curve[best - 1 : best + 2]
-        shift = 0.5 * (left - right) / max(left - 2 * middle + right, 1e-9)
-        step = LEVELS[best + 1] - LEVELS[best] if shift > 0 else LEVELS[best] - LEVELS[best - 1]
-        roughness += float(np.clip(shift, -0.5, 0.5)) * step
-    return float(roughness), float(metallic)
+    if best in (0, len(LEVELS) - 1):
+        return LEVELS[best]
+    around = slice(best - 1, best + 2)
+    square, slope, _ = np.polyfit(LEVELS[around], curve[around].astype(np.float64), 2)
+    vertex = -slope / (2 * square) if square > 0 else LEVELS[best]
+    return float(np.clip(vertex, LEVELS[best - 1], LEVELS[best + 1]))
 
 
 def _apply(
@@ -341,10 +280,10 @@ def _apply(
     linear = linear_observations(observations, problem.curve)
     for roughness in np.unique(level):
         rows = seen[level == roughness]
-        reflections = _Reflections(problem, light, rows)
-        rays = _rays(surfels, observations, rows, scene.transport.visibility.directions)
+        reflections = Reflections(problem, light, rows)
+        rays = view_rays(surfels, observations, rows, scene.transport.visibility.directions)
         both = reflections.radiance(rays, float(roughness))
-        shape = observations.weight[rows].shape
+        shape = (len(rows), observations.weight.shape[1])
         dielectric, whole = (_dense(both[:, index], rays, shape) for index in (0, 1))
         valid = torch.from_numpy(observations.weight[rows] > 0)
         low = _low_weights(torch.maximum(linear[rows] - dielectric, 0.02 * linear[rows]), valid)
@@ -355,7 +294,7 @@ def _apply(
     full_level[seen] = level
     full_metal = np.zeros(num, np.float32)
     full_metal[seen] = metal
-    specular[full_metal > 0.5] = 0
+    specular[torch.from_numpy(full_metal > 0.5)] = 0
     return (
         {"roughness": full_level, "metallic": full_metal, "floor": floor, "gain": gain},
         specular,

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Specular light of samples towards the cameras, from sky, bounces and suns.
+
+Soft light is the incident light blurred about the mirror direction and scaled by the split-sum
+reflectance; a sun is evaluated with the GGX lobe itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light import soft_lobes
+from robir.appearance.problem import Problem
+from robir.appearance.solver import Light
+from robir.maths import microfacet
+from robir.maths.vectors import normalise, orthonormal_frame
+from robir.transport.observe import Observations
+from robir.transport.surfels import Surfels
+
+Floats = NDArray[np.float32]
+
+F0 = 0.04
+"""Reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)."""
+
+SHARPEST_HIGHLIGHT = 0.12
+"""Roughness below which a sun's highlight is narrower than the samples can tell."""
+
+HIGHLIGHT_COSINE = 0.87
+"""Cosine between normal and half vector, 30 degrees, within which a view is near the mirror."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewRays:
+    """Observations of some samples as a flat list.
+
+    Attributes:
+        sample: (M,) index into the rows.
+        view: (M,) view index.
+        view_dir: (M, 3) unit, towards the camera.
+        cosine: (M,) normal times view direction.
+        mirror: (M,) index of the direction nearest to the mirror direction.
+    """
+
+    sample: NDArray[np.int64]
+    view: NDArray[np.int64]
+    view_dir: Tensor
+    cosine: Tensor
+    mirror: Tensor
+
+
+def view_rays(
+    surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
+) -> ViewRays:
+    sample, view = np.nonzero(observations.weight[rows] > 0)
+    position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
+    towards = observations.positions[view] - position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return as_rays(sample, view, towards, normal, directions)
+
+
+def as_rays(
+    sample: NDArray[np.int64],
+    view: NDArray[np.int64],
+    view_dir: Floats,
+    normal: Floats,
+    directions: Floats,
+) -> ViewRays:
+    cosine = (view_dir * normal).sum(1).clip(0.02, 1)
+    mirror = 2 * cosine[:, None] * normal - view_dir
+    nearest = [
+        (mirror[start : start + 65536] @ directions.T).argmax(1)
+        for start in range(0, len(mirror), 65536)
+    ]
+    return ViewRays(
+        sample,
+        view,
+        torch.from_numpy(view_dir.astype(np.float32)),
+        torch.from_numpy(cosine.astype(np.float32)),
+        torch.from_numpy(np.concatenate(nearest) if nearest else np.zeros(0, np.int64)),
+    )
+
+
+class Reflections:
+    """Light that reaches samples from around any mirror direction."""
+
+    def __init__(self, problem: Problem, light: Light, rows: NDArray[np.int64]) -> None:
+        scene = problem.scene
+        visibility = scene.transport.visibility
+        directions = torch.from_numpy(visibility.directions)
+        axes, sharpness = soft_lobes(len(light.amplitudes.soft))
+        sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
+        normal = torch.from_numpy(scene.transport.surfels.normal[rows])
+        bits = np.unpackbits(visibility.bits[rows], axis=1, count=len(directions))
+        seen = torch.from_numpy(bits.astype(np.float32))
+        cosine = (normal @ directions.T).clamp(min=0)
+        blocked = (cosine > 0).float() - seen
+        around = (blocked * cosine).sum(1) * (4 * np.pi / len(directions))
+        # Light from blocked directions: the mean radiance that the bounce carries.
+        bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
+        self._directions = directions
+        self._incident = [
+            seen * sky[:, channel] + blocked * bounced[:, channel, None] for channel in range(3)
+        ]
+        self._above = (cosine > 0).float()
+        self._normal = normal
+        self._light = light
+        self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
+
+    def radiance(self, rays: ViewRays, roughness: float) -> Tensor:
+        """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
+        return self.from_sky(rays, roughness) + self.from_suns(rays, roughness, torch.zeros(2))
+
+    def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
+        """The part (M, 2, 3) that soft lobes and bounces send."""
+        sample = torch.from_numpy(rays.sample)
+        # Width of the GGX lobe about the mirror direction at a typical slant.
+        alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
+        sharpness = float(1 / (2 * alpha**2 * 0.75))
+        kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
+        mass = (self._above @ kernel)[sample, rays.mirror].clamp(min=1e-6)
+        blurred = torch.stack(
+            [(values @ kernel)[sample, rays.mirror] / mass for values in self._incident], 1
+        )
+        scale, bias = microfacet.environment_brdf(
+            rays.cosine, torch.full_like(rays.cosine, roughness)
+        )
+        return torch.stack(
+            [blurred * (F0 * scale + bias)[:, None], blurred * (scale + bias)[:, None]], 1
+        )
+
+    def near_highlight(self, rays: ViewRays) -> Tensor:
+        """1 for observations (M,) near the mirror direction of a sun that is seen, else 0."""
+        sample = torch.from_numpy(rays.sample)
+        near = torch.zeros(len(sample), dtype=torch.bool)
+        for index in range(len(self._light.axes)):
+            half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
+            facing = (self._normal[sample] * half).sum(1) > HIGHLIGHT_COSINE
+            near |= facing & (self._sun[sample, index] > 0.1)
+        return near.float()
+
+    def from_suns(self, rays: ViewRays, roughness: float, tilt: Tensor) -> Tensor:
+        """The part (M, 2, 3) that sharp lobes send.
+
+        Args:
+            rays: Observations.
+            roughness: Of the surface.
+            tilt: (2,) how far the normal is tilted along two tangents: where a highlight lies
+                depends on the normal twice over, and the mesh's is a few degrees off.
+        """
+        sample = torch.from_numpy(rays.sample)
+        normal = self._normal
+        first, second = orthonormal_frame(normal)
+        normal = normalise(normal + tilt[0] * first + tilt[1] * second)[sample]
+        total = torch.zeros(len(sample), 2, 3)
+        wide = torch.full_like(rays.cosine, max(roughness, SHARPEST_HIGHLIGHT))
+        for index in range(len(self._light.axes)):
+            axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
+            arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
+            lobe = microfacet.specular_brdf(
+                axis, rays.view_dir, normal, wide, torch.tensor([F0, 1.0])
+            )
+            total += lobe[:, :, None] * arriving[:, None]
+        return total
