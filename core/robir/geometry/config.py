@@ -28,7 +28,7 @@ class GeometryConfig:
     hull_cells: int = 96
     hull_views: int = 48
     level_cells: tuple[int, ...] = (64, 96, 128)
-    level_steps: tuple[int, ...] = (300, 250, 300)
+    level_steps: tuple[int, ...] = (280, 220, 220)
     rays: int = 2048
     features: int = 8
     face_budget: int = 8000
