@@ -36,6 +36,9 @@ MATTE = 0.5
 METAL_MARGIN = 0.85
 """A metal must fit this much better than a dielectric: it is the rarer material."""
 
+ROUGHEST_METAL = 5
+"""Levels at which metal is tried: a rougher metal looks like a dielectric of another shade."""
+
 MIN_HIGHLIGHTS = 100
 """Views near a sun's mirror direction that a material must have for its roughness to be judged."""
 
@@ -245,9 +248,9 @@ def _clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
 
 def _choose(pooled: _Costs) -> tuple[float, float]:
     """Roughness and metal of one cluster from its pooled costs."""
-    best = pooled.whole.min(1).values
-    if float(best[1]) < METAL_MARGIN * float(best[0]):
-        return _minimum(pooled.whole[1].numpy()), 1.0
+    metal = pooled.whole[1, :ROUGHEST_METAL]
+    if float(metal.min()) < METAL_MARGIN * float(pooled.whole[0].min()):
+        return _minimum(metal.numpy()), 1.0
     if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
         return MATTE, 0.0
     return _minimum(pooled.highlight.numpy()), 0.0
@@ -256,7 +259,7 @@ def _choose(pooled: _Costs) -> tuple[float, float]:
 def _minimum(curve: Floats) -> float:
     """Roughness at the minimum of a parabola through the lowest level and its neighbours."""
     best = int(curve.argmin())
-    if best in (0, len(LEVELS) - 1):
+    if best in (0, len(curve) - 1):
         return LEVELS[best]
     around = slice(best - 1, best + 2)
     square, slope, _ = np.polyfit(LEVELS[around], curve[around].astype(np.float64), 2)

@@ -56,6 +56,17 @@ class ViewRays:
 def view_rays(
     surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
 ) -> ViewRays:
+    """All observations of some samples.
+
+    Args:
+        surfels: All samples.
+        observations: Theirs.
+        rows: (U,) samples wanted.
+        directions: (D, 3) fixed directions, unit.
+
+    Returns:
+        One ray an observation, samples numbered as in `rows`.
+    """
     sample, view = np.nonzero(observations.weight[rows] > 0)
     position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
     towards = observations.positions[view] - position
@@ -70,6 +81,18 @@ def as_rays(
     normal: Floats,
     directions: Floats,
 ) -> ViewRays:
+    """Rays from samples towards cameras.
+
+    Args:
+        sample: (M,) sample numbers.
+        view: (M,) view numbers.
+        view_dir: (M, 3) unit, away from the surface.
+        normal: (M, 3) unit.
+        directions: (D, 3) fixed directions, unit.
+
+    Returns:
+        The rays with their nearest mirror directions.
+    """
     cosine = (view_dir * normal).sum(1).clip(0.02, 1)
     mirror = 2 * cosine[:, None] * normal - view_dir
     nearest = [
