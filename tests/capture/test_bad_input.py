@@ -170,8 +170,8 @@ def test_bad_intrinsics(studio, key, value):
 
 
 @pytest.mark.parametrize(
-    "change", [{"camera_model": "OPENCV_FISHEYE"}, {"camera_model": "EQUIRECTANGULAR"},
-               {"is_fisheye": True}]
+    "change",
+    [{"camera_model": "OPENCV_FISHEYE"}, {"camera_model": "EQUIRECTANGULAR"}, {"is_fisheye": True}],
 )
 def test_other_projections(studio, change):
     edit(studio / "transforms.json", lambda content: content.update(change))
@@ -258,8 +258,10 @@ def test_masks_without_a_common_object(sparse):
 
 
 def test_a_photograph_named_twice(synthetic):
-    edit(synthetic / "transforms_train.json",
-         lambda content: content["frames"].append(content["frames"][0]))
+    edit(
+        synthetic / "transforms_train.json",
+        lambda content: content["frames"].append(content["frames"][0]),
+    )
     refused(synthetic, "more than once", "train/r_0")
 
 
@@ -305,9 +307,14 @@ def test_every_unreadable_photograph_is_named(synthetic):
 
 @pytest.mark.parametrize(
     ("form", "name"),
-    [("colmap", "sparse/0/images.bin"), ("colmap", "sparse/0/cameras.bin"),
-     ("colmap", "sparse/0/points3D.bin"), ("neus", "cameras_sphere.npz"),
-     ("llff", "poses_bounds.npy"), ("nerfstudio", "transforms.json")],
+    [
+        ("colmap", "sparse/0/images.bin"),
+        ("colmap", "sparse/0/cameras.bin"),
+        ("colmap", "sparse/0/points3D.bin"),
+        ("neus", "cameras_sphere.npz"),
+        ("llff", "poses_bounds.npy"),
+        ("nerfstudio", "transforms.json"),
+    ],
 )
 def test_random_damage_is_refused_or_harmless(form, name, odd_shots, tmp_path):
     """Flipped, cut and repeated bytes of a file of poses never end in another exception."""

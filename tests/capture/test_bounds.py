@@ -24,8 +24,13 @@ SLACK = 1.08
 
 def views_of(shots: list) -> list[View]:
     return [
-        View(name=str(i), image_display=shot.rgba[:, :, :3], mask=shot.rgba[:, :, 3],
-             camera=shot.camera, split="train")
+        View(
+            name=str(i),
+            image_display=shot.rgba[:, :, :3],
+            mask=shot.rgba[:, :, 3],
+            camera=shot.camera,
+            split="train",
+        )
         for i, shot in enumerate(shots)
     ]
 
@@ -57,8 +62,9 @@ def test_sphere_is_tight_from_masks_alone():
     assert_tight(hull.sphere.centre, hull.sphere.radius)
 
 
-@pytest.mark.parametrize("write", [writers.neus,
-                                   lambda root, s: writers.colmap(root, s, binary=True)])
+@pytest.mark.parametrize(
+    "write", [writers.neus, lambda root, s: writers.colmap(root, s, binary=True)]
+)
 def test_the_formats_own_bounds_are_refined_by_masks(write, tmp_path):
     shots = [shoot(camera) for camera in cameras(20, odd_lens=True)]
     write(tmp_path, shots)
@@ -96,8 +102,16 @@ def test_one_wrong_mask_is_found_out(tmp_path):
 
 
 def _frames(*names: str) -> list[Frame]:
-    return [Frame(name=n.replace("/", "_"), image=Path(n), relative=n, lens=Lens(angle_x=1.0),
-                  camera_to_world=np.eye(4)) for n in names]
+    return [
+        Frame(
+            name=n.replace("/", "_"),
+            image=Path(n),
+            relative=n,
+            lens=Lens(angle_x=1.0),
+            camera_to_world=np.eye(4),
+        )
+        for n in names
+    ]
 
 
 @pytest.mark.parametrize(
@@ -132,8 +146,9 @@ def test_masks_that_fit_two_photographs_are_refused(tmp_path):
 @pytest.mark.parametrize("write", [writers.nerf_synthetic, writers.nerfstudio])
 def test_given_masks_win_over_the_captures_own(write, shots, tmp_path):
     write(tmp_path, shots)
-    wide = [type(s)(s.camera, np.dstack([s.rgba[:, :, :3], _grown(s.rgba[:, :, 3])]))
-            for s in shots]
+    wide = [
+        type(s)(s.camera, np.dstack([s.rgba[:, :, :3], _grown(s.rgba[:, :, 3])])) for s in shots
+    ]
     masks = tmp_path / "drawn"
     writers.save_masks(masks, wide, [f"r_{i}_mask.png" for i in range(8)])
     if write is writers.nerfstudio:
@@ -147,5 +162,7 @@ def test_given_masks_win_over_the_captures_own(write, shots, tmp_path):
 def _grown(mask: np.ndarray) -> np.ndarray:
     """One pixel wider."""
     padded = np.pad(mask, 1)
-    return np.max([padded[1 + dy : 49 + dy, 1 + dx : 49 + dx]
-                   for dx in (-1, 0, 1) for dy in (-1, 0, 1)], axis=0)
+    return np.max(
+        [padded[1 + dy : 49 + dy, 1 + dx : 49 + dx] for dx in (-1, 0, 1) for dy in (-1, 0, 1)],
+        axis=0,
+    )

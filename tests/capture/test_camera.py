@@ -16,14 +16,16 @@ lens = st.floats(20.0, 900.0)
 @st.composite
 def any_camera(draw) -> Camera:
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(
-        [draw(st.floats(-2, 2)) for _ in range(3)]
-    ).as_matrix()
+    pose[:3, :3] = Rotation.from_rotvec([draw(st.floats(-2, 2)) for _ in range(3)]).as_matrix()
     pose[:3, 3] = [draw(st.floats(-9, 9)) for _ in range(3)]
     width, height = draw(st.integers(2, 700)), draw(st.integers(2, 500))
     return Camera(
-        width=width, height=height, fx=draw(lens), fy=draw(lens),
-        cx=width * draw(st.floats(0.2, 0.8)), cy=height * draw(st.floats(0.2, 0.8)),
+        width=width,
+        height=height,
+        fx=draw(lens),
+        fy=draw(lens),
+        cx=width * draw(st.floats(0.2, 0.8)),
+        cy=height * draw(st.floats(0.2, 0.8)),
         camera_to_world=pose,
     )
 
@@ -42,9 +44,7 @@ def test_points_on_rays_project_to_their_pixels(camera, distance):
 def test_resizing_keeps_rays(camera):
     half = camera.resized(2 * camera.width, 3 * camera.height)
     corner = np.array([[camera.width, camera.height]], dtype=float)
-    np.testing.assert_allclose(
-        camera.rays(corner)[1], half.rays(corner * [2, 3])[1], atol=1e-12
-    )
+    np.testing.assert_allclose(camera.rays(corner)[1], half.rays(corner * [2, 3])[1], atol=1e-12)
 
 
 @given(camera=any_camera(), radius=st.floats(0.1, 9.0))
@@ -59,11 +59,13 @@ def test_normalising_keeps_pixels(camera, radius):
 
 def test_axes_by_hand():
     """A camera at the origin looks along -z; up in the world is up in the picture."""
-    camera = Camera(width=100, height=80, fx=50.0, fy=40.0, cx=50.0, cy=40.0,
-                    camera_to_world=np.eye(4))
+    camera = Camera(
+        width=100, height=80, fx=50.0, fy=40.0, cx=50.0, cy=40.0, camera_to_world=np.eye(4)
+    )
     pixels, depth = camera.project(np.array([[1.0, 0.5, -2.0]]))
     np.testing.assert_allclose(pixels, [[75.0, 30.0]])
     assert depth[0] == 2.0
     assert camera.project(np.array([[0.0, 0.0, 1.0]]))[1][0] < 0
-    np.testing.assert_allclose(camera.pixel_centres()[[0, 1, 100]],
-                               [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
+    np.testing.assert_allclose(
+        camera.pixel_centres()[[0, 1, 100]], [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]]
+    )

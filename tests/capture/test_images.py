@@ -104,21 +104,26 @@ def _opencv_distort(x, y, lens):
     ratio = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6 + k4 * r**8) / (
         1 + d1 * r**2 + d2 * r**4 + d3 * r**6
     )
-    return (x * ratio + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2),
-            y * ratio + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y)
+    return (
+        x * ratio + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2),
+        y * ratio + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y,
+    )
 
 
 def _pattern(x, y):
-    return np.stack([128 + 90 * np.sin(5 * x + 1), 128 + 90 * np.cos(4 * y),
-                     128 + 90 * np.sin(3 * (x + y))], axis=-1)
+    return np.stack(
+        [128 + 90 * np.sin(5 * x + 1), 128 + 90 * np.cos(4 * y), 128 + 90 * np.sin(3 * (x + y))],
+        axis=-1,
+    )
 
 
 @pytest.mark.parametrize("name", DISTORTIONS)
 def test_distortion_round_trip(name):
     """A picture distorted by the forward model comes back as the pinhole picture."""
     lens = DISTORTIONS[name]
-    camera = Camera(width=160, height=120, fx=130.0, fy=140.0, cx=77.0, cy=62.0,
-                    camera_to_world=np.eye(4))
+    camera = Camera(
+        width=160, height=120, fx=130.0, fy=140.0, cx=77.0, cy=62.0, camera_to_world=np.eye(4)
+    )
     pixels = camera.pixel_centres()
     xd, yd = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
     x, y = xd.copy(), yd.copy()
@@ -141,8 +146,12 @@ def test_distortion_round_trip(name):
 def test_a_lens_that_folds_is_refused():
     camera = cameras(1)[0]
     with pytest.raises(CaptureError, match="folds"):
-        undistort(np.zeros((48, 48, 3), np.uint8), np.zeros((48, 48), np.uint8), camera,
-                  Distortion(radial=(-40.0, 0.0, 0.0, 0.0)))
+        undistort(
+            np.zeros((48, 48, 3), np.uint8),
+            np.zeros((48, 48), np.uint8),
+            camera,
+            Distortion(radial=(-40.0, 0.0, 0.0, 0.0)),
+        )
 
 
 @pytest.mark.parametrize("form", ["colmap", "nerfstudio"])
@@ -200,8 +209,16 @@ def test_photographs_are_read_one_at_a_time(tmp_path):
     path = tmp_path / "big.png"
     Image.new("RGBA", (2000, 1500), (90, 80, 70, 128)).save(path)
     frames = [
-        (Frame(name=f"{i}", image=path, relative="big.png", lens=Lens(angle_x=0.7),
-               camera_to_world=np.eye(4)), "train")
+        (
+            Frame(
+                name=f"{i}",
+                image=path,
+                relative="big.png",
+                lens=Lens(angle_x=0.7),
+                camera_to_world=np.eye(4),
+            ),
+            "train",
+        )
         for i in range(6)
     ]
     tracemalloc.start()

@@ -94,8 +94,9 @@ def test_formats_are_told_by_content(odd_shots, tmp_path):
 def test_the_larger_of_two_colmap_models_is_used(odd_shots, tmp_path):
     writers.colmap(tmp_path, odd_shots, binary=True, folder="sparse/1")
     writers.colmap(tmp_path, odd_shots[:3], binary=False, folder="sparse/0", tail="")
-    writers.save_pictures(tmp_path / "images", odd_shots, [f"IMG_{7 * i:03d}.png"
-                                                          for i in range(8)], alpha=False)
+    writers.save_pictures(
+        tmp_path / "images", odd_shots, [f"IMG_{7 * i:03d}.png" for i in range(8)], alpha=False
+    )
     capture = read(tmp_path)
     assert_same(capture, odd_shots)
     assert "several-models" in {finding.code for finding in capture.findings}
@@ -139,9 +140,10 @@ def test_neus_skew_is_refused(odd_shots, tmp_path):
     writers.neus(tmp_path, odd_shots)
     path = tmp_path / "cameras_sphere.npz"
     arrays = dict(np.load(path))
-    arrays["world_mat_2"] = np.array(
-        [[1, 0.2, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]
-    ) @ arrays["world_mat_2"]
+    arrays["world_mat_2"] = (
+        np.array([[1, 0.2, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        @ arrays["world_mat_2"]
+    )
     np.savez(path, **arrays)
     with pytest.raises(CaptureError, match="skewed pixel axes"):
         read_frames(tmp_path)

@@ -45,8 +45,15 @@ class Listener:
 
 
 def context(source: Path, out: Path, listener: Listener) -> StageContext:
-    return StageContext(paths=JobPaths(out), config=CaptureConfig(), source=source, masks=None,
-                        seed=0, device="cpu", reporter=listener)
+    return StageContext(
+        paths=JobPaths(out),
+        config=CaptureConfig(),
+        source=source,
+        masks=None,
+        seed=0,
+        device="cpu",
+        reporter=listener,
+    )
 
 
 def codes(root: Path, masks: Path | None = None) -> dict[str, str]:
@@ -69,7 +76,11 @@ def test_what_is_stored_is_what_was_read(odd_shots, tmp_path):
         assert np.array_equal(one.mask, two.mask)
         assert np.array_equal(one.camera.camera_to_world, two.camera.camera_to_world)
         assert (one.camera.fx, one.camera.fy, one.camera.cx, one.camera.cy) == (
-            two.camera.fx, two.camera.fy, two.camera.cx, two.camera.cy)
+            two.camera.fx,
+            two.camera.fy,
+            two.camera.cx,
+            two.camera.cy,
+        )
     assert (metrics["views"], metrics["held_out"]) == (7, 1)
     assert 0.05 < metrics["mask_share"] < 0.5
     assert listener.fractions == sorted(listener.fractions)

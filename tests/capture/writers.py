@@ -62,8 +62,14 @@ def nerfstudio(root: Path, shots: Sequence[Shot], per_frame: bool = False) -> Pa
     save_pictures(root / "images", shots, names, alpha=False)
     save_masks(root / "mattes", shots, names)
     lens = shots[0].camera
-    keys = {"fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx, "cy": lens.cy,
-            "w": lens.width, "h": lens.height}
+    keys = {
+        "fl_x": lens.fx,
+        "fl_y": lens.fy,
+        "cx": lens.cx,
+        "cy": lens.cy,
+        "w": lens.width,
+        "h": lens.height,
+    }
     content = {"camera_model": "OPENCV", "applied_scale": 0.3, "frames": []}
     content |= {} if per_frame else keys
     for shot, name in zip(shots, names, strict=True):
@@ -72,7 +78,8 @@ def nerfstudio(root: Path, shots: Sequence[Shot], per_frame: bool = False) -> Pa
                 "file_path": f"images/{name}",
                 "mask_path": f"mattes/{name}",
                 "transform_matrix": shot.camera.camera_to_world.tolist(),
-            } | (keys if per_frame else {})
+            }
+            | (keys if per_frame else {})
         )
     (root / "transforms.json").write_text(json.dumps(content))
     return root
@@ -115,8 +122,11 @@ def _colmap_text(model: Path, lens, names, poses, points) -> None:
 
 def _colmap_binary(model: Path, lens, names, poses, points) -> None:
     with (model / "cameras.bin").open("wb") as file:
-        file.write(struct.pack("<QiiQQ4d", 1, 3, 1, lens.width, lens.height,
-                               lens.fx, lens.fy, lens.cx, lens.cy))
+        file.write(
+            struct.pack(
+                "<QiiQQ4d", 1, 3, 1, lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy
+            )
+        )
     with (model / "images.bin").open("wb") as file:
         file.write(struct.pack("<Q", len(names)))
         for i, (name, pose) in enumerate(zip(names, poses, strict=True)):
@@ -141,8 +151,11 @@ def neus(root: Path, shots: Sequence[Shot]) -> Path:
         world[:3] = -0.37 * k @ np.linalg.inv(lens.camera_to_world @ FLIP)[:3]
         scale = np.diag([1.5, 1.5, 1.5, 1.0])
         scale[:3, 3] = CENTRE + 0.1
-        arrays |= {f"world_mat_{i}": world, f"scale_mat_{i}": scale,
-                   f"world_mat_inv_{i}": np.linalg.inv(world)}
+        arrays |= {
+            f"world_mat_{i}": world,
+            f"scale_mat_{i}": scale,
+            f"world_mat_inv_{i}": np.linalg.inv(world),
+        }
     np.savez(root / "cameras_sphere.npz", **arrays)
     return root
 

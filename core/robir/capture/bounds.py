@@ -157,9 +157,7 @@ def _silhouette(view: View) -> _Silhouette:
     on = distance == 0
     sides = (on[:, 0], on[:, -1], on[0], on[-1])
     left, right, top, bottom = (bool(side.any()) for side in sides)
-    return _Silhouette(
-        camera=view.camera, distance=distance, is_open=(left, right, top, bottom)
-    )
+    return _Silhouette(camera=view.camera, distance=distance, is_open=(left, right, top, bottom))
 
 
 def _first_guess(silhouettes: Sequence[_Silhouette]) -> Sphere | None:
@@ -304,9 +302,7 @@ def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) ->
     return np.array(shares)
 
 
-def _refined(
-    silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int
-) -> Sphere:
+def _refined(silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int) -> Sphere:
     """Bounding sphere of the hull after dividing the outermost cells `_LEVELS` times."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)

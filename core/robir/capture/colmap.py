@@ -29,9 +29,17 @@ from robir.capture.refusal import CaptureRefusedError, note, refuse
 FORMAT = "colmap"
 
 _MODELS = {
-    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
-    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 }
 """Camera models by number: name, count of parameters."""
@@ -51,8 +59,13 @@ class _Model:
 def find_models(source: Path) -> list[Path]:
     """Folders of sparse models at the usual places below a folder."""
     places = [source, source / "sparse", source / "colmap" / "sparse"]
-    folders = places + [child for place in places[1:] if place.is_dir()
-                        for child in sorted(place.iterdir()) if child.is_dir()]
+    folders = places + [
+        child
+        for place in places[1:]
+        if place.is_dir()
+        for child in sorted(place.iterdir())
+        if child.is_dir()
+    ]
     return [folder for folder in folders if _suffix(folder)]
 
 

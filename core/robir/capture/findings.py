@@ -131,8 +131,11 @@ def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
 
 def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
     stated = [(f.lens.fx, f.relative) for f in frames if f.lens.fx is not None]
-    stated += [(1 / f.lens.angle_x, f.relative) for f in frames
-               if f.lens.fx is None and f.lens.angle_x is not None]
+    stated += [
+        (1 / f.lens.angle_x, f.relative)
+        for f in frames
+        if f.lens.fx is None and f.lens.angle_x is not None
+    ]
     if not stated:
         return []
     middle = float(np.median([value for value, _ in stated]))
@@ -267,8 +270,9 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
                 *tiny,
             )
         )
-    centre = np.mean([view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] >= _OBJECT
-                      for view in views])
+    centre = np.mean(
+        [view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] >= _OBJECT for view in views]
+    )
     if np.mean(list(border.values())) > 0.8 and centre < 0.5 and not full:
         found.append(
             warning(

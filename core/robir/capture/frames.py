@@ -226,8 +226,9 @@ def unique_names(relatives: list[str]) -> list[str]:
     Raises:
         CaptureError: If two photographs have the same path.
     """
-    parts = [[p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")]
-             for r in relatives]
+    parts = [
+        [p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")] for r in relatives
+    ]
     while parts and all(len(p) > 1 and p[0] == parts[0][0] for p in parts):
         parts = [p[1:] for p in parts]
     full = ["_".join(p) for p in parts]

@@ -197,15 +197,21 @@ def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
     """Smallest focal factor, at least 1, whose picture's border lies inside the photograph."""
     u = np.linspace(0.0, camera.width, 65)
     v = np.linspace(0.0, camera.height, 65)
-    border = np.concatenate([
-        np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(camera.height))
-    ] + [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(camera.width))])
+    border = np.concatenate(
+        [np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(camera.height))]
+        + [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(camera.width))]
+    )
     size = np.array([camera.width, camera.height], dtype=np.float64)
 
     def fits(zoom: float) -> bool:
         straight = Camera(
-            width=camera.width, height=camera.height, fx=camera.fx * zoom, fy=camera.fy * zoom,
-            cx=camera.cx, cy=camera.cy, camera_to_world=camera.camera_to_world,
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx * zoom,
+            fy=camera.fy * zoom,
+            cx=camera.cx,
+            cy=camera.cy,
+            camera_to_world=camera.camera_to_world,
         )
         at = _distorted_pixels(border, straight, camera, distortion)
         if not ((at >= -0.5) & (at <= size + 0.5)).all():

@@ -50,7 +50,8 @@ def read(path: Path) -> FrameSet:
     folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)
     photographs = sorted(
         p.relative_to(root).as_posix()
-        for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES
+        for p in folder.iterdir()
+        if p.suffix.lower() in IMAGE_SUFFIXES
     )
     if len(photographs) != len(rows):
         raise refuse(
@@ -60,8 +61,13 @@ def read(path: Path) -> FrameSet:
             *photographs,
         )
     frames = [
-        Frame(name=name, image=root / relative, relative=relative, lens=_lens(path, row),
-              camera_to_world=_pose(row))
+        Frame(
+            name=name,
+            image=root / relative,
+            relative=relative,
+            lens=_lens(path, row),
+            camera_to_world=_pose(row),
+        )
         for name, relative, row in zip(unique_names(photographs), photographs, rows, strict=True)
     ]
     if folder.name != _MATTED and (root / _MATTED).is_dir():

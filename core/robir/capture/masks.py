@@ -42,9 +42,7 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
     """
     frames = tuple(frames)
     if not folder.is_dir():
-        raise refuse(
-            "missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY
-        )
+        raise refuse("missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY)
     index: dict[str, set[Path]] = defaultdict(set)
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():

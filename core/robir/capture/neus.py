@@ -70,19 +70,23 @@ def read(path: Path) -> FrameSet:
     root = path.parent
     matrices = _matrices(path)
     folder = next((root / n for n in ("image", "images", "rgb") if (root / n).is_dir()), None)
-    photographs = [] if folder is None else sorted(
-        p.relative_to(root).as_posix()
-        for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES
+    photographs = (
+        []
+        if folder is None
+        else sorted(
+            p.relative_to(root).as_posix()
+            for p in folder.iterdir()
+            if p.suffix.lower() in IMAGE_SUFFIXES
+        )
     )
     numbers = _numbers(path, photographs, matrices)
     frames = []
-    for name, relative, number in zip(
-        unique_names(photographs), photographs, numbers, strict=True
-    ):
+    for name, relative, number in zip(unique_names(photographs), photographs, numbers, strict=True):
         lens, pose = _decomposed(path, relative, matrices[_MATRIX + number])
         frames.append(
-            Frame(name=name, image=root / relative, relative=relative, lens=lens,
-                  camera_to_world=pose)
+            Frame(
+                name=name, image=root / relative, relative=relative, lens=lens, camera_to_world=pose
+            )
         )
     drawn = next((root / n for n in ("mask", "masks") if (root / n).is_dir()), None)
     if drawn is not None:
@@ -117,7 +121,7 @@ def _matrices(path: Path) -> dict[str, Array]:
 
 def _numbers(path: Path, photographs: list[str], matrices: dict[str, Array]) -> list[str]:
     """Which matrix belongs to which photograph: by order, else by the number in the name."""
-    numbers = sorted((k[len(_MATRIX):] for k in matrices if k.startswith(_MATRIX)), key=_order)
+    numbers = sorted((k[len(_MATRIX) :] for k in matrices if k.startswith(_MATRIX)), key=_order)
     if len(numbers) == len(photographs):
         return numbers
     by_name = [str(int(s)) if s.isdigit() else "" for s in (Path(p).stem for p in photographs)]

@@ -15,8 +15,17 @@ MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
 
 DAMAGED_ARRAYS = (
-    OSError, ValueError, KeyError, EOFError, SyntaxError, RuntimeError, MemoryError, OverflowError,
-    zipfile.BadZipFile, zlib.error, tokenize.TokenError,
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    SyntaxError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
 )
 """What reading a damaged file of arrays raises."""
 

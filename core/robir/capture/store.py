@@ -71,8 +71,7 @@ def load_capture(folder: Path) -> Capture:
                 origin=bounds["origin"],
             ),
             findings=tuple(
-                Finding(**{**entry, "files": tuple(entry["files"])})
-                for entry in plain["findings"]
+                Finding(**{**entry, "files": tuple(entry["files"])}) for entry in plain["findings"]
             ),
         )
     except (OSError, ValueError, KeyError, TypeError) as fault:

@@ -23,7 +23,11 @@ PINHOLE_MODELS = frozenset(
 """Camera models whose parameters are fl_x, fl_y, cx, cy, k1..k4, p1, p2."""
 
 _OTHER_PROJECTIONS = (
-    "is_fisheye", "equirectangular", "latlong", "orthographic", "ftheta_p0",
+    "is_fisheye",
+    "equirectangular",
+    "latlong",
+    "orthographic",
+    "ftheta_p0",
 )
 
 

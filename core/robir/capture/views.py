@@ -64,8 +64,9 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
     if tests:
         held_out = _thinned(tests, config.max_held_out)
     else:
-        held_out = _thinned(trains[config.held_out_every // 2 :: config.held_out_every],
-                            config.max_held_out)
+        held_out = _thinned(
+            trains[config.held_out_every // 2 :: config.held_out_every], config.max_held_out
+        )
         if not held_out and len(trains) >= 4:
             held_out = [trains[len(trains) // 2]]
     kept = sorted({*trains, *held_out})
@@ -126,8 +127,10 @@ def _load(
     declared = frame.lens.size
     photo = read_photo(frame.image, declared)
     width, height = photo.size
-    if declared is not None and photo.size != declared and not (
-        frame.lens.is_scalable and same_shape(photo.size, declared)
+    if (
+        declared is not None
+        and photo.size != declared
+        and not (frame.lens.is_scalable and same_shape(photo.size, declared))
     ):
         raise refuse(
             "wrong-size",
