@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baked scenes whose light, albedo and gloss are known, made with exact transport.
+
+No pictures are drawn: what a camera would see of each surface sample is computed from the
+rendering equation and put through a tone curve straight into the observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from transport.shapes import box, mesh_of, patch
+
+from robir.appearance.light import Amplitudes, soft_lobes
+from robir.appearance.problem import Scene, make_scene
+from robir.appearance.solver import Light
+from robir.geometry.mesh import Mesh
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.baked import Transport
+from robir.transport.observe import Observations
+from robir.transport.surfels import Surfels, sample_surfels
+from robir.transport.tracer import EmbreeTracer
+from robir.transport.visibility import (
+    Visibility,
+    lobe_directions,
+    lobe_transfer,
+    trace_visibility,
+)
+
+OFFSET = 0.003
+NUM_SOFT = 24
+SUN = np.float32([0.48, -0.36, 0.8])
+SUN_SHARPNESS = 2000.0
+WARM, COOL = np.float32([1.0, 0.93, 0.85]), np.float32([0.8, 0.9, 1.0])
+PALETTE = np.float32([[0.55, 0.5, 0.45], [0.2, 0.3, 0.12], [0.4, 0.15, 0.12], [0.7, 0.7, 0.72]])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Geometry with its transport and albedo; light comes later.
+
+    Attributes:
+        mesh: Floor and two boxes.
+        tracer: Of the mesh.
+        surfels: Samples.
+        visibility: Of the samples.
+        albedo: (S, 3), constant in pieces.
+    """
+
+    mesh: Mesh
+    tracer: EmbreeTracer
+    surfels: Surfels
+    visibility: Visibility
+    albedo: np.ndarray
+
+
+def boxes_on_a_floor(num_surfels: int = 1500) -> Stage:
+    """Two boxes on a chequered floor, inside the unit sphere."""
+    mesh = mesh_of(
+        patch((-0.75, -0.75, 0), (1.5, 0, 0), (0, 1.5, 0), 30),
+        *box((-0.35, -0.3, 0), (0.05, 0.1, 0.4)),
+        *box((0.25, 0.2, 0), (0.5, 0.45, 0.6)),
+    )
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    surfels = sample_surfels(mesh, num_surfels, np.random.default_rng(0))
+    directions = fibonacci_sphere(256).numpy().astype(np.float32)
+    visibility = trace_visibility(mesh, tracer, surfels, directions, OFFSET)
+    x, y, z = surfels.position.T
+    square = (np.floor(x / 0.5 + 0.5) + 2 * np.floor(y / 0.5 + 0.5)).astype(int) % 3
+    piece = np.where(z < 1e-4, square, np.where(x < 0.1, 3, 1))
+    return Stage(mesh, tracer, surfels, visibility, PALETTE[piece])
+
+
+def sun_transfer(stage: Stage, axis: np.ndarray = SUN) -> np.ndarray:
+    """Visibility times cosine of a small sun at all samples, (S,)."""
+    rays = lobe_directions(axis, SUN_SHARPNESS, 24)
+    surfels = stage.surfels
+    return lobe_transfer(stage.tracer, surfels.position, surfels.normal, rays, OFFSET)
+
+
+def direct(stage: Stage, sun: float, sky: float) -> np.ndarray:
+    """Irradiance (S, 3) of a warm sun and a cool, even sky of the model's own soft lobes."""
+    visibility = stage.visibility
+    cosine = (stage.surfels.normal @ visibility.directions.T).clip(0)
+    axes, sharpness = soft_lobes(NUM_SOFT)
+    lobes = np.exp(sharpness * (visibility.directions @ axes.numpy().T - 1)).sum(1)
+    weight = visibility.unpacked() * cosine * (4 * np.pi / len(visibility.directions))
+    return (weight @ lobes)[:, None] * (sky * COOL) + sun_transfer(stage)[:, None] * (sun * WARM)
+
+
+def exitant(stage: Stage, irradiance: np.ndarray) -> np.ndarray:
+    """Radiance (S, 3) with all bounces, R = a / pi (E + G R)."""
+    radiance = stage.albedo * irradiance / np.pi
+    for _ in range(30):
+        radiance = stage.albedo / np.pi * (irradiance + stage.visibility.bounce @ radiance)
+    return radiance
+
+
+def observed(radiance: np.ndarray, curve: AbstractToneCurve, positions: np.ndarray) -> Observations:
+    """Radiance (S, V, 3) as 8-bit photographs would hold it, every sample in every view."""
+    shown = curve.display_from_linear(torch.from_numpy(radiance.astype(np.float32)))
+    display = np.rint(255 * shown.clamp(0, 1).numpy()).astype(np.uint8)
+    return Observations(
+        display=display,
+        weight=np.ones(display.shape[:2], np.float32),
+        clipped=display == 255,
+        positions=positions.astype(np.float32),
+    )
+
+
+def scene_of(
+    stage: Stage, sun: float, sky: float, curve: AbstractToneCurve, num_rows: int = 2000
+) -> Scene:
+    """A scene lit by sun and sky, photographed from three places."""
+    radiance = exitant(stage, direct(stage, sun, sky))
+    seen = observed(np.repeat(radiance[:, None], 3, 1), curve, 3 * np.eye(3))
+    transport = Transport(surfels=stage.surfels, visibility=stage.visibility, observations=seen)
+    rng = np.random.default_rng(1)
+    return make_scene(transport, stage.tracer, OFFSET, (num_rows, NUM_SOFT), rng)
+
+
+def true_light(sun: float, sky: float) -> Light:
+    """The light of `scene_of` in the model's own terms."""
+    return Light(
+        axes=SUN[None],
+        sharpness=np.float32([SUN_SHARPNESS]),
+        amplitudes=Amplitudes(
+            soft=torch.from_numpy(np.tile(sky * COOL, (NUM_SOFT, 1))).float(),
+            sharp=torch.from_numpy(sun * WARM)[None].float(),
+        ),
+        loss=0.0,
+        history=(),
+    )

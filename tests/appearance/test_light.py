@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light solve on boxes whose light, albedo and transport are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light import log_ratio, pair_residual, soft_transfer
+from robir.appearance.problem import make_problem
+from robir.appearance.solver import find_suns, fit
+from robir.appearance.statistics import Pairs, neighbour_pairs
+from robir.appearance.sun import SunProblem, refine, scan
+from robir.maths.tone import curve_from_name
+
+SUN, SKY = 2.4, 0.12
+"""Irradiance of the sun at normal incidence and amplitude of each soft lobe."""
+
+CONFIG = AppearanceConfig(num_scan_directions=600, num_sharp_lobes=2, iterations=90)
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return synthetic.boxes_on_a_floor()
+
+
+@pytest.fixture(scope="module")
+def problem(stage):
+    curve = curve_from_name("filmic")
+    return make_problem(synthetic.scene_of(stage, SUN, SKY, curve), curve)
+
+
+def test_elimination_gives_the_albedo_under_the_true_light(stage, problem):
+    light = synthetic.true_light(SUN, SKY)
+    rows = problem.scene.rows
+    sharp = torch.from_numpy(synthetic.sun_transfer(stage)[rows])[:, None]
+    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
+    log_albedo = log_ratio(problem.radiance.linear[rows], irradiance)
+    # What is left is the photographs' 8 bits.
+    bright = (irradiance > 0.3 * irradiance.mean(0)).all(1).numpy()
+    error = log_albedo.exp().numpy() / stage.albedo[rows] - 1
+    assert np.abs(error[bright]).mean() < 0.006
+    assert np.abs(error[bright]).max() < 0.05
+
+
+def test_log_ratio_is_exact_in_the_light_and_finite_in_the_dark():
+    irradiance = torch.rand(200, 3, dtype=torch.float64) + 0.5
+    albedo = torch.rand(200, 3, dtype=torch.float64) * 0.8 + 0.05
+    result = log_ratio(albedo * irradiance / np.pi, irradiance).exp()
+    torch.testing.assert_close(result, albedo, rtol=1.5e-3, atol=0)
+    irradiance[0] = 0
+    assert log_ratio(albedo / np.pi, irradiance).isfinite().all()
+
+
+def test_the_sky_alone_is_pi_times_its_radiance_on_open_ground(stage):
+    rows = np.flatnonzero(stage.surfels.position[:, 2] > 0.39)
+    rows = rows[stage.surfels.normal[rows, 2] > 0.99]
+    highest = rows[stage.surfels.position[rows, 2] > 0.59]
+    soft = soft_transfer(stage.visibility, stage.surfels.normal, highest, 400).sum(1)
+    # So many lobes make a flat sky: radiance is their number times their mean over the sphere.
+    sharpness = 0.17 * 400
+    radiance = 400 * (1 - np.exp(-2 * sharpness)) / (2 * sharpness)
+    np.testing.assert_allclose(soft.numpy(), np.pi * radiance, rtol=0.02)
+
+
+def test_a_clipped_sample_is_only_wrong_when_it_comes_out_brighter():
+    log_albedo = torch.tensor([[0.0], [1.0]])
+    pairs = Pairs(
+        first=torch.tensor([0, 1]), second=torch.tensor([1, 0]), weight=torch.full((2,), 0.5)
+    )
+
+    def residual(first, second):
+        return pair_residual(log_albedo, torch.tensor([[first], [second]]), pairs)[:, 0].tolist()
+
+    assert residual(False, False) == [-1.0, 1.0]
+    # The darker one is clipped: it may be as bright as its partner.
+    assert residual(True, False) == [0.0, 0.0]
+    # The brighter one is clipped and is brighter still: wrong by at least this much.
+    assert residual(False, True) == [-1.0, 1.0]
+    assert residual(True, True) == [0.0, 0.0]
+
+
+def test_sun_against_sky_is_recovered(stage, problem):
+    axes = synthetic.SUN[None]
+    light = fit(problem, axes, np.float32([synthetic.SUN_SHARPNESS]), 100)
+    top = np.flatnonzero(stage.surfels.position[:, 2] > 0.59)
+    sky = (problem.scene.soft[top] @ light.amplitudes.soft).mean(0)
+    true = synthetic.true_light(SUN, SKY).amplitudes
+    true_sky = (problem.scene.soft[top] @ true.soft).mean(0)
+    ratio = light.amplitudes.sharp[0] / sky
+    np.testing.assert_allclose(ratio, true.sharp[0] / true_sky, rtol=0.05)
+
+
+def test_scan_and_refinement_find_the_sun_within_a_degree(problem):
+    scene, surfels = problem.scene, problem.scene.transport.surfels
+    rows = scene.rows
+    rng = np.random.default_rng(0)
+    sun_problem = SunProblem(
+        position=surfels.position[rows],
+        normal=surfels.normal[rows],
+        radiance=problem.rows_radiance(rows),
+        base=scene.soft.sum(1)[:, None].expand(-1, 3)[rows],
+        indirect=problem.indirect[rows],
+        pairs=neighbour_pairs(surfels, rows, (0.05, 0.12, 0.25), 2, rng),
+        tracer=scene.tracer,
+        offset=scene.offset,
+    )
+    candidates = scan(sun_problem, 1000, 3)
+    losses = [candidate.loss for candidate in candidates]
+    assert losses == sorted(losses) and candidates[0].gain > 0.2
+    assert degrees(candidates[0].axis, synthetic.SUN) < 8
+    found = refine(sun_problem, candidates[0], 0.8 * np.sqrt(4 * np.pi / 1000), 6)
+    assert found.loss < candidates[0].loss
+    assert degrees(found.axis, synthetic.SUN) < 1
+
+
+def degrees(first, second) -> float:
+    return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
+
+
+def test_one_sun_is_found_where_there_is_one(problem):
+    light = find_suns(problem, CONFIG, 0)
+    assert len(light.axes) == 1 and len(light.history) == 2
+    assert degrees(light.axes[0], synthetic.SUN) < 2
+    assert light.history[1] < 0.7 * light.history[0]
+
+
+def test_no_sun_is_found_under_an_even_sky(stage):
+    curve = curve_from_name("filmic")
+    problem = make_problem(synthetic.scene_of(stage, 0.0, 0.3, curve), curve)
+    light = find_suns(problem, CONFIG, 0)
+    assert len(light.history) == 1
+    assert light.axes.shape == (0, 3)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tone curve that made the photographs is told from the others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.tone_choice import clipping_evidence, rank_tone_curves
+from robir.maths.tone import curve_from_name
+from robir.transport.observe import Observations
+
+CONFIG = AppearanceConfig(num_scan_directions=400, num_sharp_lobes=1, iterations=60)
+SUN, SKY = 5.0, 0.25
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return synthetic.boxes_on_a_floor(1000)
+
+
+def ranked(stage, name):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name(name), 700)
+    return rank_tone_curves(scene, CONFIG, 0)
+
+
+def test_a_clipping_curve_is_known_by_its_clipped_pixels(stage):
+    candidates, evidence = ranked(stage, "standard")
+    assert evidence.verdict is True
+    assert candidates[0].curve.name == "standard"
+    # Curves that roll off are not even tried.
+    assert all(candidate.curve.is_clipping for candidate in candidates)
+
+
+def test_filmic_is_known_by_cross_prediction(stage):
+    candidates, evidence = ranked(stage, "filmic")
+    assert evidence.verdict is not True
+    names = [candidate.curve.name for candidate in candidates]
+    assert names[0] == "filmic" and "agx" in names
+    scores = {candidate.curve.name: candidate.score for candidate in candidates}
+    assert scores["filmic"] == min(scores.values())
+    assert scores["khronos_pbr_neutral"] > 1.2 * scores["filmic"]
+    assert candidates[0].standard_error == 0
+    sun = candidates[0].light.axes[0]
+    assert np.degrees(np.arccos(sun @ synthetic.SUN)) < 4
+
+
+def histogram(codes: list[int]) -> Observations:
+    display = np.repeat(np.array(codes, np.uint8)[:, None, None], 3, axis=2)
+    return Observations(
+        display=display,
+        weight=np.ones(display.shape[:2], np.float32),
+        clipped=display == 255,
+        positions=np.zeros((1, 3), np.float32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("codes", "verdict"),
+    [
+        ([100] * 900 + [255] * 50 + [250] * 10, True),
+        ([100] * 900 + [255] * 5 + [250] * 95, False),
+        ([100] * 900 + [250] * 50, False),
+        ([100] * 900, None),
+    ],
+)
+def test_verdict_of_the_histogram(codes, verdict):
+    assert clipping_evidence(histogram(codes)).verdict is verdict
+
+
+def test_shares_count_only_what_is_seen():
+    seen = histogram([255, 255, 250, 100])
+    seen.weight[0] = 0
+    evidence = clipping_evidence(seen)
+    assert evidence.clipped_share == pytest.approx(1 / 3)
+    assert evidence.bright_share == pytest.approx(1 / 3)
