@@ -61,7 +61,7 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
         begin = -(origins * directions).sum(1, keepdim=True) - 1.1
         points = origins[:, None] + (begin + steps)[..., None] * directions[:, None]
         nodes = lattice.nearest(points.reshape(-1, 3))
-        reached = (sdf[nodes] < 0.5 * lattice.cell).view(len(origins), -1).any(1)
+        reached = (sdf[nodes] < 2.0 * lattice.cell).view(len(origins), -1).any(1)
         nodes = nodes.view(len(origins), -1)[~reached].reshape(-1)
         marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
     grid = marked.view(lattice.shape).float()[None, None]

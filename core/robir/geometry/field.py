@@ -33,10 +33,10 @@ class ColourNetwork(nn.Module):
             nn.ReLU(inplace=True),
             nn.Linear(width, width),
             nn.ReLU(inplace=True),
-            nn.Linear(width, 3),
         )
-        nn.init.zeros_(self.layers[-1].weight)
-        nn.init.zeros_(self.layers[-1].bias)
+        self.last = nn.Linear(width, 3)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
 
     def forward(self, features: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
         """Display colours.
@@ -52,7 +52,7 @@ class ColourNetwork(nn.Module):
         cosine = (normals * directions).sum(1, keepdim=True)
         mirrored = directions - 2.0 * cosine * normals
         inputs = torch.cat([features, normals, directions, mirrored, cosine], dim=1)
-        return torch.sigmoid(features[:, :3] + self.layers(inputs))
+        return torch.sigmoid(features[:, :3] + self.last(self.layers(inputs)))
 
 
 class Field:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mesh filters that take the noise of a grid fit away and keep edges and thin parts."""
+"""Mesh filter that takes the noise of a grid fit away and keeps thin parts."""
 
 from __future__ import annotations
 
@@ -59,60 +59,3 @@ def face_geometry(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Arr
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1)
     return cross / np.maximum(length, 1e-30)[:, None], 0.5 * length, corners.mean(axis=1)
-
-
-def _face_neighbours(faces: NDArray[np.int32], count: int) -> tuple[Array, Array]:
-    """Pairs of different faces that share a vertex, both ways round, as two index arrays."""
-    corner = np.repeat(np.arange(len(faces)), 3)
-    incidence = scipy.sparse.csr_matrix(
-        (np.ones(len(corner), np.int8), (corner, faces.ravel())), shape=(len(faces), count)
-    )
-    shared = (incidence @ incidence.T).tocoo()
-    apart = shared.row != shared.col
-    return shared.row[apart], shared.col[apart]
-
-
-def bilateral(
-    mesh: Mesh, normal_rounds: int, vertex_rounds: int, width_degrees: float = 25.0
-) -> Mesh:
-    """Bilateral filtering of the face normals, then vertices moved to agree with them.
-
-    Zheng et al. 2011, "Bilateral normal filtering for mesh denoising" (local scheme); vertex
-    update of Sun et al. 2007, "Fast and effective feature-preserving mesh denoising", equation 12.
-
-    Args:
-        mesh: Mesh without texture coordinates.
-        normal_rounds: Rounds of normal filtering.
-        vertex_rounds: Rounds of vertex motion.
-        width_degrees: Angle between normals that counts as an edge.
-
-    Returns:
-        The filtered mesh.
-    """
-    faces, vertices = mesh.faces, mesh.vertices.astype(np.float64)
-    normals, areas, centres = face_geometry(vertices, faces)
-    one, two = _face_neighbours(faces, len(vertices))
-    gap = np.linalg.norm(centres[one] - centres[two], axis=1)
-    near = np.exp(-0.5 * (gap / gap.mean()) ** 2) * areas[two]
-    width = 2.0 * np.sin(0.5 * np.radians(width_degrees))
-    for _ in range(normal_rounds):
-        unlike = ((normals[one] - normals[two]) ** 2).sum(axis=1)
-        weight = near * np.exp(-0.5 * unlike / width**2)
-        matrix = scipy.sparse.csr_matrix((weight, (one, two)), shape=(len(faces),) * 2)
-        normals = matrix @ normals + areas[:, None] * normals
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    corner = np.repeat(np.arange(len(faces)), 3)
-    around = scipy.sparse.csr_matrix(
-        (np.ones(len(corner)), (faces.ravel(), corner)), shape=(len(vertices), len(faces))
-    )
-    degree = np.maximum(np.asarray(around.sum(axis=1)), 1.0)
-    for _ in range(vertex_rounds):
-        centres = vertices[faces].mean(axis=1)
-        reach = (normals * centres).sum(axis=1)
-        # sum over the faces around a vertex of n (n . (centre - vertex))
-        move = around @ (normals * reach[:, None])
-        for axis in range(3):
-            share = around @ (normals * normals[:, axis, None])
-            move -= share * vertices[:, axis, None]
-        vertices = vertices + move / degree
-    return plain_mesh(vertices, faces)

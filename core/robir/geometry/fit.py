@@ -148,12 +148,13 @@ def fit(
         )
         field = field.refined(level)
         optimiser = _Optimiser(field, network)
+        occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
             growth = (SHARPNESS[1] / SHARPNESS[0]) ** min(share / 0.85, 1.0)
             inv_std = SHARPNESS[0] * growth * 2.0 / longest
             factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
-            if step % REFRESH == 0:
+            if occupancy is None or step % REFRESH == 0:
                 occupancy = _refresh(field, optimiser, inv_std)
                 progress(share)
             origins, directions, target = sampler.draw(config.rays)

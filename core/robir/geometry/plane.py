@@ -66,7 +66,7 @@ def _outline_rays(photo: Photo) -> tuple[Array, Array, Array]:
     padded = np.pad(photo.coverage, 1)
     curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
     if not curves:
-        return (np.zeros((0, 3)),) * 3
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
     points, tangents = [], []
     for curve in curves:
         smooth = curve.copy()

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -61,8 +61,6 @@ def reduce_view(view: View, side: int) -> Photo:
 
 def cropped(camera: Camera, kept: tuple[float, float]) -> Camera:
     """The camera of the upper left part of its image, `kept` = shares of width and height."""
-    from dataclasses import replace
-
     return replace(
         camera,
         width=round(camera.width * kept[0]),

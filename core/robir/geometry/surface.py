@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
@@ -68,10 +67,11 @@ def extract(lattice: Lattice, sdf: Tensor) -> Mesh:
         raise QualityError(
             "The geometry fit carved everything away: no surface is left. Check masks and poses."
         )
-    vertices, faces, _, _ = marching_cubes(
+    vertices, faces, *_ = marching_cubes(
         grid, 0.0, spacing=(lattice.cell,) * 3, gradient_direction="descent"
     )
-    return plain_mesh(vertices + np.asarray(lattice.lower), faces)
+    placed = np.asarray(vertices, dtype=np.float64) + np.asarray(lattice.lower)
+    return plain_mesh(placed, np.asarray(faces))
 
 
 def distance_to_mesh(mesh: Mesh, lattice: Lattice) -> NDArray[np.float32]:
@@ -95,7 +95,7 @@ def distance_to_mesh(mesh: Mesh, lattice: Lattice) -> NDArray[np.float32]:
     scaled = np.clip(scaled, 0, np.asarray(lattice.shape) - 1)
     touched = np.zeros(lattice.shape, bool)
     touched[tuple(scaled.T)] = True
-    far, source = distance_transform_edt(~touched, return_indices=True)
+    far = np.asarray(distance_transform_edt(~touched))
     near = far.ravel() <= 3.0
     distance, nearest = tree.query(nodes[near])
     offset = nodes[near] - points[nearest]
@@ -114,7 +114,6 @@ def distance_to_mesh(mesh: Mesh, lattice: Lattice) -> NDArray[np.float32]:
     sign[distant] = sign[tuple(rim_source[:, distant])]
     out = out * sign.ravel()
     out[near] = value
-    del source
     return out.reshape(lattice.shape)
 
 
@@ -145,8 +144,3 @@ def surface_points(mesh: Mesh, spacing: float) -> tuple[NDArray[np.float64], NDA
     unit = np.concatenate(normals_out)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
     return points, unit
-
-
-def as_tensor(values: NDArray[np.float32], device: str) -> Tensor:
-    """Flat tensor of a lattice array."""
-    return torch.from_numpy(np.ascontiguousarray(values).reshape(-1)).to(device)
