@@ -6,10 +6,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from appearance import synthetic
+from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.appearance.light import Amplitudes
+from robir.appearance.gloss import Gloss
+from robir.appearance.light import Amplitudes, soft_transfer
+from robir.appearance.problem import make_problem, make_scene
 from robir.appearance.solver import Light
-from robir.appearance.texture import Texels, _Reference, _settle_clipped, _settle_edges
+from robir.appearance.texture import (
+    Texels,
+    _Reference,
+    _settle_clipped,
+    _settle_edges,
+    texel_albedo,
+)
+from robir.maths.tone import curve_from_name
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.baked import Transport
+from robir.transport.observe import observe
+from robir.transport.surfels import sample_surfels
+from robir.transport.tracer import EmbreeTracer
+from robir.transport.visibility import trace_visibility
 
 SOFT, SUN = 0.5, 2.0
 PAINTS = np.float32([[0.6, 0.5, 0.4], [0.1, 0.25, 0.3]])
@@ -81,3 +98,51 @@ def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     np.testing.assert_array_equal(settled[~clipped], measured[~clipped])
     np.testing.assert_allclose(settled[middle & ~brighter, 0], PAINTS[0, 0], rtol=1e-6)
     np.testing.assert_array_equal(settled[brighter, 0], measured[brighter, 0])
+
+
+def test_texels_of_a_lit_floor_have_their_paint():
+    """Sun and sky on open ground, photographed: albedo is pi R / E, unseen texels borrow it."""
+    mesh = mesh_of(patch((-0.7, -0.7, 0), (1.4, 0, 0), (0, 1.4, 0), 4))
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    surfels = sample_surfels(mesh, 500, np.random.default_rng(0))
+    directions = fibonacci_sphere(256).numpy().astype(np.float32)
+    visibility = trace_visibility(mesh, tracer, surfels, directions, 0.003)
+    light = synthetic.true_light(1.5, 0.2)
+    soft = soft_transfer(visibility, surfels.normal, np.arange(1), synthetic.NUM_SOFT)
+    facing = float(synthetic.SUN[2])
+    irradiance = (soft @ light.amplitudes.soft + facing * light.amplitudes.sharp).numpy()
+    curve = curve_from_name("agx")
+
+    def shade(points, face, view_dir):
+        paint = PAINTS[(points[:, 1] > 0).astype(int)]
+        return curve.display_from_linear(torch.from_numpy(paint * irradiance / np.pi)).numpy()
+
+    cameras = [looking_at(place, size=96) for place in ((0, 0.4, 3), (1.6, 0, 2.2), (-1, -1, 2.5))]
+    views = tuple(photograph(tracer, shade, camera, str(k)) for k, camera in enumerate(cameras))
+    seen = observe(tracer, surfels.position, surfels.normal, views, 0.003)
+    transport = Transport(surfels=surfels, visibility=visibility, observations=seen)
+    scene = make_scene(
+        transport, tracer, 0.003, (1000, synthetic.NUM_SOFT), np.random.default_rng(0)
+    )
+    x, y = (grid.ravel() for grid in np.meshgrid(*2 * [np.linspace(-0.69, 0.69, 50)]))
+    position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
+    normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape)
+    count = len(surfels)
+    matte = Gloss(
+        roughness=np.full(count, 0.5, np.float32),
+        metallic=np.zeros(count, np.float32),
+        floor=np.zeros((count, 3), np.float32),
+        gain=np.ones((count, 3), np.float32),
+        table=(),
+    )
+    texels = Texels(position=position, normal=normal)
+    values = texel_albedo(make_problem(scene, curve), light, texels, views, matte, tracer)
+    paint = PAINTS[(y > 0).astype(int)]
+    inner = np.abs(y) > 0.05
+    error = np.abs(values.albedo / paint - 1)
+    assert error[inner].max() < 0.03
+    unseen = values.coverage == 0
+    assert 0 < unseen.mean() < 0.2
+    np.testing.assert_array_equal(values.uncertainty[unseen], 1)
+    assert values.uncertainty[inner & ~unseen].max() < 0.1
+    np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One radiance per sample, and which samples are compared."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from robir.appearance.statistics import diffuse_radiance, neighbour_pairs, shadow_pairs
+from robir.transport.observe import Observations
+from robir.transport.surfels import Surfels
+
+
+def observations(weight: np.ndarray, clipped: np.ndarray | None = None) -> Observations:
+    shape = (*weight.shape, 3)
+    return Observations(
+        display=np.zeros(shape, np.uint8),
+        weight=weight.astype(np.float32),
+        clipped=np.zeros(shape, bool) if clipped is None else clipped,
+        positions=np.zeros((weight.shape[1], 3), np.float32),
+    )
+
+
+def test_highlights_and_the_darkest_views_are_left_out():
+    values = torch.tensor([5.0, 0.3, 0.01, 0.32, 0.31, 2.0, 1.0, 0.9, 0.8, 0.7])
+    linear = values[None, :, None].expand(1, 10, 3)
+    radiance = diffuse_radiance(observations(np.ones((1, 10))), linear)
+    # Ranks 1 to 4 of 10.
+    torch.testing.assert_close(radiance.linear[0], torch.full((3,), (0.3 + 0.31 + 0.32 + 0.7) / 4))
+
+
+def test_views_that_do_not_show_a_sample_do_not_count():
+    linear = torch.tensor([[0.1, 0.5, 0.2], [0.1, 0.5, 0.2]])[..., None].expand(2, 3, 3)
+    weight = np.array([[0, 1, 1], [0, 1, 0]])
+    radiance = diffuse_radiance(observations(weight), linear)
+    assert radiance.linear[:, 0].tolist() == pytest.approx([0.2, 0.5])
+    assert radiance.seen.tolist() == [True, False]
+
+
+def test_clipped_is_judged_by_the_views_that_are_used():
+    linear = torch.tensor([[0.2, 0.3, 0.4, 9.0], [1.0, 1.0, 1.0, 1.0]])[..., None].expand(2, 4, 3)
+    clipped = np.zeros((2, 4, 3), bool)
+    clipped[0, 3] = True
+    clipped[1, :, 0] = True
+    radiance = diffuse_radiance(observations(np.ones((2, 4)), clipped), linear)
+    assert radiance.clipped.tolist() == [[False] * 3, [True, False, False]]
+
+
+@pytest.fixture
+def floor() -> Surfels:
+    rng = np.random.default_rng(0)
+    position = np.concatenate([rng.uniform(-1, 1, (2000, 2)), np.zeros((2000, 1))], axis=1)
+    normal = np.broadcast_to([0.0, 0.0, 1.0], position.shape)
+    return Surfels(position=np.float32(position), normal=np.float32(normal), spacing=0.045)
+
+
+def test_neighbours_lie_as_far_apart_as_asked(floor):
+    usable = np.arange(0, 2000, 2)
+    reaches = (0.1, 0.4)
+    pairs = neighbour_pairs(floor, usable, reaches, 2, np.random.default_rng(1))
+    assert float(pairs.weight.sum()) == pytest.approx(1, rel=1e-4)
+    assert int(pairs.first.max()) < 1000 and int(pairs.second.max()) < 1000
+    assert not (pairs.first == pairs.second).any()
+    position = floor.position[usable]
+    distance = np.linalg.norm(position[pairs.first] - position[pairs.second], axis=1)
+    assert distance.max() < 1.5 * max(reaches) + floor.spacing
+    # Pairs of either length.
+    assert (distance < 0.15).mean() > 0.3 and (distance > 0.2).mean() > 0.2
+
+
+def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
+    position, normal = floor.position, floor.normal.copy()
+    lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
+    normal[position[:, 1] > 0.5] = [1, 0, 0]
+    pairs = shadow_pairs(position, normal, [np.stack([lit, dark])])
+    first, second = pairs.first.numpy(), pairs.second.numpy()
+    assert len(first) > 100 and dark[first].all() and lit[second].all()
+    assert np.linalg.norm(position[first] - position[second], axis=1).max() < 0.4
+    assert (normal[first] == normal[second]).all(1).mean() > 0.95
+    assert float(pairs.weight.sum()) == pytest.approx(1, rel=1e-4)
+
+
+def test_a_sun_without_a_shadow_has_no_pairs(floor):
+    everywhere = np.ones(2000, bool)
+    pairs = shadow_pairs(floor.position, floor.normal, [np.stack([everywhere, ~everywhere])])
+    assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
