@@ -97,22 +97,35 @@ def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
     return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
 
 
-def pair_residual(log_albedo: Tensor, clipped: Tensor, pairs: Pairs) -> Tensor:
-    """Differences of log albedo between paired samples, (P, 3).
+@dataclass(frozen=True, slots=True)
+class PairWeights:
+    """Pairs with the weight of a difference in either direction.
 
     A clipped sample is at least as bright as it looks, so it is only wrong when it comes out
     brighter than its partner; two clipped samples say nothing about each other.
+
+    Attributes:
+        pairs: The pairs.
+        darker: (P, 3) weight of the first sample coming out darker.
+        brighter: (P, 3) weight of it coming out brighter.
     """
-    difference = log_albedo[pairs.first] - log_albedo[pairs.second]
-    first, second = clipped[pairs.first], clipped[pairs.second]
-    low = torch.where(first, torch.zeros_like(difference), difference.clamp(max=0))
-    high = torch.where(second, torch.zeros_like(difference), difference.clamp(min=0))
-    return low + high
 
+    pairs: Pairs
+    darker: Tensor
+    brighter: Tensor
 
-def pair_loss(log_albedo: Tensor, clipped: Tensor, pairs: Pairs) -> Tensor:
-    """Weighted mean over pairs of the absolute differences, summed over channels."""
-    return (pair_residual(log_albedo, clipped, pairs).abs().sum(1) * pairs.weight).sum()
+    @classmethod
+    def of(cls, pairs: Pairs, clipped: Tensor) -> PairWeights:
+        """Weights for samples of which some channels (U, 3) are clipped."""
+        weight = pairs.weight[:, None]
+        return cls(pairs, weight * ~clipped[pairs.first], weight * ~clipped[pairs.second])
+
+    def loss(self, log_albedo: Tensor) -> Tensor:
+        """Weighted mean over pairs of the absolute differences, summed over channels."""
+        difference = log_albedo[self.pairs.first] - log_albedo[self.pairs.second]
+        return (
+            self.brighter * difference.clamp(min=0) - self.darker * difference.clamp(max=0)
+        ).sum()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +181,7 @@ def solve_amplitudes(
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(4).indices
     loss_value = 0.0
-    neighbours, across = pairs
+    neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
@@ -178,8 +191,8 @@ def solve_amplitudes(
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
-        neighbour = pair_loss(log_albedo, radiance.clipped, neighbours)
-        loss = neighbour + priors.shadow * pair_loss(log_albedo, radiance.clipped, across)
+        neighbour = neighbours.loss(log_albedo)
+        loss = neighbour + priors.shadow * across.loss(log_albedo)
         loss = loss + priors.bounds * range_loss(log_albedo, radiance.clipped, priors)
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)

@@ -13,9 +13,9 @@ from torch import Tensor
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
     Amplitudes,
+    PairWeights,
     Priors,
     log_ratio,
-    pair_loss,
     solve_amplitudes,
 )
 from robir.appearance.problem import Problem
@@ -24,7 +24,10 @@ from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
 
 Floats = NDArray[np.float32]
 
-SCAN_SURFELS = 2500
+MIN_SEPARATION = 0.3
+"""Angle between two suns, radians: a nearer one only repairs shadows of a wrong mesh."""
+
+SCAN_SURFELS = 2000
 SUN_SHARPNESS = 2000.0
 """Of a sun before its own is searched: about 1.3 degrees across."""
 
@@ -32,7 +35,7 @@ EDGE_SHARPNESS = 250.0
 """Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
 across, about what a mesh error of one grid cell does to a shadow."""
 
-MIN_GAIN = 0.01
+MIN_GAIN = 0.02
 """A further sharp lobe must lower the neighbour loss by this share, or the scene does without."""
 
 
@@ -97,7 +100,7 @@ def _best_addition(
     """The candidate whose full solve has the lowest loss."""
     best: Light | None = None
     for candidate in candidates:
-        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(0.1):
+        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(MIN_SEPARATION):
             continue
         axes = np.concatenate([light.axes, candidate.axis[None]])
         sharpness = np.append(light.sharpness, np.float32(SUN_SHARPNESS))
@@ -197,6 +200,7 @@ def _best_sharpness(
     """Size of a sun, by the neighbour loss at fixed strengths."""
     rows = problem.scene.rows
     radiance = problem.rows_radiance(rows)
+    weights = PairWeights.of(problem.scene.pairs, radiance.clipped)
     best, best_loss = float(sharpness[index]), np.inf
     for trial in (100.0, 400.0, 2000.0, 10000.0):
         tried = sharpness.copy()
@@ -204,7 +208,7 @@ def _best_sharpness(
         sharp = problem.scene.sharp_transfer(axes, tried, rows)
         irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
         log_albedo = log_ratio(radiance.linear, irradiance)
-        loss = float(pair_loss(log_albedo, radiance.clipped, problem.scene.pairs))
+        loss = float(weights.loss(log_albedo))
         if loss < best_loss:
             best, best_loss = trial, loss
     return best

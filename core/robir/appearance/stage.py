@@ -241,7 +241,7 @@ def _choices(
             "alternatives": list(range(len(light.history))),
             "held_out_error": light.loss,
             "cost_seconds": seconds["light"],
-            "why": "each must lower the differences between neighbouring albedos by 1 %; without, "
+            "why": "each must lower the differences between neighbouring albedos by 2 %; without, "
             "with one, ...: " + ", ".join(f"{loss:.3f}" for loss in light.history),
         },
         {

@@ -24,9 +24,9 @@ from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
 
-STRENGTHS = (0.15, 0.4, 0.8, 1.5, 3.0, 6.0, 12.0)
-"""Irradiance of the sun at normal incidence over that of the whole sky, tried for each direction;
-channels choose apart, within a factor of the common best."""
+STRENGTHS = (0.25, 0.8, 2.0, 6.0)
+"""Irradiance of the sun at normal incidence over the mean of the base light, tried for each
+direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
