@@ -9,7 +9,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light import log_ratio, pair_residual, soft_transfer
+from robir.appearance.light import PairWeights, log_ratio, soft_transfer
 from robir.appearance.problem import make_problem
 from robir.appearance.solver import find_suns, fit
 from robir.appearance.statistics import Pairs, neighbour_pairs
@@ -66,21 +66,25 @@ def test_the_sky_alone_is_pi_times_its_radiance_on_open_ground(stage):
     np.testing.assert_allclose(soft.numpy(), np.pi * radiance, rtol=0.02)
 
 
-def test_a_clipped_sample_is_only_wrong_when_it_comes_out_brighter():
-    log_albedo = torch.tensor([[0.0], [1.0]])
-    pairs = Pairs(
-        first=torch.tensor([0, 1]), second=torch.tensor([1, 0]), weight=torch.full((2,), 0.5)
-    )
-
-    def residual(first, second):
-        return pair_residual(log_albedo, torch.tensor([[first], [second]]), pairs)[:, 0].tolist()
-
-    assert residual(False, False) == [-1.0, 1.0]
-    # The darker one is clipped: it may be as bright as its partner.
-    assert residual(True, False) == [0.0, 0.0]
-    # The brighter one is clipped and is brighter still: wrong by at least this much.
-    assert residual(False, True) == [-1.0, 1.0]
-    assert residual(True, True) == [0.0, 0.0]
+@pytest.mark.parametrize(
+    ("clipped", "expected"),
+    [
+        ((False, False), 0.5),
+        # The darker one may be as bright as its partner.
+        ((True, False), 0.0),
+        # The brighter one is brighter still: wrong by at least this much.
+        ((False, True), 0.5),
+        ((True, True), 0.0),
+    ],
+)
+def test_a_clipped_sample_is_only_wrong_when_it_comes_out_brighter(clipped, expected):
+    log_albedo = torch.tensor([[0.2], [0.7]])
+    flags = torch.tensor(clipped)[:, None]
+    for first, second in ((0, 1), (1, 0)):
+        pairs = Pairs(
+            first=torch.tensor([first]), second=torch.tensor([second]), weight=torch.ones(1)
+        )
+        assert float(PairWeights.of(pairs, flags).loss(log_albedo)) == pytest.approx(expected)
 
 
 def test_sun_against_sky_is_recovered(stage, problem):
