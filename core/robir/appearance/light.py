@@ -136,6 +136,8 @@ class Priors:
         brightest: Albedo that the brightest materials should not exceed.
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
+        neutral: Weight of the light as a whole being grey. Nothing else tells the light's hue from
+            that of all albedos, and bounced light is judged wrongly under a tinted one.
         smooth: Weight of neighbouring soft lobes being alike.
         shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
@@ -145,6 +147,7 @@ class Priors:
     brightest: float = 0.85
     bounds: float = 1.0
     hue: float = 0.03
+    neutral: float = .3
     smooth: float = 0.01
     shadow: float = 0.25
     parsimony: float = 0.0
@@ -197,6 +200,8 @@ def solve_amplitudes(
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
+        energy = (irradiance - transfer.indirect).mean(0).log()
+        loss = loss + priors.neutral * ((energy - energy.mean()) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         if priors.parsimony > 0:
             width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
