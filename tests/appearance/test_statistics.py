@@ -72,12 +72,13 @@ def test_neighbours_lie_as_far_apart_as_asked(floor):
 def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
     position, normal = floor.position, floor.normal.copy()
     lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
-    normal[position[:, 1] > 0.5] = [1, 0, 0]
+    # Every other sample is of a wall: the nearest in place alone may face another way.
+    normal[::2] = [1, 0, 0]
     pairs = shadow_pairs(position, normal, [np.stack([lit, dark])])
     first, second = pairs.first.numpy(), pairs.second.numpy()
     assert len(first) > 100 and dark[first].all() and lit[second].all()
     assert np.linalg.norm(position[first] - position[second], axis=1).max() < 0.4
-    assert (normal[first] == normal[second]).all(1).mean() > 0.95
+    np.testing.assert_array_equal(normal[first], normal[second])
     assert float(pairs.weight.sum()) == pytest.approx(1, rel=1e-4)
 
 
