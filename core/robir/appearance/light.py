@@ -147,7 +147,7 @@ class Priors:
     brightest: float = 0.85
     bounds: float = 1.0
     hue: float = 0.03
-    neutral: float = .3
+    neutral: float = 0.3
     smooth: float = 0.01
     shadow: float = 0.25
     parsimony: float = 0.0

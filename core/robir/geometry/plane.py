@@ -69,8 +69,7 @@ def _outline_rays(photo: Photo) -> tuple[Array, Array, Array]:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
     points, tangents = [], []
     for curve in curves:
-        smooth = curve.copy()
-        tangent = np.roll(smooth, -3, axis=0) - np.roll(smooth, 3, axis=0)
+        tangent = np.roll(curve, -3, axis=0) - np.roll(curve, 3, axis=0)
         points.append(curve[:, ::-1] - 0.5)
         tangents.append(tangent[:, ::-1])
     image, tangent = np.concatenate(points), np.concatenate(tangents)
@@ -86,7 +85,7 @@ def _outline_rays(photo: Photo) -> tuple[Array, Array, Array]:
     falls = map_coordinates(photo.coverage, probe.T, order=1, mode="constant") < 0.5
     across = np.where(falls[:, None], across, -across)
     origins, directions = photo.camera.rays(image)
-    _, aside = photo.camera.rays(image + across)
+    _, aside = photo.camera.rays(np.asarray(image + across, np.float64))
     outward = aside - directions * (aside * directions).sum(1, keepdims=True)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     return origins, directions, outward

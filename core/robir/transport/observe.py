@@ -116,7 +116,7 @@ def observe(
         towards = camera.position - position
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("nd,nd->n", towards, normal) / distance
-        pixels, depth = camera.project(position)
+        pixels, depth = camera.project(position.astype(np.float64))
         inside = (pixels >= 1).all(1) & (pixels <= [camera.width - 1, camera.height - 1]).all(1)
         chosen = np.flatnonzero((cosine > MIN_COSINE) & (depth > 0) & inside)
         start = position[chosen] + offset * normal[chosen]
