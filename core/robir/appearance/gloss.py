@@ -18,7 +18,13 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from robir.appearance.problem import Problem
-from robir.appearance.reflections import Reflections, ViewRays, as_rays, view_rays
+from robir.appearance.reflections import (
+    Reflections,
+    ViewRays,
+    as_rays,
+    reflected_share,
+    view_rays,
+)
 from robir.appearance.solver import Light
 from robir.appearance.statistics import HIGH_SHARE, LOW_SHARE, linear_observations
 
@@ -52,6 +58,7 @@ class Gloss:
         metallic: (S,) float32, 0 or 1.
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
         gain: (S, 3) float32, radiance of a metal of base colour 1 in those views.
+        kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         table: One dictionary per material for the report.
     """
 
@@ -59,12 +66,13 @@ class Gloss:
     metallic: Floats
     floor: Floats
     gain: Floats
+    kept: Floats
     table: tuple[dict[str, float], ...]
 
 
 def specular_towards(
     problem: Problem, light: Light, gloss: Gloss, sample: NDArray[np.int64], view_dir: Floats
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Specular radiance of samples towards any direction.
 
     Args:
@@ -75,9 +83,11 @@ def specular_towards(
         view_dir: (N, 3) unit, away from the surface.
 
     Returns:
-        For a dielectric (N, 3), and per unit of base colour of a metal (N, 3).
+        For a dielectric (N, 3), per unit of base colour of a metal (N, 3), and the share (N, 1) of
+        diffuse light that the dielectric's specular layer lets through.
     """
     result = np.zeros((2, len(sample), 3), np.float32)
+    kept = np.ones((len(sample), 1), np.float32)
     directions = problem.scene.transport.visibility.directions
     levels = gloss.roughness[sample]
     for roughness in np.unique(levels):
@@ -87,7 +97,8 @@ def specular_towards(
         rays = as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)
         both = Reflections(problem, light, rows).radiance(rays, float(roughness))
         result[:, chosen] = both.numpy().transpose(1, 0, 2)
-    return result[0], result[1]
+        kept[chosen] = 1 - reflected_share(rays, float(roughness))[:, None].numpy()
+    return result[0], result[1], kept
 
 
 def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
@@ -164,13 +175,16 @@ def _costs(
     even = reflections.from_sky(rays, MATTE)[:, 0]
     for index, level in enumerate(LEVELS):
         both = reflections.radiance(rays, level)
-        base = _low_mean(torch.maximum(linear - both[:, 0], 0.02 * linear), rays, valid)[sample]
+        through = 1 - reflected_share(rays, level)[:, None]
+        below = torch.maximum(linear - both[:, 0], 0.02 * linear) / through
+        base = _low_mean(below, rays, valid)[sample] * through
         ratio = _dense(linear / both[:, 1].clamp(min=1e-5), rays, shape)
         colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
         whole[:, 0, index] = summed(error(base + both[:, 0]))
         whole[:, 1, index] = summed(error(colour.clamp(0, 1)[sample] * both[:, 1]))
         lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
-        base = _low_mean(torch.maximum(linear - lit, 0.02 * linear), rays, valid)[sample]
+        below = torch.maximum(linear - lit, 0.02 * linear) / through
+        base = _low_mean(below, rays, valid)[sample] * through
         for tilt in TILTS:
             sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
             total = summed(error(base + even + sun) * near)
@@ -196,7 +210,7 @@ def estimate_gloss(
         seed: Of the clustering.
 
     Returns:
-        The gloss and the specular radiance (S, V, 3) of every observation.
+        The gloss and the diffuse radiance (S, V, 3) of every observation.
     """
     scene = problem.scene
     surfels, observations = scene.transport.surfels, scene.transport.observations
@@ -211,7 +225,7 @@ def estimate_gloss(
     choices = [_choose(costs.pooled(cluster[in_solve] == index)) for index in range(num_materials)]
     level = np.array([choice[0] for choice in choices])[cluster]
     metal = np.array([choice[1] for choice in choices])[cluster]
-    gloss, specular = _apply(problem, light, seen, level, metal)
+    gloss, diffuse = _apply(problem, light, seen, level, metal)
     table = tuple(
         {
             "roughness": float(choice[0]),
@@ -220,7 +234,7 @@ def estimate_gloss(
         }
         for index, choice in enumerate(choices)
     )
-    return Gloss(**{**gloss, "table": table}), specular
+    return Gloss(**{**gloss, "table": table}), diffuse
 
 
 def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats:
@@ -274,13 +288,15 @@ def _apply(
     level: NDArray[np.float64],
     metal: NDArray[np.float64],
 ) -> tuple[dict[str, Floats], Tensor]:
-    """Specular radiance of all seen samples with their own roughness."""
+    """Diffuse radiance of all observations, each sample with its own roughness."""
     scene = problem.scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)
-    specular = torch.zeros(num, observations.weight.shape[1], 3)
+    diffuse = linear_observations(observations, problem.curve)
     floor, gain = np.zeros((num, 3), np.float32), np.ones((num, 3), np.float32)
-    linear = linear_observations(observations, problem.curve)
+    kept = np.ones((num, 1), np.float32)
+    full_level, full_metal = np.full(num, MATTE, np.float32), np.zeros(num, np.float32)
+    full_level[seen], full_metal[seen] = level, metal
     for roughness in np.unique(level):
         rows = seen[level == roughness]
         reflections = Reflections(problem, light, rows)
@@ -288,17 +304,23 @@ def _apply(
         both = reflections.radiance(rays, float(roughness))
         shape = (len(rows), observations.weight.shape[1])
         dielectric, whole = (_dense(both[:, index], rays, shape) for index in (0, 1))
+        through = 1 - _dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
+        linear = diffuse[rows]
+        below = torch.maximum(linear - dielectric, 0.02 * linear) / through
         valid = torch.from_numpy(observations.weight[rows] > 0)
-        low = _low_weights(torch.maximum(linear[rows] - dielectric, 0.02 * linear[rows]), valid)
-        specular[rows] = dielectric
-        floor[rows] = (dielectric * low[..., None]).sum(1).numpy()
-        gain[rows] = (whole * low[..., None]).sum(1).numpy()
-    full_level = np.full(num, MATTE, np.float32)
-    full_level[seen] = level
-    full_metal = np.zeros(num, np.float32)
-    full_metal[seen] = metal
-    specular[torch.from_numpy(full_metal > 0.5)] = 0
+        low = _low_weights(below, valid)[..., None]
+        floor[rows] = (dielectric * low).sum(1).numpy()
+        gain[rows] = (whole * low).sum(1).numpy()
+        kept[rows] = (through * low).sum(1).numpy()
+        is_metal = torch.from_numpy(full_metal[rows] > 0.5)[:, None, None]
+        diffuse[rows] = torch.where(is_metal, linear, below)
     return (
-        {"roughness": full_level, "metallic": full_metal, "floor": floor, "gain": gain},
-        specular,
+        {
+            "roughness": full_level,
+            "metallic": full_metal,
+            "floor": floor,
+            "gain": gain,
+            "kept": kept,
+        },
+        diffuse,
     )

@@ -23,6 +23,11 @@ from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_ir
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
 
+MEAN_ALBEDO = 0.3
+"""Geometric mean of the albedos of common scenes."""
+
+BRIGHTEST_QUANTILE = 0.97
+
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
 
@@ -144,7 +149,7 @@ class Priors:
         width: Width of an albedo cluster in log units, at the end of the annealing.
     """
 
-    brightest: float = 0.85
+    brightest: float = 0.9
     bounds: float = 1.0
     hue: float = 0.03
     neutral: float = 0.3
@@ -229,13 +234,14 @@ def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
 def range_loss(log_albedo: Tensor, clipped: Tensor, priors: Priors) -> Tensor:
     """Penalty for albedos that no common material has; it fixes the overall scale.
 
-    Above the brightest plausible value the penalty is steep, below 0.03 gentle; a weak pull towards
-    a mean of 0.3 decides where neither is reached.
+    The mean of log albedo is drawn towards that of common scenes, as long as the brightest
+    materials stay physical. Only the lowest of the brightest few per cent counts: above it lie
+    highlights and shadow edges.
     """
-    high = (log_albedo - np.log(priors.brightest)).clamp(min=0).mean()
-    low = (np.log(0.03) - log_albedo).clamp(min=0).mean()
-    middle = (log_albedo[~clipped.any(1)].mean() - np.log(0.3)) ** 2
-    return 2 * high + 0.3 * low + 0.02 * middle.nan_to_num()
+    brightest = log_albedo.amax(1).quantile(BRIGHTEST_QUANTILE)
+    high = (brightest - np.log(priors.brightest)).clamp(min=0)
+    middle = (log_albedo[~clipped.any(1)].mean() - np.log(MEAN_ALBEDO)) ** 2
+    return 2 * high + 0.2 * middle.nan_to_num()
 
 
 def parsimony_loss(

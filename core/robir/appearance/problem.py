@@ -131,13 +131,13 @@ class Problem:
         return Transfer(soft=self.scene.soft[rows], sharp=sharp, indirect=self.indirect[rows])
 
 
-def make_problem(scene: Scene, curve: AbstractToneCurve, specular: Tensor | None = None) -> Problem:
+def make_problem(scene: Scene, curve: AbstractToneCurve, diffuse: Tensor | None = None) -> Problem:
     """Undo a tone curve and gather what it makes known.
 
     Args:
         scene: The scene.
         curve: Tone curve to undo.
-        specular: (S, V, 3) specular radiance of every observation, to be taken off; None if not
+        diffuse: (S, V, 3) radiance of every observation without its specular part; None if not
             known yet.
 
     Returns:
@@ -151,7 +151,6 @@ def make_problem(scene: Scene, curve: AbstractToneCurve, specular: Tensor | None
     exitant[~total.seen] = HIDDEN_SHARE * exitant[total.seen].median(0).values
     bounce = scene.transport.visibility.bounce
     indirect = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
-    if specular is not None:
-        linear = torch.maximum(linear - specular, 0.02 * linear)
-        total = diffuse_radiance(observations, linear)
+    if diffuse is not None:
+        total = diffuse_radiance(observations, diffuse)
     return Problem(scene=scene, curve=curve, radiance=total, indirect=indirect)

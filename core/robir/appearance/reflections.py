@@ -108,6 +108,15 @@ def as_rays(
     )
 
 
+def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
+    """Share (M,) of even light that a dielectric's specular layer reflects towards each view.
+
+    What it reflects does not reach the diffuse layer, as in Blender's Principled material.
+    """
+    scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
+    return F0 * scale + bias
+
+
 class Reflections:
     """Light that reaches samples from around any mirror direction."""
 

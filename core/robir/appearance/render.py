@@ -88,10 +88,10 @@ def render_view(
     irradiance = soft + sun @ light.amplitudes.sharp.numpy()
     albedo = values.albedo[texel[kept]]
     metallic = values.metallic[texel[kept], None]
-    dielectric, metal = specular_towards(
+    dielectric, metal, through = specular_towards(
         problem, light, gloss, blend.nearest, -directions[kept].astype(np.float32)
     )
-    radiance = (1 - metallic) * (albedo * irradiance / np.pi + dielectric)
+    radiance = (1 - metallic) * (through * albedo * irradiance / np.pi + dielectric)
     radiance += metallic * albedo * metal
     shown = problem.curve.display_from_linear(torch.from_numpy(radiance.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)

@@ -24,6 +24,9 @@ from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
 
 Floats = NDArray[np.float32]
 
+MIN_SHADOW_GAIN = 0.15
+"""Share by which a further sharp lobe must lower the differences across its own shadow."""
+
 MIN_SEPARATION = 0.3
 """Angle between two suns, radians: a nearer one only repairs shadows of a wrong mesh."""
 
@@ -89,9 +92,31 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
         best = _best_addition(problem, light, refined, trial)
         if best is None or best.loss > (1 - MIN_GAIN) * light.loss:
             break
+        if index > 0 and not _casts_shadow(problem, light, best):
+            break
         light = best
         losses.append(light.loss)
     return replace(light, history=tuple(losses))
+
+
+def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
+    """Whether the photographs show the shadow of the sun that was added last.
+
+    A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
+    with the photographs is a light.
+    """
+    pairs = _across_shadows(problem, after.axes[-1:])
+    if not len(pairs.first):
+        return False
+    rows = problem.scene.rows
+    radiance = problem.rows_radiance(rows)
+    weights = PairWeights.of(pairs, radiance.clipped)
+    losses = []
+    for light in (before, after):
+        sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
+        irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
+        losses.append(float(weights.loss(log_ratio(radiance.linear, irradiance))))
+    return losses[1] < (1 - MIN_SHADOW_GAIN) * losses[0]
 
 
 def _best_addition(

@@ -84,8 +84,8 @@ def _solve(
 ) -> tuple[Problem, Light, Gloss]:
     """Final light, then gloss, then the light once more without the highlights."""
     light = polish(candidate.problem, candidate.light, config, seed)
-    gloss, specular = estimate_gloss(candidate.problem, light, config.num_materials, seed)
-    problem = make_problem(scene, candidate.curve, specular)
+    gloss, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
+    problem = make_problem(scene, candidate.curve, diffuse)
     refitted = fit(
         problem,
         light.axes,

@@ -19,10 +19,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.gloss import Gloss
-from robir.appearance.problem import Problem
+from robir.appearance.problem import Problem, Scene
 from robir.appearance.solver import EDGE_SHARPNESS, Light
 from robir.appearance.statistics import diffuse_radiance, linear_observations
 from robir.capture.capture import View
+from robir.maths.vectors import orthonormal_frame
 from robir.transport.observe import Observations, observe
 from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
@@ -31,6 +32,9 @@ Floats = NDArray[np.float32]
 
 NORMAL_SCALE = 0.15
 """How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
+
+SIDE_STEP = 0.02
+"""Error of the mesh along the surface that a shadow may have, unit frame."""
 
 SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
@@ -142,6 +146,7 @@ def texel_albedo(
     blend = Blend(problem, texels)
     soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
     floor, gain = blend(torch.from_numpy(gloss.floor)), blend(torch.from_numpy(gloss.gain))
+    kept = blend(torch.from_numpy(gloss.kept))
     metallic = blend(torch.from_numpy(gloss.metallic)[:, None])[:, 0] > 0.5
     roughness = blend(torch.from_numpy(gloss.roughness)[:, None])[:, 0]
     narrow = sun_transfer(problem, light, texels, light.sharpness, 8)
@@ -151,7 +156,7 @@ def texel_albedo(
     radiance = diffuse_radiance(_sharpest(seen), linear)
     total = radiance.linear.numpy()
     irradiance = soft + narrow @ sun
-    exitant = np.pi * np.maximum(total - floor, 0.1 * total)
+    exitant = np.pi * np.maximum(total - floor, 0.1 * total) / kept
     dim = 0.02 * irradiance.mean(0)
     albedo = exitant / np.sqrt(irradiance**2 + dim**2)
     albedo[metallic] = (total / np.maximum(gain, 1e-3))[metallic]
@@ -165,7 +170,8 @@ def texel_albedo(
         )
         facing = np.clip(texels.normal @ light.axes.T, 0, None)
         share = wide / np.maximum(facing, 1e-3)
-        unsure = (share > 0.02) & (share < 0.98) & (facing * strength > 0.1)
+        unsure = (share > 0.02) & (share < 0.98) | _contested(scene, light, texels)
+        unsure &= facing * strength > 0.1
         edge = unsure.any(1) & ~metallic
     clipped = radiance.clipped.numpy()
     certain &= ~edge & ~clipped.any(1)
@@ -183,6 +189,25 @@ def texel_albedo(
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),
     )
+
+
+def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
+    """Whether points a mesh error away along the surface see a sun differently, (N, J).
+
+    The lobe of EDGE_SHARPNESS spans little where the blocker is near; contact shadows are found by
+    stepping aside instead.
+    """
+    first, second = orthonormal_frame(torch.from_numpy(texels.normal))
+    lit = []
+    for step in (0 * first, first, -first, second, -second):
+        position = texels.position + SIDE_STEP * step.numpy()
+        columns = [
+            lobe_transfer(scene.tracer, position, texels.normal, axis[None], scene.offset) > 0
+            for axis in light.axes
+        ]
+        lit.append(np.stack(columns, axis=1))
+    count = np.sum(lit, axis=0)
+    return (count > 0) & (count < len(lit))
 
 
 def _sharpest(seen: Observations) -> Observations:

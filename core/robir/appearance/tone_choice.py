@@ -170,13 +170,13 @@ def _with_history(light: Light, found: Light) -> Light:
 def _order(candidates: list[Candidate]) -> list[Candidate]:
     """By score, but the simplest within one standard error of the best comes first.
 
-    The rule does not cross between curves that clip and curves that roll off: taking one for the
-    other costs far more than any simplicity is worth.
+    The rule does not cross between the plain sRGB curve and those with a shoulder: taking one for
+    the other costs far more than any simplicity is worth.
     """
     ranked = sorted(candidates, key=lambda candidate: candidate.score)
     best = ranked[0]
     for candidate in candidates:
-        alike = candidate.curve.is_clipping == best.curve.is_clipping
+        alike = (candidate.curve.name == "standard") == (best.curve.name == "standard")
         if alike and candidate.score - best.score <= candidate.standard_error:
             ranked.remove(candidate)
             return [candidate, *ranked]
