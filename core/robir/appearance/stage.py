@@ -37,12 +37,25 @@ TEXTURE_VIEWS = 48
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """Choose the tone curve, solve light and materials, bake the textures.
 
+    One thread, whatever the machine has: the sums of the solve are short, and a result that
+    changes with the number of threads could not be resumed or repeated.
+
     Args:
         context: Paths and settings.
 
     Returns:
         Figures for the manifest.
     """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        return _run(context)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
+    """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     capture = load_capture(context.paths.stage("capture")).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")

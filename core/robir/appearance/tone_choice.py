@@ -35,6 +35,9 @@ CLIPPED_SHARE = 0.004
 SPIKE_RATIO = 1.5
 """How many times the pixels at 255 must outnumber those at 245 to 254 for a spike."""
 
+PLAIN = "standard"
+"""Name of the one curve without a shoulder."""
+
 BLOCK = 0.2
 """Side of the blocks over which the score's standard error is taken, unit frame."""
 
@@ -154,7 +157,7 @@ def rank_tone_curves(
         )
         for index, (curve, light, problem) in enumerate(fits)
     ]
-    return _order(candidates), evidence
+    return _order(candidates, verdict), evidence
 
 
 def _with_history(light: Light, found: Light) -> Light:
@@ -167,16 +170,22 @@ def _with_history(light: Light, found: Light) -> Light:
     )
 
 
-def _order(candidates: list[Candidate]) -> list[Candidate]:
+def _order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]:
     """By score, but the simplest within one standard error of the best comes first.
 
     The rule does not cross between the plain sRGB curve and those with a shoulder: taking one for
-    the other costs far more than any simplicity is worth.
+    the other costs far more than any simplicity is worth. Where the scores cannot tell those two
+    kinds apart and nothing is bright, the shoulder is the likelier: photographs that are not rolled
+    off and use the range of the display have clipped highlights.
     """
     ranked = sorted(candidates, key=lambda candidate: candidate.score)
     best = ranked[0]
+    shoulders = [candidate for candidate in ranked if candidate.curve.name != PLAIN]
+    if best.curve.name == PLAIN and verdict is None and shoulders:
+        lead = shoulders[0].score - best.score
+        best = shoulders[0] if lead <= shoulders[0].standard_error else best
     for candidate in candidates:
-        alike = (candidate.curve.name == "standard") == (best.curve.name == "standard")
+        alike = (candidate.curve.name == PLAIN) == (best.curve.name == PLAIN)
         if alike and candidate.score - best.score <= candidate.standard_error:
             ranked.remove(candidate)
             return [candidate, *ranked]
