@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.gloss import Gloss, estimate_gloss

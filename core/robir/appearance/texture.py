@@ -36,6 +36,12 @@ NORMAL_SCALE = 0.15
 SIDE_STEP = 0.02
 """Error of the mesh along the surface that a shadow may have, unit frame."""
 
+SMOOTH_REACH = 0.06
+"""How far the edge-aware mean reaches, unit frame."""
+
+ALIKE = 0.25
+"""Difference of log albedo within which neighbouring texels are one material."""
+
 SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
 MIN_ALBEDO, MAX_ALBEDO = 0.01, 0.95
@@ -182,6 +188,7 @@ def texel_albedo(
     spread = _spread(linear, seen)
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
     uncertainty = np.where(coverage > 0, np.hypot(spread, np.where(edge, 0.25, 0.05)), 1.0)
+    albedo = _smoothed(albedo, uncertainty, texels)
     return TexelAlbedo(
         albedo=albedo.astype(np.float32),
         coverage=coverage,
@@ -227,6 +234,31 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     mean = (log * valid).sum(1) / count
     variance = ((log - mean[:, None]) ** 2 * valid).sum(1) / count
     return (variance / count).sqrt().numpy()
+
+
+def _smoothed(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
+    """Mean over neighbours of like albedo and orientation, the certain ones counting more.
+
+    It evens out what views and shadow edges leave and keeps every edge of the texture that is
+    stronger than ALIKE.
+    """
+    points = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
+    # Every fourth texel stands for its surroundings: the atlas is finer than the photographs.
+    anchors = np.arange(0, len(points), 4)
+    tree = cKDTree(points[anchors])
+    distance, index = tree.query(points, k=24, distance_upper_bound=SMOOTH_REACH, eps=0.3)
+    near = np.isfinite(distance)
+    other = anchors[np.where(near, index, 0)]
+    certainty = 1 / (0.03 + uncertainty)
+    smooth = albedo
+    for _ in range(2):
+        log = np.log(smooth)
+        apart = ((log[other] - log[:, None]) ** 2).sum(2)
+        weight = near * np.exp(-apart / (2 * ALIKE**2)) * certainty[other]
+        total = certainty + weight.sum(1)
+        around = np.einsum("nk,nkc->nc", weight, smooth[other])
+        smooth = (smooth * certainty[:, None] + around) / total[:, None]
+    return smooth
 
 
 class _Reference:
