@@ -69,8 +69,12 @@ def rendered(surfels, is_gold, light, positions) -> tuple[np.ndarray, np.ndarray
             for roughness, f0 in ((PLASTIC_ROUGHNESS, 0.04), (GOLD_ROUGHNESS, 1.0))
         ]
         plastic, metal = ((lobe * cosine) @ arriving for lobe in lobes)
-        radiance.append(torch.where(gold, torch.from_numpy(GOLD) * metal, diffuse + plastic))
-        facing.append((view_dir * normal).sum(1))
+        # What the specular layer reflects of even light does not reach the diffuse layer.
+        above = (view_dir * normal).sum(1)
+        scale, bias = microfacet.environment_brdf(above, torch.tensor(PLASTIC_ROUGHNESS))
+        below = (1 - 0.04 * scale - bias)[:, None] * diffuse
+        radiance.append(torch.where(gold, torch.from_numpy(GOLD) * metal, below + plastic))
+        facing.append(above)
     return torch.stack(radiance, 1).numpy(), torch.stack(facing, 1).numpy()
 
 
@@ -96,7 +100,7 @@ def ball():
 
 def test_metal_and_plastic_are_told_apart(ball):
     problem, light, is_gold, radiance = ball
-    gloss, specular = estimate_gloss(problem, light, 4, 0)
+    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
     seen = problem.radiance.seen.numpy()
     metallic = gloss.metallic > 0.5
     assert (metallic == is_gold)[seen].mean() > 0.97
@@ -104,7 +108,7 @@ def test_metal_and_plastic_are_told_apart(ball):
     plastic = seen & ~is_gold
     assert np.median(gloss.roughness[plastic]) == pytest.approx(PLASTIC_ROUGHNESS, abs=0.08)
     # What is left of plastic without its highlights is Lambert's share, the same from everywhere.
-    left = radiance[plastic] - specular.numpy()[plastic]
+    left = diffuse.numpy()[plastic]
     weight = problem.scene.transport.observations.weight[plastic] > 0
     share = np.where(weight[..., None], left, np.nan)
     spread = np.nanstd(share, axis=1) / np.nanmean(share, axis=1)

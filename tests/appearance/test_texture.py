@@ -38,7 +38,7 @@ def shadow():
     steps = np.linspace(-0.6, 0.6, 48)
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
-    normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape)
+    normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))
     light = Light(
         axes=np.float32([[0.6, 0, 0.8]]),
         sharpness=np.float32([2000]),
@@ -126,13 +126,14 @@ def test_texels_of_a_lit_floor_have_their_paint():
     )
     x, y = (grid.ravel() for grid in np.meshgrid(*2 * [np.linspace(-0.69, 0.69, 50)]))
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
-    normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape)
+    normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))
     count = len(surfels)
     matte = Gloss(
         roughness=np.full(count, 0.5, np.float32),
         metallic=np.zeros(count, np.float32),
         floor=np.zeros((count, 3), np.float32),
         gain=np.ones((count, 3), np.float32),
+        kept=np.ones((count, 1), np.float32),
         table=(),
     )
     texels = Texels(position=position, normal=normal)
