@@ -31,7 +31,6 @@ from robir.transport.tracer import AbstractTracer, make_tracer
 
 REVISION = 1
 
-RAY_OFFSET = 0.006
 TEXTURE_VIEWS = 48
 
 
@@ -65,7 +64,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     scene = make_scene(
         transport,
         tracer if transport.visibility.is_traced else None,
-        RAY_OFFSET,
+        transport.visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )

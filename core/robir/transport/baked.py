@@ -52,6 +52,7 @@ class Transport:
                 "directions": visibility.directions,
                 "bits": visibility.bits,
                 "is_traced": np.bool_(visibility.is_traced),
+                "offset": np.float64(visibility.offset),
             },
             "bounce.npz": {
                 "data": visibility.bounce.data,
@@ -82,14 +83,14 @@ class Transport:
             )
         with np.load(folder / "visibility.npz", allow_pickle=False) as arrays:
             directions, bits = arrays["directions"], arrays["bits"]
-            is_traced = bool(arrays["is_traced"])
+            is_traced, offset = bool(arrays["is_traced"]), float(arrays["offset"])
         with np.load(folder / "bounce.npz", allow_pickle=False) as arrays:
             count = len(surfels)
             bounce = csr_matrix(
                 (arrays["data"], arrays["indices"], arrays["indptr"]), shape=(count, count)
             )
         visibility = Visibility(
-            directions=directions, bits=bits, bounce=bounce, is_traced=is_traced
+            directions=directions, bits=bits, bounce=bounce, is_traced=is_traced, offset=offset
         )
         return cls(surfels=surfels, visibility=visibility, observations=observations)
 

@@ -37,12 +37,14 @@ class Visibility:
         bits: (S, D/8) uint8, packed; 1 where the direction is above the surface and unblocked.
         bounce: (S, S) sparse; row i applied to exitant radiance gives indirect irradiance at i.
         is_traced: Whether surfaces block light; false only in the ablation without visibility.
+        offset: Distance that rays started above the surface, unit frame.
     """
 
     directions: Floats
     bits: NDArray[np.uint8]
     bounce: csr_matrix
     is_traced: bool
+    offset: float
 
     def unpacked(self) -> NDArray[np.bool_]:
         """Bits as booleans, (S, D)."""
@@ -90,7 +92,11 @@ def trace_visibility(
         shape=(num_surfels, num_surfels),
     )
     return Visibility(
-        directions=directions, bits=np.packbits(seen, axis=1), bounce=bounce, is_traced=True
+        directions=directions,
+        bits=np.packbits(seen, axis=1),
+        bounce=bounce,
+        is_traced=True,
+        offset=offset,
     )
 
 
