@@ -28,6 +28,10 @@ MEAN_ALBEDO = 0.3
 
 BRIGHTEST_QUANTILE = 0.97
 
+LAMP_TINT = 0.4
+"""Log of the factor by which a channel of a sun may differ from grey at no cost: a sun ten degrees
+above the horizon is that orange."""
+
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
 
@@ -143,6 +147,8 @@ class Priors:
         hue: Weight of the lights sharing one hue.
         neutral: Weight of the light as a whole being grey. Nothing else tells the light's hue from
             that of all albedos, and bounced light is judged wrongly under a tinted one.
+        lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
+            light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
         shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
@@ -153,6 +159,7 @@ class Priors:
     bounds: float = 1.0
     hue: float = 0.03
     neutral: float = 0.3
+    lamp: float = 0.3
     smooth: float = 0.01
     shadow: float = 0.25
     parsimony: float = 0.0
@@ -205,6 +212,9 @@ def solve_amplitudes(
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
+        if num_sharp:
+            tint = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
+            loss = loss + priors.lamp * tint.clamp(min=0).sum(1).mean()
         energy = (irradiance - transfer.indirect).mean(0).log()
         loss = loss + priors.neutral * ((energy - energy.mean()) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()

@@ -39,7 +39,7 @@ EDGE_SHARPNESS = 250.0
 across, about what a mesh error of one grid cell does to a shadow."""
 
 MIN_GAIN = 0.02
-"""A further sharp lobe must lower the neighbour loss by this share, or the scene does without."""
+"""Share by which a sun must lower the neighbour loss, unless it is the first and its shadow shows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,9 +90,12 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
         spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
         refined = [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates[:3]]
         best = _best_addition(problem, light, refined, trial)
-        if best is None or best.loss > (1 - MIN_GAIN) * light.loss:
+        if best is None or best.loss > light.loss:
             break
-        if index > 0 and not _casts_shadow(problem, light, best):
+        is_seen, gains = _casts_shadow(problem, light, best), 1 - best.loss / light.loss > MIN_GAIN
+        # The first sun may be known from its shadow, however small, or from its shading alone, as
+        # on a lone convex object; a further one needs both.
+        if not (is_seen or gains if index == 0 else is_seen and gains):
             break
         light = best
         losses.append(light.loss)
@@ -122,16 +125,18 @@ def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
 def _best_addition(
     problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
 ) -> Light | None:
-    """The candidate whose full solve has the lowest loss."""
+    """The candidate whose full solve has the lowest loss, those that cast a shadow first."""
     best: Light | None = None
+    best_rank = (False, np.inf)
     for candidate in candidates:
         if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(MIN_SEPARATION):
             continue
         axes = np.concatenate([light.axes, candidate.axis[None]])
         sharpness = np.append(light.sharpness, np.float32(SUN_SHARPNESS))
         solved = fit(problem, axes, sharpness, iterations)
-        if best is None or solved.loss < best.loss:
-            best = solved
+        rank = (not _casts_shadow(problem, light, solved), solved.loss)
+        if best is None or rank < best_rank:
+            best, best_rank = solved, rank
     return best
 
 
