@@ -39,7 +39,7 @@ EDGE_SHARPNESS = 250.0
 across, about what a mesh error of one grid cell does to a shadow."""
 
 MIN_GAIN = 0.02
-"""Share by which a sun must lower the neighbour loss, unless it is the first and its shadow shows."""
+"""Share by which a sun must lower the neighbour loss; the first need not if its shadow shows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -254,8 +254,8 @@ def _choices(
             "alternatives": list(range(len(light.history))),
             "held_out_error": light.loss,
             "cost_seconds": seconds["light"],
-            "why": "the first must cast a shadow that the photographs show or explain the shading, a "
-            "further one both; differences between neighbouring albedos without, with one, ...: "
+            "why": "the first must cast a shadow that the photographs show or explain the shading, "
+            "a further one both; differences between neighbouring albedos without, with one, ...: "
             + ", ".join(f"{loss:.3f}" for loss in light.history),
         },
         {
