@@ -131,8 +131,9 @@ def rank_tone_curves(
     evidence = clipping_evidence(scene.transport.observations)
     allowed = [curve for curve in families() if curve.name in config.families]
     verdict = evidence.verdict
-    fitting = [curve for curve in allowed if verdict is None or curve.is_clipping == verdict]
-    fitting = fitting or allowed
+    fitting = [
+        curve for curve in allowed if verdict is None or (curve.name == PLAIN) == verdict
+    ] or allowed
     # Filmic lies between the families, so its suns start all of them.
     first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
     found = find_suns(make_problem(scene, first), config, seed)
