@@ -189,8 +189,11 @@ class Reflections:
         first, second = orthonormal_frame(normal)
         normal = normalise(normal + tilt[0] * first + tilt[1] * second)[sample]
         total = torch.zeros(len(sample), 2, 3)
-        wide = torch.full_like(rays.cosine, max(roughness, SHARPEST_HIGHLIGHT))
-        for index in range(len(self._light.axes)):
+        for index, sharpness in enumerate(self._light.sharpness):
+            # About the half vector a sun is half as wide, and widths add as squares: a lobe of
+            # sharpness s widens alpha^2 by 1 / (2 s).
+            blurred = (roughness**4 + 0.5 / float(sharpness)) ** 0.25
+            wide = torch.full_like(rays.cosine, max(blurred, SHARPEST_HIGHLIGHT))
             axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
             arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
             lobe = microfacet.specular_brdf(
