@@ -26,7 +26,7 @@ from robir.appearance.reflections import (
     view_rays,
 )
 from robir.appearance.solver import Light
-from robir.appearance.statistics import HIGH_SHARE, LOW_SHARE, linear_observations
+from robir.appearance.statistics import darker_view_weights, linear_observations
 
 Floats = NDArray[np.float32]
 
@@ -108,16 +108,6 @@ def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
     return dense
 
 
-def _low_weights(linear: Tensor, valid: Tensor) -> Tensor:
-    """Weights (U, V) of the darker views, as in statistics.diffuse_radiance."""
-    count = valid.sum(1)
-    rank = linear.sum(2).masked_fill(~valid, float("inf")).argsort(1).argsort(1).float()
-    low = (LOW_SHARE * count).floor()[:, None]
-    high = (HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
-    chosen = (valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)).float()
-    return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
-
-
 @dataclass(frozen=True, slots=True)
 class _Costs:
     """Display errors of some samples at every level.
@@ -195,7 +185,7 @@ def _costs(
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     dense = _dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (dense * _low_weights(dense, valid)[..., None]).sum(1)
+    return (dense * darker_view_weights(dense, valid)[..., None]).sum(1)
 
 
 def estimate_gloss(
@@ -308,7 +298,7 @@ def _apply(
         linear = diffuse[rows]
         below = torch.maximum(linear - dielectric, 0.02 * linear) / through
         valid = torch.from_numpy(observations.weight[rows] > 0)
-        low = _low_weights(below, valid)[..., None]
+        low = darker_view_weights(below, valid)[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()
         gain[rows] = (whole * low).sum(1).numpy()
         kept[rows] = (through * low).sum(1).numpy()

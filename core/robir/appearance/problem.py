@@ -58,19 +58,32 @@ class Scene:
     def sharp_transfer(self, axes: Floats, sharpness: Floats, rows: NDArray[np.int64]) -> Tensor:
         """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
         surfels = self.transport.surfels
+        points = (surfels.position[rows], surfels.normal[rows])
+        return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, SUN_SAMPLES))
+
+    def sharp_transfer_at(
+        self, points: tuple[Floats, Floats], axes: Floats, sharpness: Floats, samples: int
+    ) -> Floats:
+        """The same (N, J) at any points.
+
+        Args:
+            points: Positions and normals, (N, 3) each, unit frame.
+            axes: (J, 3) of the lobes.
+            sharpness: (J,) of the lobes.
+            samples: Rays a lobe.
+        """
+        position, normal = points
         columns = [
             lobe_transfer(
                 self.tracer,
-                surfels.position[rows],
-                surfels.normal[rows],
-                lobe_directions(axis, float(width), SUN_SAMPLES),
+                position,
+                normal,
+                lobe_directions(axis, float(width), samples),
                 self.offset,
             )
             for axis, width in zip(axes, sharpness, strict=True)
         ]
-        if not columns:
-            return torch.zeros(len(rows), 0)
-        return torch.from_numpy(np.stack(columns, axis=1))
+        return np.stack(columns, axis=1) if columns else np.zeros((len(position), 0), np.float32)
 
 
 def make_scene(

@@ -18,7 +18,7 @@ from robir.appearance.light import (
     log_ratio,
     solve_amplitudes,
 )
-from robir.appearance.problem import Problem
+from robir.appearance.problem import PAIR_REACHES, Problem
 from robir.appearance.statistics import Pairs, neighbour_pairs, shadow_pairs
 from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
 
@@ -207,7 +207,7 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         base = _direct(problem, light, others)
         rng = np.random.default_rng(seed + index)
         fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
-        start = SunCandidate(axis=axes[index], strength=1.0, loss=np.inf, gain=0.0)
+        start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
     first = fit(problem, axes, sharpness, config.iterations)
@@ -262,9 +262,8 @@ def _sun_problem(
     rows = scene.rows
     if count < len(rows):
         rows = np.sort(rng.choice(rows, count, replace=False))
-    reaches = (0.05, 0.12, 0.25)
     per_reach = 1 if count < len(scene.rows) else 2
-    pairs = neighbour_pairs(surfels, rows, reaches, per_reach, rng)
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, per_reach, rng)
     sky = scene.soft.sum(1)[:, None].expand(-1, 3) if base is None else base
     return SunProblem(
         position=surfels.position[rows],

@@ -57,6 +57,24 @@ def linear_observations(observations: Observations, curve: AbstractToneCurve) ->
     return curve.linear_from_display(display.reshape(-1, 3)).reshape(display.shape).float()
 
 
+def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
+    """Weights of the views between LOW_SHARE and HIGH_SHARE of each sample's brightness.
+
+    Args:
+        linear: (N, V, 3) radiance.
+        valid: (N, V) bool, views that show the sample.
+
+    Returns:
+        (N, V) float32; a row sums to 1, or to 0 where no view shows the sample.
+    """
+    count = valid.sum(1)
+    rank = linear.sum(2).masked_fill(~valid, float("inf")).argsort(1).argsort(1).float()
+    low = (LOW_SHARE * count).floor()[:, None]
+    high = (HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
+    chosen = (valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)).float()
+    return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
+
+
 def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
     """Robust low mean over the views: highlights drop out, noise averages.
 
@@ -68,17 +86,11 @@ def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
         Radiance per sample.
     """
     valid = torch.from_numpy(observations.weight > 0)
-    count = valid.sum(1)
-    luminance = linear.sum(2).masked_fill(~valid, float("inf"))
-    rank = luminance.argsort(1).argsort(1).float()
-    low = (LOW_SHARE * count).floor()[:, None]
-    high = (HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
-    chosen = valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)
-    share = chosen.float() / chosen.sum(1, keepdim=True).clamp(min=1)
+    share = darker_view_weights(linear, valid)
     mean = (linear * share[..., None]).sum(1)
-    top = torch.from_numpy(observations.clipped) & chosen[..., None]
+    top = torch.from_numpy(observations.clipped) & (share > 0)[..., None]
     clipped = (top.float() * share[..., None]).sum(1) > 0.3
-    return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=count >= 2)
+    return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=valid.sum(1) >= 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.light import PairWeights
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.tracer import AbstractTracer
@@ -61,13 +62,11 @@ class SunCandidate:
 
     Attributes:
         axis: (3,) float32, unit, towards the light.
-        strength: Irradiance over that of the base light.
         loss: Mean absolute log difference with this sun.
         gain: How much lower that is than without any sun, as a share.
     """
 
     axis: Floats
-    strength: float
     loss: float
     gain: float
 
@@ -84,28 +83,26 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
         loss (1,) without any sun.
     """
     strengths = torch.tensor((0.0, *STRENGTHS))
+    wanted = (np.pi * problem.radiance.linear.mean(1) / 0.35).median()
+    weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
     losses = []
     for row in transfer:
         direct = problem.base + strengths[:, None, None] * row[:, None] * problem.base.mean()
-        wanted = np.pi * problem.radiance.linear.mean(1) / 0.35
-        scale = (wanted.median() / direct.mean(2).median(1).values.clamp(min=1e-6))[:, None, None]
+        scale = (wanted / direct.mean(2).median(1).values.clamp(min=1e-6))[:, None, None]
         irradiance = scale * direct + problem.indirect
-        losses.append(_pair_loss(problem, irradiance))
+        losses.append(_pair_loss(problem.radiance, weights, irradiance))
     table = torch.stack(losses)
     return table[:, 1:], table[:1, 0]
 
 
-def _pair_loss(problem: SunProblem, irradiance: Tensor) -> Tensor:
+def _pair_loss(radiance: Radiance, weights: PairWeights, irradiance: Tensor) -> Tensor:
     """Mean absolute pair difference for each of (G, U, 3) irradiances."""
     floor = 0.02 * irradiance.mean((1, 2), keepdim=True)
-    radiance = problem.radiance
     log_albedo = torch.log(radiance.linear) - 0.5 * torch.log(irradiance**2 + floor**2)
-    first = log_albedo[:, problem.pairs.first]
-    difference = first - log_albedo[:, problem.pairs.second]
-    one, two = radiance.clipped[problem.pairs.first], radiance.clipped[problem.pairs.second]
-    low = difference.clamp(max=0) * ~one
-    high = difference.clamp(min=0) * ~two
-    return ((high - low).sum(2) * problem.pairs.weight).sum(1)
+    pairs = weights.pairs
+    difference = log_albedo[:, pairs.first] - log_albedo[:, pairs.second]
+    higher = weights.brighter * difference.clamp(min=0)
+    return (higher - weights.darker * difference.clamp(max=0)).sum((1, 2))
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
@@ -134,7 +131,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     if not len(indices):
         return []
     losses, without = candidate_loss(problem, torch.from_numpy(transfer[indices]).float())
-    best, strength = losses.min(1)
+    best = losses.min(1).values
     order = best.argsort().tolist()
     chosen: list[SunCandidate] = []
     for index in order:
@@ -145,7 +142,6 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
         chosen.append(
             SunCandidate(
                 axis=axis,
-                strength=STRENGTHS[int(strength[index])],
                 loss=loss,
                 gain=1 - loss / float(without),
             )
@@ -204,11 +200,9 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) 
         )
         losses, without = candidate_loss(problem, torch.from_numpy(transfer))
         flat = int(losses.min(1).values.argmin())
-        strength = STRENGTHS[int(losses[flat].argmin())]
         best_loss = float(losses[flat].min())
         best = SunCandidate(
             axis=trials[flat],
-            strength=strength,
             loss=best_loss,
             gain=1 - best_loss / float(without),
         )

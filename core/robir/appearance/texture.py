@@ -26,7 +26,7 @@ from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.observe import Observations, observe
 from robir.transport.tracer import AbstractTracer
-from robir.transport.visibility import lobe_directions, lobe_transfer
+from robir.transport.visibility import lobe_transfer
 
 Floats = NDArray[np.float32]
 
@@ -112,18 +112,8 @@ def sun_transfer(
     problem: Problem, light: Light, texels: Texels, sharpness: Floats, samples: int
 ) -> Floats:
     """Visibility times cosine of every sharp lobe at every texel, (N, J)."""
-    scene = problem.scene
-    columns = [
-        lobe_transfer(
-            scene.tracer,
-            texels.position,
-            texels.normal,
-            lobe_directions(axis, float(width), samples),
-            scene.offset,
-        )
-        for axis, width in zip(light.axes, sharpness, strict=True)
-    ]
-    return np.stack(columns, axis=1) if columns else np.zeros((len(texels.position), 0), np.float32)
+    points = (texels.position, texels.normal)
+    return problem.scene.sharp_transfer_at(points, light.axes, sharpness, samples)
 
 
 def texel_albedo(

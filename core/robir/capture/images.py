@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -161,15 +161,7 @@ def undistort(
         CaptureError: If the distortion folds the picture over itself.
     """
     zoom = _zoom_without_gaps(camera, distortion)
-    straight = Camera(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx * zoom,
-        fy=camera.fy * zoom,
-        cx=camera.cx,
-        cy=camera.cy,
-        camera_to_world=camera.camera_to_world,
-    )
+    straight = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
     at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion)
     rows_columns = (at - 0.5).T[::-1].reshape(2, camera.height, camera.width)
 
@@ -204,15 +196,7 @@ def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
     size = np.array([camera.width, camera.height], dtype=np.float64)
 
     def fits(zoom: float) -> bool:
-        straight = Camera(
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx * zoom,
-            fy=camera.fy * zoom,
-            cx=camera.cx,
-            cy=camera.cy,
-            camera_to_world=camera.camera_to_world,
-        )
+        straight = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
         at = _distorted_pixels(border, straight, camera, distortion)
         if not ((at >= -0.5) & (at <= size + 0.5)).all():
             return False

@@ -39,7 +39,7 @@ def save_capture(folder: Path, capture: Capture) -> None:
                 "radius": bounds.radius,
                 "origin": bounds.origin,
             },
-            "views": [_plain_view(view) for view in capture.views],
+            "views": [plain_view(view) for view in capture.views],
             "findings": [asdict(finding) for finding in capture.findings],
         },
     )
@@ -86,7 +86,8 @@ def view_path(folder: Path, name: str) -> Path:
     return folder / "views" / f"{name}.png"
 
 
-def _plain_view(view: View) -> dict[str, Any]:
+def plain_view(view: View) -> dict[str, Any]:
+    """Name, split and camera of a view as plain values for JSON."""
     camera = view.camera
     return {
         "name": view.name,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture, view_path
+from robir.capture.store import load_capture, plain_view, view_path
 from robir.errors import CancelledError, RobirError
 from robir.evaluation.layers import load_textures, result_mesh
 from robir.export.blender import Outcome, run_headless
@@ -93,22 +93,8 @@ def export_cameras(paths: JobPaths, capture: Capture) -> None:
     folder = paths.stage("capture")
     views = []
     for view in capture.views:
-        camera = view.camera
         photo = os.path.relpath(view_path(folder, view.name), paths.cameras.parent)
-        views.append(
-            {
-                "name": view.name,
-                "split": view.split,
-                "width": camera.width,
-                "height": camera.height,
-                "fx": camera.fx,
-                "fy": camera.fy,
-                "cx": camera.cx,
-                "cy": camera.cy,
-                "camera_to_world": camera.camera_to_world.tolist(),
-                "image": Path(photo).as_posix(),
-            }
-        )
+        views.append({**plain_view(view), "image": Path(photo).as_posix()})
     bounds = {"centre": capture.bounds.centre.tolist(), "radius": capture.bounds.radius}
     write_json(paths.cameras, {"views": views, "bounds": bounds})
 

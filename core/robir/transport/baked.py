@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from robir.capture.capture import View
@@ -114,7 +113,7 @@ def bake(
     chosen = tuple(
         resize_view(view, config.observation_side) for view in spread_views(views, config.max_views)
     )
-    surfels = _seen_surfels(tracer, mesh, chosen, config, seed)
+    surfels, observations = _seen_surfels(tracer, mesh, chosen, config, seed)
     directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, config.ray_offset)
     nothing = csr_matrix(visibility.bounce.shape, dtype=np.float32)
@@ -123,28 +122,25 @@ def bake(
         visibility = replace(visibility, bits=free, bounce=nothing, is_traced=False)
     elif not config.use_indirect:
         visibility = replace(visibility, bounce=nothing)
-    observations = observe(tracer, surfels.position, surfels.normal, chosen, config.ray_offset)
     return Transport(surfels=surfels, visibility=visibility, observations=observations)
 
 
 def _seen_surfels(
     tracer: AbstractTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
-) -> Surfels:
+) -> tuple[Surfels, Observations]:
     """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept.
 
     Hidden samples only carry bounced light, and little of it, so they may be coarse.
     """
+
+    def observed(samples: Surfels) -> Observations:
+        return observe(tracer, samples.position, samples.normal, views, config.ray_offset)
+
     rng = np.random.default_rng(seed)
     few = sample_surfels(mesh, config.num_surfels // 8, rng)
-    share = max(0.15, (_count_views(tracer, few, views, config) > 0).mean())
+    share = max(0.15, (observed(few).weight > 0).any(1).mean())
     surfels = sample_surfels(mesh, int(config.num_surfels / share), rng)
-    seen = _count_views(tracer, surfels, views, config) > 0
-    return surfels.subset(seen | (rng.random(len(seen)) < 0.25))
-
-
-def _count_views(
-    tracer: AbstractTracer, surfels: Surfels, views: tuple[View, ...], config: TransportConfig
-) -> NDArray[np.int64]:
-    """Number of views that see each sample."""
-    seen = observe(tracer, surfels.position, surfels.normal, views, config.ray_offset)
-    return (seen.weight > 0).sum(1)
+    observations = observed(surfels)
+    seen = (observations.weight > 0).any(1)
+    keep = seen | (rng.random(len(seen)) < 0.25)
+    return surfels.subset(keep), observations.subset(keep)

@@ -45,6 +45,15 @@ class Observations:
     clipped: NDArray[np.bool_]
     positions: Floats
 
+    def subset(self, keep: NDArray[np.bool_]) -> Observations:
+        """The points where `keep` holds."""
+        return Observations(
+            display=self.display[keep],
+            weight=self.weight[keep],
+            clipped=self.clipped[keep],
+            positions=self.positions,
+        )
+
 
 def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     """At most `count` views, chosen so that their camera positions lie far apart.
