@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds the Blender extension: `python build_addon.py [--out DIR] [--install BLENDER]`.
+
+DIR/robir-VERSION.zip is the extension: the add-on, the `robir` wheel and a filled-in manifest. One
+zip serves every Blender from 4.2 on, on every system, for nothing in it is compiled.
+DIR/repository is a folder for any web server; a Blender that has its address as a repository
+updates the extension by itself. Both are made and checked by Blender's own packaging tool, which
+lies in the bpy wheel and needs no Blender to run. The same tree gives the same bytes.
+"""
+
+import argparse
+import importlib.util
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+SOURCE = ROOT / "robir_addon"
+EPOCH = (1980, 1, 1, 0, 0, 0)
+COMPILED = (".so", ".pyd", ".dll", ".dylib")
+
+
+class BuildError(Exception):
+    """Something is missing or wrong; the message says what and what to do."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Build, and install where asked for; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="default dist")
+    parser.add_argument(
+        "--install", metavar="BLENDER", help="executable of the Blender to install it in"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        archive = build(options.out.resolve())
+        print(archive)
+        if options.install:
+            install(options.install, archive)
+    except BuildError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def build(out: Path) -> Path:
+    """Make the zip and the repository; what was there before stays until both are whole.
+
+    Args:
+        out: Folder for them; made if it is missing.
+
+    Returns:
+        The zip.
+
+    Raises:
+        BuildError: If a tool is missing or finds a fault.
+    """
+    blender_ext, tags = _packaging_tool()
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".building-", dir=out) as folder:
+        work = Path(folder)
+        stage, repository = work / "robir", work / "repository"
+        wheel = _build_wheel(work)
+        _stage(stage, wheel)
+        draft = work / "draft.zip"
+        _tool(blender_ext, "build", "--source-dir", stage, "--output-filepath", draft)
+        repository.mkdir()
+        archive = repository / f"robir-{_version(wheel)}.zip"
+        _repack(draft, archive)
+        _tool(blender_ext, "validate", f"--valid-tags={tags}", archive)
+        _tool(blender_ext, "server-generate", "--repo-dir", repository, "--html")
+        shutil.copyfile(archive, work / archive.name)
+        (work / archive.name).replace(out / archive.name)
+        if (out / "repository").exists():
+            (out / "repository").rename(work / "old")
+        repository.rename(out / "repository")
+    return out / archive.name
+
+
+def install(blender: str, archive: Path) -> None:
+    """Install and enable the zip in a Blender of this machine, for this user.
+
+    Raises:
+        BuildError: If that Blender cannot be run or refuses it.
+    """
+    _run([blender, "--command", "extension", "install-file", "-r", "user_default", "-e", archive])
+
+
+def _packaging_tool() -> tuple[Path, Path]:
+    """Blender's script for extensions and its list of tags, found without loading Blender."""
+    found = importlib.util.find_spec("bpy")
+    for place in (found and found.submodule_search_locations) or ():
+        for script in Path(place).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"):
+            return script, script.parents[3] / "modules/_bpy_internal/extensions/tags.py"
+    raise BuildError(
+        "Blender's packaging tool comes with the bpy wheel, which is not installed; run `make "
+        "setup`, then .venv/bin/python build_addon.py"
+    )
+
+
+def _build_wheel(work: Path) -> Path:
+    """Build the core's wheel and make sure that it runs on every system."""
+    if importlib.util.find_spec("hatchling") is None:
+        raise BuildError("hatchling, which builds the wheel, is not installed; run `make setup`")
+    folder = work / "wheels"
+    _run([sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder])
+    (wheel,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        compiled = [name for name in archive.namelist() if name.endswith(COMPILED)]
+    if compiled or not wheel.name.endswith("-py3-none-any.whl"):
+        raise BuildError(f"{wheel.name} holds compiled code and would run on one system only")
+    return wheel
+
+
+def _version(wheel: Path) -> str:
+    return wheel.name.split("-")[1]
+
+
+def _stage(stage: Path, wheel: Path) -> None:
+    """Lay out what the zip will hold."""
+    shutil.copytree(SOURCE, stage, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*"))
+    (stage / "wheels").mkdir()
+    shutil.copyfile(wheel, stage / "wheels" / wheel.name)
+    shutil.copyfile(ROOT / "constraints.txt", stage / "engine" / "constraints.txt")
+    shutil.copyfile(ROOT / "LICENSES" / "GPL-3.0-or-later.txt", stage / "LICENSE")
+    manifest = stage / "blender_manifest.toml"
+    text = manifest.read_text(encoding="utf-8")
+    blank, filled = (
+        'version = "0.0.0"\n',
+        f'version = "{_version(wheel)}"\nwheels = ["./wheels/{wheel.name}"]\n',
+    )
+    if text.count(blank) != 1:
+        raise BuildError(f"{SOURCE / manifest.name} has no line {blank.strip()} to fill in")
+    manifest.write_text(text.replace(blank, filled), encoding="utf-8")
+
+
+def _repack(draft: Path, archive: Path) -> None:
+    """Write the same files in a fixed order with a fixed date, so that equal trees give equal zips.
+
+    Blender's tool stores them in the order of the file system, with the dates of the files.
+    """
+    with zipfile.ZipFile(draft) as source, zipfile.ZipFile(archive, "w") as target:
+        for name in sorted(source.namelist()):
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            target.writestr(entry, source.read(name), compresslevel=9)
+
+
+def _tool(script: Path, *arguments: str | Path) -> None:
+    _run([sys.executable, "-B", script, *arguments])
+
+
+def _run(command: Sequence[str | Path]) -> None:
+    """Run a command in the root of the checkout; what it says is shown only if it fails."""
+    try:
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    except OSError as fault:
+        raise BuildError(f"{command[0]} cannot be run: {fault.strerror}") from fault
+    if done.returncode != 0:
+        said = (done.stdout + done.stderr).strip()
+        raise BuildError(f"{' '.join(map(str, command))} ended with {done.returncode}:\n{said}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures of the extension: its zip, and every Blender it has to work in."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from addon import blenders
+
+
+@pytest.fixture(scope="session")
+def extension_zip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The extension as users get it."""
+    out = tmp_path_factory.mktemp("extension")
+    subprocess.run(
+        [sys.executable, blenders.ROOT / "build_addon.py", "--out", out],
+        check=True,
+        capture_output=True,
+    )
+    (file,) = out.glob("robir-*.zip")
+    return file
+
+
+@pytest.fixture(params=blenders.VERSIONS)
+def blender(request: pytest.FixtureRequest) -> blenders.Blender:
+    """Each supported Blender in turn; those that are not here are skipped."""
+    found = blenders.find_blender(request.param)
+    if found is None:
+        pytest.skip(f"no Blender {request.param} on this machine; make blenders fetches it")
+    return found
