@@ -17,6 +17,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from .summary import read_shown
+
 STUDIO_LIGHTS = (
     ("city", "City", "Street between buildings under an open sky"),
     ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
@@ -89,6 +91,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Shown result",
         description="Result folder that the panels Result, Relight and Export work with",
         subtype="DIR_PATH",
+        update=lambda *_: read_shown(),
     )
     studio_light: EnumProperty(
         name="Studio light",

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture dropped on the 3D viewport.
+
+Blender hands over files with known suffixes and no folders, so that any file of the capture that
+holds camera poses stands for the folder it belongs to.
+"""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import CollectionProperty, StringProperty
+
+SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt")
+_COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
+
+
+def capture_folder(file: Path) -> Path | None:
+    """Folder of the capture that a file with camera poses belongs to.
+
+    Args:
+        file: A dropped file; only its name is looked at.
+
+    Returns:
+        The folder, or None where the file's name is none of a known format's.
+    """
+    folder, suffix, stem = file.parent, file.suffix.lower(), file.stem
+    if suffix in (".bin", ".txt") and stem in _COLMAP:
+        if folder.parent.name == "sparse":
+            folder = folder.parent
+        if folder.name == "sparse":
+            folder = folder.parent
+            return folder.parent if folder.name == "colmap" else folder
+        return folder
+    known = (
+        (suffix == ".json" and stem.startswith("transforms"))
+        or (suffix == ".npz" and stem.startswith("cameras"))
+        or (suffix == ".npy" and stem == "poses_bounds")
+    )
+    return folder if known else None
+
+
+class ROBIR_OT_drop_capture(bpy.types.Operator):
+    """Take the capture that a dropped file belongs to, and look at it."""
+
+    bl_idname = "robir.drop_capture"
+    bl_label = "Take Capture"
+    bl_description = "Take the capture that this file belongs to, show its cameras and check it"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not while something is at work."""
+        if context.window_manager.robir.task:
+            cls.poll_message_set("Wait until the work at hand is done, or cancel it")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Look without making the user wait."""
+        return self._take(context, "INVOKE_DEFAULT")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Look and return when that is done."""
+        return self._take(context, "EXEC_DEFAULT")
+
+    def _take(self, context: bpy.types.Context, way: str) -> set[str]:
+        names = [file.name for file in self.files]
+        folders = (capture_folder(Path(self.directory) / name) for name in names)
+        folder = next((found for found in folders if found), None)
+        if folder is None:
+            dropped = names[0] if names else "nothing"
+            self.report(
+                {"ERROR"},
+                f"{dropped} holds no cameras of a known format; drop transforms.json, "
+                "cameras.bin, cameras_sphere.npz or poses_bounds.npy",
+            )
+            return {"CANCELLED"}
+        context.scene.robir.capture = str(folder)
+        try:
+            return bpy.ops.robir.look_at_capture(way)
+        except RuntimeError as fault:  # how Blender passes on what that operator reported
+            self.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
+
+
+class ROBIR_FH_capture(bpy.types.FileHandler):
+    """Camera files dropped on the 3D viewport."""
+
+    bl_idname = "ROBIR_FH_capture"
+    bl_label = "RobIR capture"
+    bl_import_operator = ROBIR_OT_drop_capture.bl_idname
+    bl_file_extensions = ";".join(SUFFIXES)
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Only where the capture can be shown."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+CLASSES = (ROBIR_OT_drop_capture, ROBIR_FH_capture)

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sidebar's tab, its panels in order of work; they draw what is known and decide nothing.
+
+No panel touches a file: what the result's report says was read by `summary`, what goes on comes
+from `WindowManager.robir`, which `monitor` fills.
+"""
+
+from pathlib import Path
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from .paragraphs import paragraph
+from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
+from .summary import shown_summary
+
+_LEVEL_ICONS = {"error": "CANCEL", "warning": "ERROR", "note": "INFO"}
+_STAGES = {
+    "capture": "Photographs",
+    "geometry": "Shape",
+    "transport": "Visibility",
+    "appearance": "Light and materials",
+    "export": "Files and report",
+}
+_PREVIEW = "RobIR preview"
+_CAPTURE_COLLECTION = "RobIR capture"
+
+
+class _Panel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "RobIR"
+
+
+class ROBIR_PT_problem(_Panel, bpy.types.Panel):
+    """What went wrong last, above everything else."""
+
+    bl_label = "Problem"
+    bl_options = {"HIDE_HEADER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while there is something to say."""
+        return bool(context.window_manager.robir.error)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The sentence, the cure, and what helps whoever is asked for help."""
+        state = context.window_manager.robir
+        box = self.layout.box()
+        alert = box.column()
+        alert.alert = True
+        paragraph(alert, context, state.error, "ERROR")
+        if state.error_cure:
+            paragraph(box, context, state.error_cure, "BLANK1")
+        box.operator("robir.copy_report", icon="COPYDOWN")
+
+
+class ROBIR_PT_capture(_Panel, bpy.types.Panel):
+    """Which photographs, and what they were recognised as."""
+
+    bl_label = "Capture"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Choose a folder; then its name and what is in it."""
+        layout = self.layout
+        settings, state = context.scene.robir, context.window_manager.robir
+        if not settings.capture:
+            _big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
+            paragraph(
+                layout,
+                context,
+                "Or drop its transforms.json, cameras.bin, cameras_sphere.npz or poses_bounds.npy "
+                "into the viewport",
+                "INFO",
+            )
+            return
+        row = layout.row(align=True)
+        row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
+        row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
+        row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
+        row.operator("robir.clear_capture", text="", icon="X")
+        if state.task == "look":
+            _progress(layout, context)
+        elif state.recognised:
+            paragraph(layout, context, state.recognised, "CHECKMARK")
+        split = _split(layout)
+        split.prop(settings, "masks")
+        cameras = bpy.data.collections.get(_CAPTURE_COLLECTION)
+        if cameras is not None:
+            split.prop(cameras, "hide_viewport", text="Cameras in view", invert_checkbox=True)
+
+
+class ROBIR_PT_check(_Panel, bpy.types.Panel):
+    """Findings of the check, worst first, each with its cure."""
+
+    bl_label = "Check"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a capture was looked at."""
+        state = context.window_manager.robir
+        return bool(state.recognised or state.findings)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One paragraph a finding."""
+        layout = self.layout
+        findings = context.window_manager.robir.findings
+        if not findings:
+            layout.label(text="No faults found", icon="CHECKMARK")
+        for level, icon in _LEVEL_ICONS.items():
+            for finding in findings:
+                if finding.level != level:
+                    continue
+                box = layout.box()
+                paragraph(box, context, finding.text, icon)
+                if finding.cure:
+                    paragraph(box, context, finding.cure, "BLANK1").active = False
+
+
+class ROBIR_PT_presets(PresetPanel, bpy.types.Panel):
+    """Sets of choices under a name."""
+
+    bl_label = "Reconstruction Presets"
+    preset_subdir = ROBIR_MT_presets.preset_subdir
+    preset_operator = ROBIR_MT_presets.preset_operator
+    preset_add_operator = ROBIR_OT_add_preset.bl_idname
+
+
+class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
+    """The few choices that matter, one button, and how far it is."""
+
+    bl_label = "Reconstruct"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """The list of presets."""
+        ROBIR_PT_presets.draw_panel_header(self.layout)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Choices while nothing runs, progress while it does."""
+        state = context.window_manager.robir
+        if state.task == "reconstruct":
+            self._draw_running(context)
+            return
+        settings, layout = context.scene.robir, self.layout
+        split = _split(layout)
+        split.prop(settings, "preset")
+        split.prop(settings, "device")
+        split.prop(settings, "out")
+        if state.job:
+            paragraph(layout, context, "A reconstruction of this capture is running", "INFO")
+            _big(layout).operator("robir.attach", icon="LINKED")
+        else:
+            _big(layout).operator("robir.reconstruct", icon="PLAY")
+
+    def _draw_running(self, context: bpy.types.Context) -> None:
+        state, layout = context.window_manager.robir, self.layout
+        _progress(layout, context)
+        column = layout.column(align=True)
+        column.label(text=_STAGES.get(state.stage, state.stage.capitalize()), icon="TIME")
+        if state.seconds_left >= 0.0:
+            column.label(text=f"{_duration(state.seconds_left)} left", icon="BLANK1")
+        if state.held_out_psnr >= 0.0:
+            text = f"{state.held_out_psnr:.1f} dB on photographs kept aside"
+            column.label(text=text, icon="BLANK1")
+        preview = bpy.data.images.get(_PREVIEW)
+        if preview is not None:
+            layout.template_icon(icon_value=layout.icon(preview), scale=10.0)
+        _big(layout).operator("robir.cancel_reconstruct", icon="CANCEL")
+
+
+class ROBIR_PT_result(_Panel, bpy.types.Panel):
+    """What came out, beside what went in."""
+
+    bl_label = "Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The result's name, what its report says, and ways to look at it."""
+        layout, settings = self.layout, context.scene.robir
+        if not settings.result:
+            layout.operator("robir.import_result", icon="IMPORT")
+            return
+        row = layout.row(align=True)
+        row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
+        row.operator("robir.import_result", text="", icon="FILE_REFRESH")
+        column = layout.column(align=True)
+        column.operator("robir.compare", icon="IMAGE_REFERENCE")
+        column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
+        column.operator("robir.match_view_transform", icon="COLOR")
+        column.operator("robir.open_report", icon="URL")
+        summary = shown_summary(settings)
+        if summary is None:
+            return
+        facts = layout.column(align=True)
+        for fact in summary.facts:
+            paragraph(facts, context, fact, "DOT")
+        header, body = layout.panel("ROBIR_choices", default_closed=True)
+        header.label(text="What the model chose")
+        if body is not None:
+            for chosen, why in summary.choices:
+                paragraph(body, context, chosen)
+                paragraph(body, context, why).active = False
+        if summary.warnings:
+            header, body = layout.panel("ROBIR_warnings", default_closed=True)
+            header.label(text=f"Warnings ({len(summary.warnings)})", icon="ERROR")
+            for warning in summary.warnings if body is not None else ():
+                paragraph(body, context, warning)
+
+
+class ROBIR_PT_relight(_Panel, bpy.types.Panel):
+    """The recovered light, or another."""
+
+    bl_label = "Relight"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Lights to choose from, how they are turned, and a film of that."""
+        layout, settings = self.layout, context.scene.robir
+        column = layout.column(align=True)
+        column.operator("robir.use_recovered_light", icon="LIGHT_SUN")
+        column.operator_menu_enum("robir.use_studio_light", "light", icon="LIGHTPROBE_SPHERE")
+        column.operator("robir.use_environment", icon="WORLD")
+        split = _split(layout)
+        split.prop(settings, "rotation")
+        split.prop(settings, "use_sun_lamp")
+        split.prop(settings, "turntable_frames")
+        if context.window_manager.robir.task == "turntable":
+            _progress(layout, context)
+        else:
+            layout.operator("robir.turntable", icon="RENDER_ANIMATION")
+
+
+class ROBIR_PT_export(_Panel, bpy.types.Panel):
+    """The result in files for other programs."""
+
+    bl_label = "Export"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One button a kind of file."""
+        column = self.layout.column(align=True)
+        column.operator("robir.export_glb", icon="FILE_3D")
+        column.operator("robir.export_usd", icon="FILE_3D")
+        column.operator("robir.export_textures", icon="TEXTURE")
+        column.operator("robir.mark_asset", icon="ASSET_MANAGER")
+
+
+class ROBIR_PT_engine(_Panel, bpy.types.Panel):
+    """What computes: whether it works, and how to get it."""
+
+    bl_label = "Engine"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """What the last check said, and what can be done."""
+        layout, state = self.layout, context.window_manager.robir
+        if state.engine_text:
+            icon = "CHECKMARK" if state.engine_ok else "ERROR"
+            paragraph(layout, context, state.engine_text, icon)
+        if state.task in ("install", "check_engine"):
+            _progress(layout, context)
+        column = layout.column(align=True)
+        if state.task == "install":
+            column.operator("robir.cancel_install", icon="CANCEL")
+        else:
+            column.operator("robir.install_engine", icon="IMPORT")
+        column.operator("robir.check_engine", icon="CHECKMARK")
+        column.operator("robir.remove_engine", icon="TRASH")
+        layout.operator(
+            "preferences.addon_show", text="Preferences", icon="PREFERENCES"
+        ).module = __package__
+
+
+def _big(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    row = layout.row()
+    row.scale_y = 1.5
+    return row
+
+
+def _split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A column of properties with their names at the left."""
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
+def _progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """A bar, and below it what is being done."""
+    state = context.window_manager.robir
+    layout.progress(factor=state.fraction, type="BAR", text=f"{100.0 * state.fraction:.0f} %")
+    if state.message:
+        paragraph(layout, context, state.message)
+
+
+def _name(folder: str) -> str:
+    return Path(bpy.path.abspath(folder)).name
+
+
+def _duration(seconds: float) -> str:
+    """About how long, in a word or two."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
+CLASSES = (
+    ROBIR_PT_presets,
+    ROBIR_PT_problem,
+    ROBIR_PT_capture,
+    ROBIR_PT_check,
+    ROBIR_PT_reconstruct,
+    ROBIR_PT_result,
+    ROBIR_PT_relight,
+    ROBIR_PT_export,
+    ROBIR_PT_engine,
+)
