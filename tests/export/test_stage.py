@@ -69,6 +69,7 @@ def test_the_result_folder_is_complete(exported):
         "export/asset.glb",
         "export/cameras.json",
         "export/environment.exr",
+        "export/environment_without_sun.exr",
         "export/light.json",
         "export/tone_curve.cube",
         "export/tone_curve.json",

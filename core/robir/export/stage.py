@@ -25,7 +25,7 @@ from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
 
-REVISION = 1
+REVISION = 2
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""

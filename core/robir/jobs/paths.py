@@ -51,6 +51,11 @@ class JobPaths:
         return self.root / "log.txt"
 
     @property
+    def preview(self) -> Path:
+        """A photograph and its present re-render side by side; replaced while the run goes on."""
+        return self.root / "preview.png"
+
+    @property
     def cancel(self) -> Path:
         """Touch this file to ask the run to stop."""
         return self.root / "cancel"
@@ -92,6 +97,11 @@ class JobPaths:
     def environment(self) -> Path:
         """Recovered light, lat-long, linear Rec.709, Blender's world frame."""
         return self.export / "environment.exr"
+
+    @property
+    def environment_without_sun(self) -> Path:
+        """Recovered light without the lobes that light.json gives as Sun lamps; absent without."""
+        return self.export / "environment_without_sun.exr"
 
     @property
     def light(self) -> Path:
