@@ -27,24 +27,31 @@ def _shipped_version() -> str | None:
     return None
 
 
-def _found_version() -> str:
-    """Version of the `robir` that Python finds.
-
-    Raises:
-        AddonError: If there is none, or one that is not ours.
-    """
+def _fault(shipped: str) -> str | None:
+    """What is wrong with the `robir` that Python finds, or None if it is the one shipped."""
     try:
         found = importlib.import_module("robir")
-    except ModuleNotFoundError as fault:
-        raise AddonError(f"the package robir of this extension is missing; {_CURE}") from fault
+    except ModuleNotFoundError:
+        return f"the package robir of this extension is missing; {_CURE}"
+    place = Path(getattr(found, "__file__", None) or "a folder without code/").parent
     try:
         importlib.import_module("robir.jobs.paths")
-        return found.__version__
-    except (ModuleNotFoundError, AttributeError) as fault:
-        place = Path(getattr(found, "__file__", None) or "a folder without code").parent
-        raise AddonError(
-            f"Blender's Python finds another package named robir in {place}; remove that one"
-        ) from fault
+        version = found.__version__
+    except (ModuleNotFoundError, AttributeError):
+        return f"Blender's Python finds another package named robir in {place}; remove that one"
+    if version == shipped:
+        return None
+    return (
+        f"this extension needs robir {shipped} and Blender's Python finds {version} in {place}; "
+        f"remove that one, or {_CURE}"
+    )
+
+
+def _forget() -> None:
+    """Drop what is loaded: an update of the extension changes the files under loaded modules."""
+    for name in [n for n in sys.modules if n == "robir" or n.startswith("robir.")]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
 
 
 def _require_ours() -> None:
@@ -54,17 +61,12 @@ def _require_ours() -> None:
         AddonError: If it is missing, foreign, or of another version.
     """
     shipped = _shipped_version()
-    if shipped not in (None, _found_version()):
-        # An update of the extension changes the files under modules that are still loaded.
-        for name in [n for n in sys.modules if n == "robir" or n.startswith("robir.")]:
-            del sys.modules[name]
-        importlib.invalidate_caches()
-    if shipped not in (None, found := _found_version()):
-        place = Path(importlib.import_module("robir").__file__ or "").parent
-        raise AddonError(
-            f"this extension needs robir {shipped} and Blender's Python finds {found} in {place}; "
-            f"remove that one, or {_CURE}"
-        )
+    if shipped is None or _fault(shipped) is None:
+        return
+    _forget()
+    if fault := _fault(shipped):
+        _forget()
+        raise AddonError(fault)
 
 
 _require_ours()

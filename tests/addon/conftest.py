@@ -31,3 +31,11 @@ def blender(request: pytest.FixtureRequest) -> blenders.Blender:
     if found is None:
         pytest.skip(f"no Blender {request.param} on this machine; make blenders fetches it")
     return found
+
+
+@pytest.fixture
+def own_blender() -> blenders.Blender:
+    """The Blender of the environment that runs the tests."""
+    found = blenders.find_blender("4.5")
+    assert found is not None
+    return found

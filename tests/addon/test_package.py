@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The extension as a package: built, checked, installed, updated and removed in every Blender."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from addon.blenders import MODULE, ROOT, run
+
+import robir
+
+pytestmark = pytest.mark.blender
+
+COMMON = f"""
+import os, sys
+import bpy
+import addon_utils
+
+MODULE = {MODULE!r}
+
+
+def install(archive, enable=True):
+    return list(bpy.ops.extensions.package_install_files(
+        filepath=archive, repo="user_default", enable_on_install=enable))
+
+
+def is_enabled():
+    return MODULE in bpy.context.preferences.addons.keys()
+
+
+def own_classes():
+    return {{
+        value for name, module in list(sys.modules.items()) if name.startswith(MODULE)
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, bpy.types.bpy_struct)
+        and value.__module__ == name
+    }}
+
+
+def try_to_enable():
+    faults = []
+    addon_utils.enable(MODULE, default_set=True, handle_error=faults.append)
+    return [str(fault) for fault in faults]
+"""
+
+LIFE = """
+import importlib.metadata
+
+
+def registered(classes):
+    return sorted(cls.__name__ for cls in classes if cls.is_registered)
+
+
+def blender_python(site_packages):
+    import numpy
+
+    files = [
+        (os.path.join(folder, name), os.path.getsize(os.path.join(folder, name)))
+        for folder, _, names in os.walk(site_packages)
+        for name in names if not name.endswith(".pyc")
+    ]
+    distributions = importlib.metadata.distributions(path=[site_packages])
+    return [
+        numpy.__version__,
+        numpy.__file__,
+        sorted(f"{d.name} {d.version}" for d in distributions),
+        sorted(files),
+    ]
+
+
+def main(archive, site_packages):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    answer = {}
+    python, paths = blender_python(site_packages), list(sys.path)
+    answer["installed"] = install(archive)
+    answer["enabled"] = is_enabled()
+    classes = own_classes()
+    answer["classes"] = sorted(cls.__name__ for cls in classes)
+    answer["registered"] = [registered(classes)]
+    import robir
+    answer["robir"] = robir.__file__
+    answer["loaded"] = sorted({name.partition(".")[0] for name in sys.modules})
+    bpy.ops.preferences.addon_disable(module=MODULE)
+    answer["registered"].append(registered(classes | own_classes()))
+    answer["pointers"] = [hasattr(t, "robir") for t in (bpy.types.Scene, bpy.types.WindowManager)]
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    answer["registered"].append(registered(own_classes()))
+    (index,) = [
+        i for i, repo in enumerate(bpy.context.preferences.extensions.repos)
+        if repo.module == "user_default"
+    ]
+    bpy.ops.extensions.package_uninstall(repo_index=index, pkg_id="robir")
+    answer["registered"].append(registered(classes | own_classes()))
+    answer["left"] = sorted(
+        os.path.join(folder, name)
+        for folder, _, names in os.walk(os.environ["BLENDER_USER_RESOURCES"])
+        for name in names if "robir" in os.path.join(folder, name)
+    )
+    answer["python"] = "as before" if blender_python(site_packages) == python else "changed"
+    return answer
+"""
+
+
+def test_install_disable_enable_uninstall(blender, extension_zip, tmp_path):
+    user = tmp_path / "user"
+    answer = run(blender, COMMON + LIFE, str(extension_zip), str(blender.site_packages), user=user)
+    assert answer["installed"] == ["FINISHED"]
+    assert answer["enabled"]
+    assert {"ROBIR_PG_settings", "ROBIR_PG_state"} <= set(answer["classes"])
+    assert answer["registered"] == [answer["classes"], [], answer["classes"], []]
+    assert answer["pointers"] == [False, False]
+    local = user / "extensions" / ".local"
+    assert Path(answer["robir"]).is_relative_to(local), "robir came from elsewhere"
+    assert answer["left"] == []
+    assert answer["python"] == "as before"
+    assert not {"torch", "scipy", "rich", "skimage", "trimesh"} & set(answer["loaded"])
+
+
+UPDATE = """
+def main(old, new):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    versions = []
+    for archive in (old, new):
+        install(archive)
+        assert is_enabled()
+        versions.append(sys.modules[MODULE + ".gateway"].__version__)
+    return versions
+"""
+
+FOREIGN = """
+def main(archive, foreign):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    install(archive, enable=False)
+    sys.path.insert(0, foreign)
+    answer = {"said": try_to_enable(), "enabled": is_enabled()}
+    sys.path.remove(foreign)
+    answer["cured"] = try_to_enable() or is_enabled()
+    return answer
+"""
+
+
+@pytest.fixture(scope="module")
+def newer_tree(tmp_path_factory):
+    """The parts of the checkout that a build needs, elsewhere, with a version of its own."""
+    tree = tmp_path_factory.mktemp("newer") / "a tree's copy"
+    skip = shutil.ignore_patterns("__pycache__")
+    for folder in ("core", "robir_addon", "LICENSES"):
+        shutil.copytree(ROOT / folder, tree / folder, ignore=skip)
+    for file in ("build_addon.py", "constraints.txt", "pyproject.toml", "README.md"):
+        shutil.copyfile(ROOT / file, tree / file)
+    init = tree / "core/robir/__init__.py"
+    text = init.read_text(encoding="utf-8").replace(robir.__version__, "98.7.6")
+    init.write_text(text, encoding="utf-8")
+    return tree
+
+
+def build(tree, *arguments):
+    command = [sys.executable, tree / "build_addon.py", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
+
+
+def test_update_within_one_session(blender, extension_zip, newer_tree, tmp_path):
+    """The old version's modules are loaded when the new one starts."""
+    assert build(newer_tree, "--out", tmp_path).returncode == 0
+    newer = tmp_path / "robir-98.7.6.zip"
+    versions = run(blender, COMMON + UPDATE, str(extension_zip), str(newer), user=tmp_path / "user")
+    assert versions == [robir.__version__, "98.7.6"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "another package named robir"),
+        ("__version__ = '0.0.9'", "another package named robir"),
+        (None, "finds 0.0.9"),
+    ],
+)
+def test_a_foreign_robir_is_refused_in_words(extension_zip, tmp_path, content, words, own_blender):
+    foreign = tmp_path / "foreign"
+    package = foreign / "robir"
+    if content is None:
+        shutil.copytree(ROOT / "core/robir/jobs", package / "jobs")
+        shutil.copyfile(ROOT / "core/robir/errors.py", package / "errors.py")
+        content = "__version__ = '0.0.9'"
+    package.mkdir(parents=True, exist_ok=True)
+    (package / "__init__.py").write_text(content, encoding="utf-8")
+    answer = run(
+        own_blender, COMMON + FOREIGN, str(extension_zip), str(foreign), user=tmp_path / "user"
+    )
+    (sentence,) = answer["said"]
+    assert words in sentence
+    assert str(package) in sentence
+    assert not answer["enabled"]
+    assert answer["cured"] is True
+
+
+def contents(archive):
+    with zipfile.ZipFile(archive) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def test_what_the_zip_holds(extension_zip):
+    files = contents(extension_zip)
+    manifest = tomllib.loads(files["blender_manifest.toml"].decode())
+    assert manifest["version"] == robir.__version__
+    (wheel,) = manifest["wheels"]
+    assert wheel.removeprefix("./") in files
+    assert files["engine/constraints.txt"] == (ROOT / "constraints.txt").read_bytes()
+    assert {"__init__.py", "gateway.py", "LICENSE"} <= set(files)
+    allowed = (".py", ".toml", ".txt", ".whl", "LICENSE")
+    assert [name for name in files if not name.endswith(allowed)] == []
+
+
+def test_the_same_tree_gives_the_same_zip(newer_tree, tmp_path):
+    assert build(newer_tree, "--out", tmp_path / "a").returncode == 0
+    again = tmp_path / "again"
+    shutil.copytree(newer_tree, again)
+    (again / "robir_addon/__pycache__").mkdir()
+    (again / "robir_addon/__pycache__/rest.pyc").write_bytes(b"rest")
+    assert build(again, "--out", tmp_path / "b").returncode == 0
+    first, second = (tmp_path / name / "robir-98.7.6.zip" for name in "ab")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_repository_offers_the_zip(extension_zip):
+    repository = extension_zip.parent / "repository"
+    listing = json.loads((repository / "index.json").read_text(encoding="utf-8"))
+    (entry,) = listing["data"]
+    assert (entry["id"], entry["version"]) == ("robir", robir.__version__)
+    offered = repository / entry["archive_url"]
+    assert offered.read_bytes() == extension_zip.read_bytes()
+    assert entry["archive_size"] == offered.stat().st_size
+    assert (repository / "index.html").is_file()
+    assert [p.name for p in extension_zip.parent.iterdir() if p.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('"Lighting"', '"Nonsense"', "Nonsense"),
+        ('id = "robir"', 'id = "rob-ir"', "Not a valid identifier"),
+        ('version = "0.0.0"', 'version = "1.0.0"', "to fill in"),
+    ],
+)
+def test_a_bad_manifest_builds_nothing(newer_tree, tmp_path, before, after, words):
+    tree = tmp_path / "tree"
+    shutil.copytree(newer_tree, tree)
+    manifest = tree / "robir_addon/blender_manifest.toml"
+    text = manifest.read_text(encoding="utf-8")
+    assert before in text
+    manifest.write_text(text.replace(before, after), encoding="utf-8")
+    done = build(tree, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert words in done.stderr
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_compiled_code_in_the_wheel_is_refused(newer_tree, tmp_path):
+    tree = tmp_path / "tree"
+    shutil.copytree(newer_tree, tree)
+    (tree / "core/robir/fast.so").write_bytes(b"\x7fELF")
+    done = build(tree, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert "compiled" in done.stderr
+
+
+def test_install_says_when_there_is_no_such_blender(newer_tree, tmp_path):
+    done = build(newer_tree, "--out", tmp_path, "--install", "/nowhere/blender")
+    assert done.returncode == 1
+    assert done.stderr == "error: /nowhere/blender cannot be run: No such file or directory\n"
