@@ -43,7 +43,9 @@ def reconstruct(options: Namespace) -> int:
 def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
     from robir.capture.check import check_capture
+    from robir.capture.recognise import read_frames
     from robir.capture.refusal import describe
+    from robir.capture.store import plain_view
 
     capture, findings = check_capture(options.capture, options.masks, RunConfig().capture)
     facts: dict[str, Any] = {"accepted": capture is not None}
@@ -56,7 +58,13 @@ def check(options: Namespace) -> int:
             "centre": capture.bounds.centre.tolist(),
         }
     if options.json:
-        print(json.dumps(facts | {"findings": [asdict(finding) for finding in findings]}, indent=2))
+        if capture is not None:
+            photos = {frame.name: frame.image for frame in read_frames(options.capture).frames}
+            facts["cameras"] = [
+                plain_view(view) | {"image": str(photos[view.name].resolve())}
+                for view in capture.views
+            ]
+        print(json.dumps(facts | {"findings": [asdict(finding) for finding in findings]}))
     else:
         if capture is not None:
             print(f"{capture.format}: {facts['views']} views, {facts['held_out']} held out")

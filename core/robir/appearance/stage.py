@@ -19,11 +19,12 @@ from robir.appearance.solver import Light, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import Candidate, ClippingEvidence, rank_tone_curves
 from robir.capture.capture import Capture
+from robir.capture.preview import save_preview
 from robir.capture.store import load_capture
 from robir.geometry.mesh import Mesh
 from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
-from robir.jobs.paths import replacing, write_json
+from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import Transport
 from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
@@ -80,6 +81,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
     psnr = _held_out(folder, problem, light, gloss, capture, (mesh, tracer, lookup, values))
+    _show(context.paths, capture)
     _write_textures(folder, inside, values)
     _write_light(folder, light)
     _write_tone_curve(folder, candidates, evidence)
@@ -155,6 +157,15 @@ def _held_out(
     with replacing(folder / "held_out.npz") as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **images)
     return round(-10 * np.log10(max(squared / count, 1e-10)), 3) if count else None
+
+
+def _show(paths: JobPaths, capture: Capture) -> None:
+    """Replace the picture by which the user follows the run."""
+    if capture.held_out:
+        view = capture.held_out[0]
+        with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as images:
+            rendering = images[view.name]
+        save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
 
 def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo) -> None:

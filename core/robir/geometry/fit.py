@@ -14,6 +14,7 @@ from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.lattice import Lattice
+from robir.geometry.preview import Renderer
 from robir.geometry.rays import RaySampler
 from robir.geometry.regularise import laplacian_step, smoothed
 from robir.geometry.sampling import Occupancy, march
@@ -108,12 +109,25 @@ def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     return occupancy
 
 
+def _renderer(
+    field: Field, network: ColourNetwork, occupancy: Occupancy, inv_std: float
+) -> Renderer:
+    """What draws rays of the present field; takes nothing from any random generator."""
+
+    def render(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        middle = torch.full_like(origins[:, 0], 0.5)
+        intervals = march(occupancy, field.sdf, inv_std, origins, directions, middle)
+        return field.render(intervals, network, (origins, directions), inv_std)
+
+    return render
+
+
 def fit(
     sampler: RaySampler,
     start: tuple[Lattice, Tensor],
     config: GeometryConfig,
     generator: torch.Generator,
-    progress: Callable[[float], None],
+    progress: Callable[[float, Renderer], None],
     settle: Callable[[Field], None],
 ) -> Field:
     """Fit a field to the rays of a capture.
@@ -123,7 +137,7 @@ def fit(
         start: Lattice and signed distances to start from, usually the visual hull.
         config: Levels, steps, rays.
         generator: Source of the samples' jitter and of the network's weights, on the CPU.
-        progress: Called with the share done after every few steps.
+        progress: Called after every few steps with the share done and what renders the field.
         settle: Called at the end of every level, may change the field's distances in place.
 
     Returns:
@@ -156,7 +170,7 @@ def fit(
             factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
             if occupancy is None or step % REFRESH == 0:
                 occupancy = _refresh(field, optimiser, inv_std)
-                progress(share)
+                progress(share, _renderer(field, network, occupancy, inv_std))
             origins, directions, target = sampler.draw(config.rays)
             jitter = torch.rand(len(origins), generator=generator).to(device)
             intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)

@@ -21,6 +21,7 @@ from robir.geometry.hull import HullCarver, carve, spread_views
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
+from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.simplify import decimate, fill_holes, with_creases
 from robir.geometry.surface import distance_to_mesh, extract
@@ -42,8 +43,9 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         Metrics for the stage's manifest.
     """
     capture = load_capture(context.paths.stage("capture")).normalised()
+    preview = Preview(capture, context.paths.preview, context.device, context.reporter)
     mesh, metrics = reconstruct(
-        capture, context.config, context.seed, context.device, context.reporter
+        capture, context.config, context.seed, context.device, context.reporter, preview
     )
     folder = context.paths.stage("geometry")
     mesh.save(folder / "mesh.npz")
@@ -53,7 +55,12 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
 
 
 def reconstruct(
-    capture: Capture, config: GeometryConfig, seed: int, device: str, reporter: Reporter
+    capture: Capture,
+    config: GeometryConfig,
+    seed: int,
+    device: str,
+    reporter: Reporter,
+    preview: Preview | None = None,
 ) -> tuple[Mesh, dict[str, float | str]]:
     """Surface of a capture whose bounding sphere is the unit sphere.
 
@@ -63,6 +70,7 @@ def reconstruct(
         seed: Seed of every random choice.
         device: Torch device.
         reporter: Progress and warnings.
+        preview: Shows the surface as it grows, or None.
 
     Returns:
         The unwrapped mesh in the unit frame, and metrics.
@@ -81,8 +89,10 @@ def reconstruct(
     generator = torch.Generator().manual_seed(seed)
     sampler = RaySampler(photos, device, generator)
 
-    def progress(share: float) -> None:
+    def progress(share: float, render: Renderer) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
+        if preview is not None:
+            preview.show(render)
 
     plane = detect(photos, lattice, hull, generator)
     ground = None if plane is None else Ground(plane, photos, lattice, hull)

@@ -6,7 +6,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +30,7 @@ class Status:
         exit_code: What the process exits with; None while it runs.
         pid: Process that writes this.
         heartbeat: Unix time of this writing, seconds.
+        metrics: Latest value by name, of the finished stages and of the one at work.
     """
 
     state: State
@@ -39,11 +41,13 @@ class Status:
     exit_code: int | None
     pid: int
     heartbeat: float
+    metrics: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_status(path: Path) -> Status:
-    """Read what `StatusWriter` wrote."""
-    return Status(**read_json(path))
+    """Read what `StatusWriter` wrote, also one of another version."""
+    known = {item.name for item in fields(Status)}
+    return Status(**{name: value for name, value in read_json(path).items() if name in known})
 
 
 class StatusWriter:
@@ -62,6 +66,7 @@ class StatusWriter:
         message: str,
         seconds_left: float | None = None,
         exit_code: int | None = None,
+        metrics: Mapping[str, Any] | None = None,
     ) -> None:
         """Replace `status.json`; arguments as the attributes of `Status`."""
         status = Status(
@@ -73,6 +78,7 @@ class StatusWriter:
             exit_code=exit_code,
             pid=os.getpid(),
             heartbeat=time.time(),
+            metrics=dict(metrics or {}),
         )
         write_json(self._paths.status, asdict(status))
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from robir.errors import CancelledError
-from robir.jobs.paths import JobPaths
-from robir.jobs.status import Kind, StatusWriter
+from robir.jobs.paths import STAGES, JobPaths, read_json
+from robir.jobs.status import Kind, State, StatusWriter
 
 _log = logging.getLogger(__name__)
 
@@ -52,6 +52,7 @@ class RunReporter:
             pending: Stages that will run; the others count as done.
         """
         self._warnings: list[dict[str, str]] = []
+        self._metrics = _known_metrics(paths, pending)
         self._paths = paths
         self._display = display
         self._writer = StatusWriter(paths)
@@ -79,6 +80,7 @@ class RunReporter:
     def end(self, stage: str, metrics: dict[str, Any], seconds: dict[str, float]) -> None:
         """A stage has ended well."""
         self._done = min(1.0, self._done + _SHARES[stage])
+        self._metrics |= metrics
         self._announce("finished", message=f"{stage} done", metrics=metrics, seconds=seconds)
 
     def skip(self, stage: str) -> None:
@@ -102,9 +104,7 @@ class RunReporter:
             )
         if now - self._last_status >= _STATUS_PERIOD:
             self._last_status = now
-            self._writer.status(
-                "running", stage=self._stage, fraction=total, message=message, seconds_left=left
-            )
+            self._write_status("running", total, message, seconds_left=left)
         self._display.event(event, total, left)
 
     def warn(self, message: str) -> None:
@@ -115,13 +115,14 @@ class RunReporter:
 
     def metric(self, name: str, value: Any) -> None:
         """See `robir.jobs.context.Reporter.metric`."""
+        self._metrics[name] = value
         self._emit("metric", name=name, value=value)
 
     def finish(self, message: str) -> None:
         """The run has ended well."""
         self._done = 1.0
         self._stage = ""
-        self._writer.status("done", stage="", fraction=1.0, message=message, exit_code=0)
+        self._write_status("done", 1.0, message, exit_code=0)
         _log.info(message)
         self._emit("finished", message=message)
 
@@ -130,13 +131,7 @@ class RunReporter:
         state = "cancelled" if exit_code == CancelledError.exit_code else "failed"
         _log.error("%s: %s", self._stage, message)
         try:
-            self._writer.status(
-                state,
-                stage=self._stage,
-                fraction=self._done,
-                message=message,
-                exit_code=exit_code,
-            )
+            self._write_status(state, self._done, message, exit_code=exit_code)
             self._writer.event("failed", self._stage, message=message, exit_code=exit_code)
         except OSError as error:
             _log.error("the status could not be written: %s", error.strerror)
@@ -144,10 +139,27 @@ class RunReporter:
     def _announce(self, kind: Kind, *, message: str, **facts: Any) -> None:
         _log.info(message)
         left = self._seconds_left(self._done)
-        self._writer.status(
-            "running", stage=self._stage, fraction=self._done, message=message, seconds_left=left
-        )
+        self._write_status("running", self._done, message, seconds_left=left)
         self._emit(kind, message=message, **facts)
+
+    def _write_status(
+        self,
+        state: State,
+        fraction: float,
+        message: str,
+        *,
+        seconds_left: float | None = None,
+        exit_code: int | None = None,
+    ) -> None:
+        self._writer.status(
+            state,
+            stage=self._stage,
+            fraction=fraction,
+            message=message,
+            seconds_left=seconds_left,
+            exit_code=exit_code,
+            metrics=self._metrics,
+        )
 
     def _emit(self, kind: Kind, **facts: Any) -> None:
         event = self._writer.event(kind, self._stage, **facts)
@@ -158,3 +170,12 @@ class RunReporter:
         if worked < 0.02:
             return None
         return (time.monotonic() - self._begin) * (1.0 - total) / worked
+
+
+def _known_metrics(paths: JobPaths, pending: Sequence[str]) -> dict[str, Any]:
+    """Metrics of the stages that were done before."""
+    metrics: dict[str, Any] = {}
+    for stage in STAGES:
+        if stage not in pending:
+            metrics |= read_json(paths.manifest(stage)).get("metrics", {})
+    return metrics
