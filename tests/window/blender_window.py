@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real Blender with the add-on installed, to be used as a person uses it: mouse, keys, eyes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from window.screen import HEIGHT, WIDTH, Screen
+
+TAB = "RobIR"
+STEP = 9
+"""Pixels between two places where the sidebar is probed; its lowest rows are 18 high."""
+
+PROBE = """
+import time
+manager = bpy.context.window_manager
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+region = next(r for r in area.regions if r.type == "UI")
+manager.clipboard = ""
+with bpy.context.temp_override(window=window, area=area, region=region):
+    if bpy.ops.ui.copy_python_command_button.poll():
+        bpy.ops.ui.copy_python_command_button()
+    elif bpy.ops.ui.copy_data_path_button.poll():
+        bpy.ops.ui.copy_data_path_button(full_path=True)
+answer = manager.clipboard
+"""
+"""What lies under the mouse: the Python of its operator, or the path of its property."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A pixel of the screen, from the left and the top."""
+
+    x: int
+    y: int
+
+
+class BlenderFault(Exception):
+    """Code that ran inside Blender raised; the message is its traceback."""
+
+
+class BlenderWindow:
+    """One Blender process on one virtual screen.
+
+    Args:
+        screen: where it appears.
+        home: folder that takes the place of the user's own; preferences live there.
+        pictures: folder of the screenshots.
+    """
+
+    def __init__(self, screen: Screen, home: Path, pictures: Path) -> None:
+        self.screen = screen
+        self.pictures = pictures
+        self._home = home
+        self._control = home / "control"
+        self._control.mkdir(parents=True, exist_ok=True)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._taken = 0
+
+    def install(self, package: Path) -> None:
+        """Install the add-on's zip through Blender's own command line, and enable it."""
+        command = ["extension", "install-file", "-r", "user_default", "-e", str(package)]
+        subprocess.run(
+            ["blender", "--command", *command],
+            env=self._environment(),
+            check=True,
+            capture_output=True,
+            timeout=120,
+        )
+
+    def start(self, blend: Path | None = None) -> None:
+        """Open the window and wait until it answers."""
+        for left_over in self._control.iterdir():
+            left_over.unlink()
+        command = ["blender", "--no-window-focus", "-p", "0", "0", str(WIDTH), str(HEIGHT)]
+        command += [str(blend)] if blend else []
+        command += ["--python", str(Path(__file__).with_name("control.py"))]
+        log = (self._home / "blender.log").open("ab")
+        self._process = subprocess.Popen(
+            command, env=self._environment(), stdout=log, stderr=log, start_new_session=True
+        )
+        self.run("bpy.context.preferences.view.show_splash = False", timeout=90)
+        self.run(
+            "for area in window.screen.areas:\n"
+            "    if area.type == 'VIEW_3D': area.spaces.active.show_region_ui = True"
+        )
+        time.sleep(1.0)
+        self.screen.key("Escape")
+        self._show_tab()
+
+    @property
+    def pid(self) -> int:
+        """Blender's process."""
+        assert self._process is not None
+        return self._process.pid
+
+    def run(self, code: str, timeout: float = 30.0) -> Any:
+        """Run code inside Blender between two events; what it assigns to `answer` comes back."""
+        request, answer = self._control / "request.py", self._control / "answer.json"
+        answer.unlink(missing_ok=True)
+        temporary = self._control / "request.part"
+        temporary.write_text(code, encoding="utf-8")
+        temporary.replace(request)
+        end = time.monotonic() + timeout
+        while not answer.exists():
+            if self._process is not None and self._process.poll() is not None:
+                raise BlenderFault(f"Blender ended with {self._process.returncode}: {self.log()}")
+            if time.monotonic() > end:
+                raise TimeoutError(f"Blender has not answered for {timeout:.0f} s")
+            time.sleep(0.01)
+        said = json.loads(answer.read_text(encoding="utf-8"))
+        if "fault" in said:
+            raise BlenderFault(said["fault"])
+        return said["answer"]
+
+    def get(self, expression: str) -> Any:
+        """The value of a Python expression inside Blender."""
+        return self.run(f"answer = {expression}")
+
+    def wait_until(self, expression: str, timeout: float) -> float:
+        """Wait until an expression is true inside Blender; returns the seconds it took."""
+        start = time.monotonic()
+        while not self.get(f"bool({expression})"):
+            if time.monotonic() - start > timeout:
+                raise TimeoutError(f"after {timeout:.0f} s still not so: {expression}")
+            time.sleep(0.05)
+        return time.monotonic() - start
+
+    def sidebar(self) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom of the sidebar on the screen, tabs left out."""
+        x, y, width, height = self.run(
+            "area = next(a for a in window.screen.areas if a.type == 'VIEW_3D')\n"
+            "region = next(r for r in area.regions if r.type == 'UI')\n"
+            "answer = [region.x, region.y, region.width, region.height]"
+        )
+        window_height = self.get("window.height")
+        return x, window_height - y - height, x + width - 22, window_height - y
+
+    def controls(self) -> dict[str, Place]:
+        """Everything in the sidebar that answers to the mouse, found by moving over it.
+
+        Returns:
+            The centre of each control, by `bpy.ops.robir.look_at_capture()` for a button and
+            `bpy.data.scenes["Scene"].robir.preset` for a property; the first of equals.
+        """
+        left, top, right, bottom = self.sidebar()
+        found: dict[str, list[Place]] = {}
+        columns = [left + int(f * (right - left)) for f in (0.3, 0.55, 0.93)]
+        for column in columns:
+            last = ""
+            for y in range(top + STEP, bottom - 2, STEP):
+                self.screen.move(column, y)
+                time.sleep(0.06)
+                name = self.run(PROBE)
+                if name and (name == last or name not in found):
+                    found.setdefault(name, []).append(Place(column, y))
+                last = name
+        return {name: places[len(places) // 2] for name, places in found.items()}
+
+    def view_centre(self) -> Place:
+        """A pixel in the middle of the 3D viewport."""
+        x, y, width, height = self.run(
+            "area = next(a for a in window.screen.areas if a.type == 'VIEW_3D')\n"
+            "region = next(r for r in area.regions if r.type == 'WINDOW')\n"
+            "answer = [region.x, region.y, region.width, region.height]"
+        )
+        return Place(x + width // 3, self.get("window.height") - y - height // 2)
+
+    def picture(self, name: str) -> Path:
+        """Save a screenshot, numbered in the order of taking."""
+        self._taken += 1
+        time.sleep(0.4)
+        return self.screen.save(self.pictures / f"{self._taken:02d}_{name}.png")
+
+    def log(self) -> str:
+        """The end of what Blender wrote to its console."""
+        return (self._home / "blender.log").read_text(encoding="utf-8", errors="replace")[-3000:]
+
+    def kill(self) -> None:
+        """kill -9: Blender alone, nothing it has started."""
+        assert self._process is not None
+        os.kill(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._process = None
+
+    def quit(self) -> None:
+        """Leave Blender in an orderly way."""
+        if self._process is None:
+            return
+        self.run(
+            "def leave():\n"
+            "    bpy.ops.wm.quit_blender()\n"
+            "bpy.app.timers.register(leave, first_interval=0.2)"
+        )
+        try:
+            self._process.wait(20)
+        finally:
+            self._process.kill()
+            self._process = None
+
+    def _show_tab(self) -> None:
+        """Bring the add-on's tab to the front, which Blender allows once the sidebar was drawn."""
+        self.run(
+            "area = next(a for a in window.screen.areas if a.type == 'VIEW_3D')\n"
+            "region = next(r for r in area.regions if r.type == 'UI')\n"
+            f"region.active_panel_category = {TAB!r}\n"
+            "area.tag_redraw()"
+        )
+        time.sleep(0.5)
+
+    def _environment(self) -> dict[str, str]:
+        own = {
+            "HOME": str(self._home),
+            "ROBIR_WINDOW_CONTROL": str(self._control),
+            "LANG": "C.UTF-8",
+        }
+        return {**self.screen.environment(), **own}

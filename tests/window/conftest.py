@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One screen, and one small capture under a name that is hard on careless programs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from window.screen import Screen
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILD = ROOT / "build" / "window"
+"""Kept after the tests: the add-on's zip in `dist`, screenshots in `pictures`."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run only where `.ci/window` has set up Blender."""
+    if os.environ.get("ROBIR_WINDOW_TESTS") == "1":
+        return
+    for item in items:
+        if item.path.is_relative_to(Path(__file__).parent):
+            item.add_marker(pytest.mark.skip(reason="a Blender window: run bash .ci/window"))
+
+
+@pytest.fixture(scope="session")
+def screen() -> Iterator[Screen]:
+    """An empty screen."""
+    screen = Screen(":78")
+    yield screen
+    screen.close()
+
+
+@pytest.fixture(scope="session")
+def package() -> Path:
+    """The add-on's zip, built from this checkout."""
+    (found,) = (BUILD / "dist").glob("robir-*.zip")
+    return found
+
+
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The truck under a hard sun, 16 views of 64x64, photographed through Filmic."""
+    folder = tmp_path_factory.mktemp("captures") / 'Käthe\'s "toy" truck'
+    command = [sys.executable, "-m", "blender_scenes", "truck", str(folder)]
+    size = ["--resolution", "64", "--views", "16", "--test-views", "3", "--samples", "16"]
+    subprocess.run([*command, *size, "--view-transform", "Filmic"], check=True, capture_output=True)
+    return folder

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual screen with a mouse, a keyboard and a camera."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from pathlib import Path
+
+WIDTH, HEIGHT = 1440, 1000
+
+
+class Screen:
+    """An X server without hardware; mouse and keyboard events come from xdotool."""
+
+    def __init__(self, display: str) -> None:
+        self.display = display
+        size = f"{WIDTH}x{HEIGHT}x24"
+        command = ["Xvfb", display, "-screen", "0", size, "-nolisten", "tcp"]
+        self._server = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        for _ in range(100):
+            if self._run("xdpyinfo", check=False).returncode == 0:
+                return
+            time.sleep(0.1)
+        raise RuntimeError("the virtual screen does not answer")
+
+    def move(self, x: int, y: int) -> None:
+        """Put the mouse at a pixel, from the left and the top of the screen."""
+        self._xdotool("mousemove", str(x), str(y))
+
+    def click(self, x: int, y: int, *, button: int = 1, repeat: int = 1) -> None:
+        """Move there, give Blender time to see what is under the mouse, and click."""
+        self.move(x, y)
+        time.sleep(0.4)
+        self._xdotool("click", "--repeat", str(repeat), "--delay", "80", str(button))
+
+    def key(self, name: str) -> None:
+        """Press and release one key, by its X name: Return, Escape, ctrl+v."""
+        self._xdotool("key", name)
+
+    def type(self, text: str) -> None:
+        """Type text; only what a plain keyboard has."""
+        self._xdotool("type", "--delay", "60", text)
+
+    def drop(self, path: Path, x: int, y: int) -> None:
+        """Drag a file from another program and let go of it at a pixel."""
+        source = Path(__file__).with_name("drag.py")
+        self._run("/usr/bin/python3", str(source), path.as_uri(), str(x), str(y))
+
+    def save(self, picture: Path) -> Path:
+        """Write what the screen shows now as a PNG."""
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        self._run("import", "-window", "root", "-strip", str(picture))
+        return picture
+
+    def close(self) -> None:
+        """Switch it off."""
+        self._server.terminate()
+        self._server.wait()
+
+    def _xdotool(self, *words: str) -> None:
+        self._run("xdotool", *words)
+
+    def _run(self, *words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            words, env=self.environment(), capture_output=True, text=True, check=False, timeout=60
+        )
+        if check and done.returncode != 0:
+            raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
+        return done
+
+    def environment(self) -> dict[str, str]:
+        """The environment of a program that is to appear here."""
+        return {**os.environ, "DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
