@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine: the Python, apart from Blender's, that the reconstruction runs in.
+
+Either RobIR makes and keeps one in a folder of its own, or the user names one that exists. Nothing
+here imports Blender, and nothing ever installs into Blender's Python.
+"""
+
+from .errors import EngineError
+from .existing import Facts, inspect, interpreter
+from .places import Place, bundled_wheel, clean_environment, constraints, worker_command
+from .remove import remove
+from .states import Status, status, wheel_version
+
+__all__ = [
+    "EngineError",
+    "Facts",
+    "Place",
+    "Status",
+    "bundled_wheel",
+    "clean_environment",
+    "constraints",
+    "inspect",
+    "interpreter",
+    "remove",
+    "status",
+    "wheel_version",
+    "worker_command",
+]

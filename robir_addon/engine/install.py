@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Makes the managed engine: a virtual environment of Blender's Python with torch and the core.
+
+Run apart from Blender (`places.worker_command`). Standard output carries JSON lines {"progress":
+0..1, "message": ...}, and at the end {"installed": {...}} or {"error": ..., "cure": ...}; an error
+is also the last line of standard error. Exit codes: 0 done, 4 not possible, 130 cancelled.
+
+Every step leaves alone what an earlier try has finished, so a broken installation goes on.
+"""
+
+import argparse
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import venv
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from .errors import EngineError
+from .existing import inspect
+from .lock import engine_lock
+from .pip import MEBIBYTE, Pip, Progress
+from .places import CHOOSE_EXISTING, Place
+from .states import GO_ON, Record, read_record, wheel_hash, wheel_version, write_record
+
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
+
+STEPS = {"environment": 0.04, "pip": 0.02, "torch": 0.64, "robir": 0.27, "check": 0.03}
+"""Share of each step in the time."""
+
+TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 2800 * MEBIBYTE}
+OTHER_BYTES = 190 * MEBIBYTE
+NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 11 << 30}
+"""Room for the downloads and what they unpack to."""
+
+_MARK = "RobIR's engine: made by the Blender add-on, removed by its preferences.\n"
+_CANCELLED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Install; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        with _stopped_by_signals():
+            record = install(options, _say_progress)
+    except EngineError as error:
+        _say({"error": error.message, "cure": error.cure})
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        _say({"error": "The installation was cancelled", "cure": GO_ON})
+        sys.stderr.write("cancelled\n")
+        return _CANCELLED
+    _say({"installed": vars(record)})
+    return 0
+
+
+def install(options: argparse.Namespace, progress: Progress) -> Record:
+    """Bring the engine to the state the options ask for.
+
+    Raises:
+        EngineError: With the reason and the cure.
+        KeyboardInterrupt: If it was cancelled.
+    """
+    place = Place(options.root)
+    if options.torch == "CUDA" and sys.platform == "darwin":
+        raise EngineError("macOS has no CUDA", "choose CPU in the add-on's preferences")
+    _take_folder(place)
+    with engine_lock(place.lock):
+        try:
+            return _install(place, options, progress)
+        except OSError as fault:
+            raise EngineError(
+                f"{fault.filename or place.root} cannot be written ({fault.strerror})",
+                f"make room or mend the folder, then {GO_ON}",
+            ) from fault
+
+
+def _install(place: Place, options: argparse.Namespace, progress: Progress) -> Record:
+    """The steps, in a folder that is ours and locked."""
+    before = read_record(place)
+    place.record.unlink(missing_ok=True)
+    place.log.unlink(missing_ok=True)
+    steps = _Steps(progress)
+    if options.wheels is None:
+        _refuse_little_room(place, options.torch)
+    pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
+    if options.wheels is None and not pip.can_resume:
+        pip = _updated(pip, place, steps.of("pip"))
+    if before is not None and before.torch_build != options.torch:
+        pip.uninstall("torch")
+    pip.install(
+        ["torch", "--constraint", str(options.constraints), *_torch_index(options)],
+        TORCH_BYTES[options.torch],
+        steps.of("torch"),
+        "torch",
+    )
+    if before is None or before.wheel_sha256 != wheel_hash(options.wheel):
+        pip.uninstall("robir")
+    pip.install(
+        [str(options.wheel), "--constraint", str(options.constraints)],
+        OTHER_BYTES,
+        steps.of("robir"),
+        "RobIR",
+    )
+    steps.of("check")(0.0, "checking the engine")
+    record = _checked(place, options)
+    shutil.rmtree(place.cache, ignore_errors=True)
+    write_record(place, record)
+    return record
+
+
+def _take_folder(place: Place) -> None:
+    """Make the folder ours, or refuse one that is somebody else's."""
+    try:
+        place.root.mkdir(parents=True, exist_ok=True)
+        if not place.marker.is_file():
+            if any(place.root.iterdir()):
+                raise EngineError(
+                    f"{place.root} is not empty and not RobIR's", "move its files elsewhere"
+                )
+            place.marker.write_text(_MARK, encoding="utf-8")
+    except OSError as fault:
+        raise EngineError(
+            f"{place.root} cannot be made ({fault.strerror})", "make it writable"
+        ) from fault
+
+
+def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress) -> Pip:
+    """The pip of the virtual environment; a whole one is kept, a broken one made anew."""
+    progress(0.0, "making the environment")
+    if place.python.exists():
+        with suppress(EngineError):
+            return Pip(place, wheels)
+    if importlib.util.find_spec("ensurepip") is None:
+        raise EngineError("Blender's Python has no ensurepip to make one with", CHOOSE_EXISTING)
+    builder = venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=True)
+    try:
+        builder.create(place.environment)
+    except subprocess.CalledProcessError as fault:
+        said = (fault.output or b"").decode(errors="replace").strip().splitlines() or [""]
+        raise EngineError(
+            f"Blender's Python cannot make an environment ({said[-1]})", CHOOSE_EXISTING
+        ) from fault
+    return Pip(place, wheels)
+
+
+def _updated(pip: Pip, place: Place, progress: Progress) -> Pip:
+    """A pip that goes on with files whose download broke off, where it can be had."""
+    with suppress(EngineError):
+        pip.install(["--upgrade", "pip>=25.1"], 2 * MEBIBYTE, progress, "pip")
+    return Pip(place, None)
+
+
+def _torch_index(options: argparse.Namespace) -> list[str]:
+    """Where torch for the wanted device lies, besides the usual index.
+
+    The usual index has torch with CUDA for Linux and without it for Windows and macOS.
+    """
+    if options.wheels is not None or sys.platform == "darwin":
+        return []
+    if options.torch == "CPU":
+        return ["--extra-index-url", CPU_INDEX]
+    return ["--extra-index-url", CUDA_INDEX] if sys.platform == "win32" else []
+
+
+def _refuse_little_room(place: Place, build: str) -> None:
+    free, needed = shutil.disk_usage(place.root).free, NEEDED_BYTES[build]
+    if free < needed and not place.cache.exists():
+        raise EngineError(
+            f"the disk of {place.root} has {free / 2**30:.1f} GB free, the engine needs about "
+            f"{needed >> 30} GB",
+            "make room, then press Install Engine",
+        )
+
+
+def _checked(place: Place, options: argparse.Namespace) -> Record:
+    """What was installed, asked of the new interpreter itself."""
+    facts = inspect(place.python, wheel_version(options.wheel))
+    label = facts.torch.partition("+")[2]
+    has_cuda = label.startswith("cu") or (not label and sys.platform == "linux")
+    if options.torch == "CUDA" and not has_cuda:
+        raise EngineError(
+            f"only torch {facts.torch} was found, which knows no CUDA",
+            "choose CPU in the add-on's preferences, or give a folder with torch for CUDA",
+        )
+    return Record(
+        robir=facts.robir,
+        wheel_sha256=wheel_hash(options.wheel),
+        torch_build=options.torch,
+        torch=facts.torch,
+        numpy=facts.numpy,
+        python=facts.python,
+    )
+
+
+class _Steps:
+    """Turns the progress of each step into that of the whole."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def of(self, step: str) -> Progress:
+        """Progress of one step."""
+        names = list(STEPS)
+        begin = sum(STEPS[name] for name in names[: names.index(step)])
+
+        def report(share: float, message: str) -> None:
+            self._progress(begin + STEPS[step] * share, message)
+
+        return report
+
+
+def _absolute(text: str) -> Path:
+    return Path(text).absolute()  # pip runs in another folder
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="engine.install")
+    parser.add_argument("--root", type=_absolute, required=True, help="the engine's folder")
+    parser.add_argument("--wheel", type=_absolute, required=True, help="wheel of the core")
+    parser.add_argument("--constraints", type=_absolute, required=True, help="versions to take")
+    parser.add_argument("--torch", choices=("CPU", "CUDA"), required=True)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--wheels", type=_absolute, help="folder of wheels; the network is left alone"
+    )
+    source.add_argument("--online", action="store_true", help="the user allows the network")
+    return parser
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let a request to end run the same way as Ctrl-C: pip is stopped, too."""
+
+    def stop(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _say_progress(fraction: float, message: str) -> None:
+    _say({"progress": round(fraction, 4), "message": message})
+
+
+def _say(report: dict[str, Any]) -> None:
+    """One JSON line; when Blender is gone nobody listens, and the work is finished all the same."""
+    try:
+        sys.stdout.write(json.dumps(report) + "\n")
+        sys.stdout.flush()
+    except OSError:
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115

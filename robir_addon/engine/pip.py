@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Runs pip in the engine's environment: progress while it works, a sentence when it fails."""
+
+import re
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from .errors import EngineError
+from .existing import QUIETLY
+from .places import CHOOSE_EXISTING, Place, clean_environment
+from .states import GO_ON
+
+Progress = Callable[[float, str], None]
+
+MEBIBYTE = 1 << 20
+
+TAIL = 40
+"""Lines of pip that are searched for the reason of a failure."""
+
+_RAW_PROGRESS = (24, 1)
+_RESUMES = (25, 1)
+
+_REASONS = (
+    (
+        r"No space left on device|Errno 28|not enough space on the disk",
+        "the disk is full",
+        f"make room, then {GO_ON}",
+    ),
+    (
+        r"Long Path support",
+        "Windows refuses the long names of torch's files",
+        f"turn on long paths in Windows (LongPathsEnabled), or {CHOOSE_EXISTING}",
+    ),
+    (
+        r"CERTIFICATE_VERIFY_FAILED|SSLError",
+        "the server's certificate is not trusted",
+        "check the clock, or give pip your proxy's certificate with PIP_CERT",
+    ),
+    (
+        r"DO NOT MATCH THE HASHES|BadZipFile|invalid wheel|Wheel .* is invalid|incomplete-download",
+        "a package arrived damaged",
+        GO_ON,
+    ),
+    (
+        r"NewConnectionError|NameResolutionError|ConnectionError|ConnectionReset|IncompleteRead"
+        r"|Connection broken|ProtocolError|ReadTimeout|Max retries|timed out|Temporary failure",
+        "the download broke off",
+        f"check the network, then {GO_ON}",
+    ),
+    (
+        r"Permission denied|Errno 13|WinError 5|WinError 32",
+        "a file of the engine cannot be written",
+        "close other Blenders and reconstructions that use the engine, then press Install Engine",
+    ),
+)
+"""What pip's output means: pattern, sentence, cure; the first that fits."""
+
+
+class Pip:
+    """pip of one environment, with what its version can do."""
+
+    def __init__(self, place: Place, wheels: Path | None) -> None:
+        """Ask pip for its version.
+
+        Args:
+            place: The engine; its environment has pip.
+            wheels: Folder that all packages come from; None takes them from the network.
+
+        Raises:
+            EngineError: If the environment has no pip that works.
+        """
+        self._place = place
+        self._wheels = wheels
+        self._version = self._read_version()
+
+    @property
+    def can_resume(self) -> bool:
+        """Whether it goes on with a file whose download broke off."""
+        return self._version >= _RESUMES
+
+    def install(
+        self, words: Sequence[str], expected_bytes: int, progress: Progress, name: str
+    ) -> None:
+        """Install packages; what is there already is left alone.
+
+        Args:
+            words: Requirements and options.
+            expected_bytes: About how much is downloaded; only for the progress.
+            progress: Told the share that is done and what is being done.
+            name: What is installed, for messages.
+
+        Raises:
+            EngineError: With the reason and the cure.
+        """
+        options = ["--only-binary", ":all:", "--no-input", "--no-color", "--progress-bar"]
+        options += ["raw" if self._version >= _RAW_PROGRESS else "off"]
+        options += ["--cache-dir", str(self._place.cache)]
+        if self._wheels is not None:
+            options += ["--isolated", "--no-index", "--find-links", str(self._wheels)]
+        elif self.can_resume:
+            options += ["--resume-retries", "20"]
+        meter = _Meter(expected_bytes, progress, name)
+        code, tail = self._run(["install", *options, *words], meter)
+        if code != 0:
+            raise self._reason(name, tail)
+
+    def uninstall(self, *names: str) -> None:
+        """Remove packages; those that are not there are no error."""
+        self._run(["uninstall", "--yes", *names])
+
+    def _read_version(self) -> tuple[int, ...]:
+        lines: list[str] = []
+        code, _ = self._run(["--version"], lines.append)
+        found = re.match(r"pip (\d+)\.(\d+)", "".join(lines))
+        if code != 0 or found is None:
+            raise EngineError("the engine's environment is damaged", "press Remove, then Install")
+        return tuple(map(int, found.groups()))
+
+    def _run(
+        self, words: Sequence[str], on_line: Callable[[str], object] = str
+    ) -> tuple[int, Sequence[str]]:
+        """Run pip; the code it ended with and its last lines. Stopped when this is stopped."""
+        # A file of settings may say `user = true`, which no virtual environment accepts.
+        environment = clean_environment() | {
+            "PIP_USER": "0",
+            "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+            "PYTHONUTF8": "1",
+        }
+        tail: deque[str] = deque(maxlen=TAIL)
+        with (
+            self._place.log.open("a", encoding="utf-8") as log,
+            subprocess.Popen(
+                [self._place.python, "-P", "-u", "-m", "pip", *words],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                env=environment,
+                cwd=self._place.root,
+                creationflags=QUIETLY,
+            ) as process,
+        ):
+            try:
+                for line in process.stdout or ():
+                    if not line.startswith("Progress "):
+                        log.write(line)
+                        tail.append(line.strip())
+                    on_line(line.strip())
+            except BaseException:
+                process.kill()
+                raise
+            return process.wait(), tail
+
+    def _reason(self, name: str, tail: Sequence[str]) -> EngineError:
+        """Why pip failed, for the user."""
+        text = "\n".join(tail)
+        for pattern, message, cure in _REASONS:
+            if re.search(pattern, text, re.IGNORECASE):
+                return EngineError(f"{message} while {name} was installed", cure)
+        lacking = re.search(r"No matching distribution found for (.+)", text)
+        if lacking and self._wheels is not None:
+            return EngineError(
+                f"the folder of wheels lacks {lacking[1]} for this Python",
+                f"put it into {self._wheels}",
+            )
+        if lacking:
+            release = "{}.{}".format(*sys.version_info[:2])
+            return EngineError(
+                f"nobody offers {lacking[1]} for Python {release} on this system", CHOOSE_EXISTING
+            )
+        errors = [line for line in tail if line.startswith("ERROR:")] or list(tail)[-1:]
+        said = errors[-1].removeprefix("ERROR: ") if errors else "it says nothing"
+        return EngineError(
+            f"{name} could not be installed ({said})", f"see {self._place.log.name}, then {GO_ON}"
+        )
+
+
+class _Meter:
+    """Reads pip's lines as progress."""
+
+    def __init__(self, expected_bytes: int, progress: Progress, name: str) -> None:
+        self._expected = expected_bytes
+        self._progress = progress
+        self._name = name
+        self._file = ""
+        self._finished = self._current = 0
+        progress(0.0, f"looking for {name}")
+
+    def __call__(self, line: str) -> None:
+        counted = re.fullmatch(r"Progress (\d+) of (\d+)", line)
+        if counted:
+            done, total = int(counted[1]), int(counted[2])
+            self._current = done
+            text = f"{self._file}, {done / MEBIBYTE:.0f} of {total / MEBIBYTE:.0f} MB"
+            self._progress(self._share(), f"downloading {text}")
+        elif line.startswith(("Downloading ", "Using cached ", "Processing ")):
+            self._finished, self._current = self._finished + self._current, 0
+            self._file = _package(line.split()[1 if line[0] in "DP" else 2])
+            self._progress(self._share(), f"fetching {self._file}")
+        elif line.startswith("Installing collected packages"):
+            self._progress(0.92, f"unpacking {self._name}")
+
+    def _share(self) -> float:
+        return 0.9 * min(1.0, (self._finished + self._current) / self._expected)
+
+
+def _package(address: str) -> str:
+    """Name and version of a wheel's address or path."""
+    file = re.split(r"[/\\]", address)[-1].partition("#")[0]
+    return " ".join(file.replace("%2B", "+").split("-")[:2]) if file.endswith(".whl") else file

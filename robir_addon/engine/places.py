@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Names of the engine's files, and what its subprocesses may inherit."""
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .errors import EngineError
+
+IS_WINDOWS = os.name == "nt"
+
+CHOOSE_EXISTING = "choose an existing environment in the add-on's preferences"
+
+_ADDON = Path(__file__).parents[1]
+
+_LEAKS = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "__PYVENV_LAUNCHER__")
+"""Variables besides Python's own that would make pip install elsewhere."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Names of the managed engine's files; nothing else may spell them.
+
+    Attributes:
+        root: The engine's folder.
+    """
+
+    root: Path
+
+    @property
+    def marker(self) -> Path:
+        """Says that the folder is ours; written first, removed last."""
+        return self.root / "robir-engine.txt"
+
+    @property
+    def record(self) -> Path:
+        """What was installed; written last, so its absence means an unfinished installation."""
+        return self.root / "engine.json"
+
+    @property
+    def environment(self) -> Path:
+        """The virtual environment."""
+        return self.root / "env"
+
+    @property
+    def python(self) -> Path:
+        """The environment's interpreter."""
+        return python_in(self.environment)
+
+    @property
+    def cache(self) -> Path:
+        """Finished downloads, kept until the installation is done."""
+        return self.root / "downloads"
+
+    @property
+    def log(self) -> Path:
+        """All that pip said, for a report."""
+        return self.root / "install.log"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the one process that installs or removes."""
+        return self.root / "lock"
+
+
+def python_in(environment: Path) -> Path:
+    """Where a virtual environment has its interpreter on this system."""
+    return environment / ("Scripts/python.exe" if IS_WINDOWS else "bin/python")
+
+
+def bundled_wheel() -> Path | None:
+    """The wheel of the core that this extension brings; None in a checkout, which has none."""
+    wheels = sorted((_ADDON / "wheels").glob("robir-*.whl"))
+    return wheels[-1] if wheels else None
+
+
+def constraints() -> Path:
+    """The versions that were tested: beside this file in the extension, else the checkout's."""
+    shipped = Path(__file__).with_name("constraints.txt")
+    return shipped if shipped.is_file() else _ADDON.parent / "constraints.txt"
+
+
+def clean_environment(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Variables for a Python that is not Blender's.
+
+    What steers Python (PYTHONPATH, PYTHONHOME and the like) is meant for the Python it was set for,
+    and another one finds wrong modules, or none, with it.
+    """
+    return {
+        name: value
+        for name, value in environment.items()
+        if not name.upper().startswith("PYTHON") and name.upper() not in _LEAKS
+    }
+
+
+def worker_command(*words: str) -> list[str]:
+    """Command that runs this package's `install` in Blender's Python, apart from Blender.
+
+    Raises:
+        EngineError: If this Blender has no Python to run.
+    """
+    if not Path(sys.executable or "").stem.lower().startswith("python"):
+        raise EngineError("this Blender comes without a Python to run", CHOOSE_EXISTING)
+    boot = (
+        "import sys; sys.path.append(sys.argv.pop(1)); from engine.install import main; "
+        "raise SystemExit(main())"
+    )
+    return [sys.executable, "-I", "-c", boot, str(_ADDON), *words]

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What state the managed engine is in, told from its files alone; fast enough to be drawn."""
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+from .places import Place
+
+State = Literal["missing", "incomplete", "outdated", "ready"]
+Build = Literal["CPU", "CUDA"]
+
+INSTALL = "press Install Engine"
+UPDATE = "press Update Engine"
+GO_ON = "press Install Engine again; it goes on where it stopped"
+
+
+@dataclass(frozen=True)
+class Record:
+    """What an engine consists of; the content of engine.json.
+
+    Attributes:
+        robir: Version of the core, which is that of the add-on that made the engine.
+        wheel_sha256: Hash of the wheel it was installed from.
+        torch_build: What torch was asked to compute with.
+        torch: Version of torch.
+        numpy: Version of numpy.
+        python: Version of Python.
+    """
+
+    robir: str
+    wheel_sha256: str
+    torch_build: Build
+    torch: str
+    numpy: str
+    python: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of an engine in words.
+
+    Attributes:
+        state: What it can be used for: only "ready" runs.
+        text: One sentence without a full stop.
+        cure: What to do; empty when ready.
+        python: The interpreter when ready.
+    """
+
+    state: State
+    text: str
+    cure: str = ""
+    python: Path | None = None
+
+
+def status(place: Place, wheel: Path, build: Build) -> Status:
+    """State of the managed engine.
+
+    Args:
+        place: Where it is or would be.
+        wheel: The wheel that the add-on brings.
+        build: What torch shall compute with.
+    """
+    if not place.marker.is_file():
+        return Status("missing", "No engine is installed", INSTALL)
+    record = read_record(place)
+    if record is None:
+        return Status("incomplete", "The engine's installation is not finished", GO_ON)
+    if not place.python.exists():
+        return Status(
+            "incomplete", "The Python that the engine was made with is gone", "press Install Engine"
+        )
+    version = wheel_version(wheel)
+    if record.robir != version:
+        text = f"The engine was made by RobIR {record.robir}, the add-on is RobIR {version}"
+        return Status("outdated", text, UPDATE)
+    if record.wheel_sha256 != wheel_hash(wheel):
+        text = f"The engine was made by another build of RobIR {version}"
+        return Status("outdated", text, UPDATE)
+    if record.torch_build != build:
+        text = f"The engine computes with {record.torch_build}, chosen is {build}"
+        return Status("outdated", text, UPDATE)
+    text = (
+        f"Engine ready: RobIR {record.robir}, torch {record.torch}, numpy {record.numpy}, "
+        f"Python {record.python}"
+    )
+    return Status("ready", text, python=place.python)
+
+
+def read_record(place: Place) -> Record | None:
+    """What engine.json says; None if it is missing or not to be trusted."""
+    try:
+        return Record(**json.loads(place.record.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def write_record(place: Place, record: Record) -> None:
+    """Make the engine count as installed; a killed process leaves no half record."""
+    temporary = place.record.with_name(f".{place.record.name}-{os.getpid()}")
+    with temporary.open("w", encoding="utf-8") as file:
+        json.dump(asdict(record), file, indent=2)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(place.record)
+
+
+def wheel_version(wheel: Path) -> str:
+    """Version in a wheel's file name."""
+    return wheel.name.split("-")[1]
+
+
+def wheel_hash(wheel: Path) -> str:
+    """SHA-256 of a wheel, 64 hex digits."""
+    found = wheel.stat()
+    return _hash(wheel, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=4)
+def _hash(wheel: Path, _changed: int, _size: int) -> str:
+    """Read once as long as the file stays the same: a panel asks at every redraw."""
+    return hashlib.sha256(wheel.read_bytes()).hexdigest()

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on's preferences: which engine computes, and the engine they lead to.
+
+`engine_status` is cheap enough for polls and panels; `engine_python` is for the click that starts
+work and looks closer. Where RobIR is not enabled as an add-on, as in scripts with the bpy wheel,
+the Python that runs the script is the engine.
+"""
+
+import sys
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from . import engine, gateway
+from .engine import EngineError, Place, Status
+
+_CHOOSE = "choose one in the add-on's preferences"
+
+
+class ROBIR_AP_preferences(bpy.types.AddonPreferences):
+    """Which engine computes."""
+
+    bl_idname = __package__
+
+    engine: EnumProperty(
+        name="Engine",
+        description="The Python that reconstructs, apart from Blender's own",
+        items=(
+            ("MANAGED", "Made by RobIR", "RobIR downloads and keeps what it needs in one folder"),
+            ("EXISTING", "Existing environment", "A Python that has robir and torch already"),
+        ),
+        default="MANAGED",
+    )
+    python: StringProperty(
+        name="Python",
+        description="Interpreter of the existing environment, or the environment's folder",
+        subtype="FILE_PATH",
+    )
+    torch_build: EnumProperty(
+        name="Computes with",
+        description="Which torch is downloaded",
+        items=(
+            ("CPU", "Processor", "Works everywhere; 0.4 GB to download"),
+            ("CUDA", "NVIDIA graphics card", "Many times faster; 3 GB to download"),
+        ),
+        default="CPU",
+    )
+    wheels: StringProperty(
+        name="Folder of wheels",
+        description="Install from the wheels in this folder and leave the network alone; "
+        "empty downloads them",
+        subtype="DIR_PATH",
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The choice, the engine's state, and what can be done about it."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "engine", expand=True)
+        if self.engine == "EXISTING":
+            layout.prop(self, "python")
+        else:
+            layout.prop(self, "torch_build")
+            layout.prop(self, "wheels")
+        status = engine_status(context)
+        box = layout.box()
+        box.label(
+            text=status.text, icon="CHECKMARK" if status.state == "ready" else "INFO",
+            translate=False,
+        )  # fmt: skip
+        if status.cure:
+            box.label(text=status.cure[:1].upper() + status.cure[1:], icon="BLANK1")
+        state = context.window_manager.robir
+        if state.task in ("install", "check_engine"):
+            box.progress(factor=state.fraction, type="BAR", text=state.message)
+        elif state.engine_text:
+            box.label(text=state.engine_text, icon="CHECKMARK" if state.engine_ok else "ERROR")
+        row = box.row(align=True)
+        if state.task == "install":
+            row.operator("robir.cancel_install", icon="CANCEL")
+        elif self.engine == "MANAGED":
+            text = "Update Engine" if status.state == "outdated" else "Install Engine"
+            row.operator("robir.install_engine", text=text, icon="IMPORT")
+        row.operator("robir.check_engine", icon="CHECKMARK")
+        if self.engine == "MANAGED":
+            row.operator("robir.remove_engine", icon="TRASH")
+
+
+def preferences_of(context: bpy.types.Context) -> ROBIR_AP_preferences | None:
+    """The preferences, or None where RobIR is not enabled as an add-on."""
+    addon = context.preferences.addons.get(__package__)
+    return None if addon is None else addon.preferences
+
+
+def managed_place() -> Place:
+    """Where the managed engine is or would be; nothing is made.
+
+    Raises:
+        EngineError: If this is a checkout: only an installed extension has a folder of its own.
+    """
+    try:
+        return Place(Path(bpy.utils.extension_path_user(__package__, path="engine")))
+    except ValueError:
+        raise EngineError(
+            "RobIR runs from a folder and not as an installed extension",
+            "choose an existing environment in the add-on's preferences",
+        ) from None
+
+
+def managed_wheel() -> Path:
+    """The wheel that the managed engine is made from.
+
+    Raises:
+        EngineError: If this is a checkout, which brings none.
+    """
+    wheel = engine.bundled_wheel()
+    if wheel is None:
+        raise EngineError(
+            "this copy of the add-on brings no robir wheel", "install the zip of build_addon.py"
+        )
+    return wheel
+
+
+def engine_status(context: bpy.types.Context) -> Status:
+    """State of the chosen engine from a look at its files; nothing is run."""
+    chosen = preferences_of(context)
+    if chosen is None:
+        return Status("ready", "The engine is this Python", python=Path(sys.executable))
+    try:
+        if chosen.engine == "MANAGED":
+            return engine.status(managed_place(), managed_wheel(), chosen.torch_build)
+        python = _existing_python(chosen)
+    except EngineError as error:
+        return Status("missing", error.message, error.cure)
+    return Status("ready", f"The engine is {python}", python=python)
+
+
+def engine_python(context: bpy.types.Context) -> Path:
+    """The interpreter to start a worker with.
+
+    Raises:
+        EngineError: If the chosen engine cannot be used; says why and what to do.
+    """
+    status = engine_status(context)
+    if status.python is None:
+        raise EngineError(status.text, status.cure)
+    chosen = preferences_of(context)
+    if chosen is not None and chosen.engine == "EXISTING":
+        engine.inspect(status.python, gateway.__version__)
+    return status.python
+
+
+def _existing_python(chosen: ROBIR_AP_preferences) -> Path:
+    if not chosen.python:
+        raise EngineError("No existing environment is chosen", _CHOOSE)
+    return engine.interpreter(Path(bpy.path.abspath(chosen.python)))
+
+
+CLASSES = (ROBIR_AP_preferences,)
