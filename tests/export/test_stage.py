@@ -5,6 +5,7 @@ import base64
 import importlib.util
 import json
 import re
+import sys
 import time
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -17,7 +18,7 @@ import pytest
 from evaluation import sphere_run
 
 from robir.capture.store import load_capture
-from robir.errors import CancelledError, ConfigError, DeviceError, UsageError
+from robir.errors import CancelledError, ConfigError, DeviceError, RobirError, UsageError
 from robir.export import blender, stage
 from robir.export.config import ExportConfig
 from robir.jobs.context import StageContext
@@ -245,6 +246,53 @@ def test_a_request_to_stop_ends_blender(fake_addon):
     with pytest.raises(CancelledError):
         blender.run_headless(["hang"], stop)
     assert time.monotonic() - start < 20
+
+
+FAKE_BLENDER = """
+import json, sys
+print("Blender 9.9.9 LTS", flush=True)
+print("{not json}")
+if sys.argv[6:] == ["unknown"]:
+    sys.stderr.write('Unrecognized command: "robir_scene"\\n'); sys.exit(1)
+if sys.argv[6:] == ["fail"]:
+    sys.stderr.write("error: no such view\\nBlender is sorry\\n"); sys.exit(2)
+if sys.argv[6:] != ["silent"]:
+    print(json.dumps({"progress": 0.5, "message": "half"}))
+    print(json.dumps({"files": sys.argv[1:], "notes": []}))
+print("Blender quit")
+"""
+
+
+@pytest.fixture
+def fake_blender(tmp_path, monkeypatch):
+    """An executable that stands for a whole Blender, which says more than it is asked."""
+    executable = tmp_path / "a blender"
+    executable.write_text(f"#!{sys.executable}\n{FAKE_BLENDER}")
+    executable.chmod(0o755)
+    monkeypatch.setenv("ROBIR_BLENDER", str(executable))
+    return executable
+
+
+def test_a_whole_blender_takes_the_place_of_the_wheel(fake_blender, monkeypatch):
+    seen = []
+    outcome = blender.run_headless(["go", "a b"], lambda f, m: seen.append((f, m)))
+    assert seen == [(0.5, "half")]
+    start = ["--background", "--addons", "bl_ext.user_default.robir", "--command", "robir_scene"]
+    assert [str(file) for file in outcome.files] == [*start, "go", "a b"]
+    monkeypatch.setenv("ROBIR_ADDON", "bl_ext.studio.robir")
+    assert "bl_ext.studio.robir" in map(str, blender.run_headless(["go"], lambda f, m: None).files)
+
+
+def test_faults_of_a_whole_blender_are_said_in_words(fake_blender):
+    with pytest.raises(UsageError, match=r"^no such view$"):
+        blender.run_headless(["fail"], lambda f, m: None)
+    with pytest.raises(RobirError, match="no RobIR extension"):
+        blender.run_headless(["unknown"], lambda f, m: None)
+    with pytest.raises(RobirError, match="without a word"):
+        blender.run_headless(["silent"], lambda f, m: None)
+    fake_blender.unlink()
+    with pytest.raises(DeviceError, match="a blender, which is no program"):
+        blender.run_headless(["go"], lambda f, m: None)
 
 
 def test_settings_are_checked():

@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the add-on's headless command in a process of its own; this is all the core knows of it."""
+"""Runs the add-on's headless command in a process of its own; this is all the core knows of it.
+
+Blender is the `bpy` wheel of this environment, or, where the environment variable ROBIR_BLENDER
+names an executable, that Blender with the extension. ROBIR_ADDON is the extension's module there;
+naming it spares the user to save preferences first.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -13,12 +19,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from robir.errors import CancelledError, DeviceError, RobirError, UsageError
 
 _ERRORS: dict[int, type[RobirError]] = {
     error.exit_code: error for error in (UsageError, DeviceError, CancelledError)
 }
+
+_EXECUTABLE = "ROBIR_BLENDER"
+_ADDON = "ROBIR_ADDON"
+_COMMAND = "robir_scene"
 
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 
@@ -42,6 +53,11 @@ class Outcome:
 
 def missing_blender() -> str | None:
     """A sentence on what is missing for Blender work, or None if nothing is."""
+    executable = os.environ.get(_EXECUTABLE)
+    if executable:
+        if shutil.which(executable):
+            return None
+        return f"{_EXECUTABLE} names {executable}, which is no program; correct or unset it"
     if importlib.util.find_spec("bpy") is None:
         return f"Blender's Python module bpy is not installed; {CURE}"
     if importlib.util.find_spec("robir_addon") is None:
@@ -62,16 +78,14 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
 
     Raises:
         DeviceError: If Blender is missing or died.
-        RobirError: With the command's own sentence if it failed.
+        RobirError: With the command's own sentence if it failed, or if it said nothing at all.
     """
     missing = missing_blender()
     if missing is not None:
         raise DeviceError(missing)
-    # -P: what this process imports decides, not what lies in the current folder
-    command = [sys.executable, "-P", "-m", "robir_addon.headless", *arguments]
-    search_path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    command, environment = _command(arguments)
     start, before = time.monotonic(), os.times()
-    last: dict[str, list[str]] = {}
+    last: dict[str, Any] = {}
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
         subprocess.Popen(
@@ -80,25 +94,28 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
             stderr=complaints,
             text=True,
             encoding="utf-8",
-            env={**os.environ, "PYTHONPATH": search_path},
+            errors="replace",
+            env=environment,
         ) as process,
     ):
         try:
             for line in process.stdout or ():
-                report = json.loads(line)
+                report = _report(line)
                 if "progress" in report:
                     on_progress(report["progress"], report["message"])
-                last = report
+                last = report or last
         except BaseException:
             process.terminate()
             raise
         code = process.wait()
         complaints.seek(0)
-        sentence = (complaints.read().strip().splitlines() or [""])[-1].removeprefix("error: ")
+        sentence = _sentence(complaints.read())
     if code != 0:
         unknown: type[RobirError] = DeviceError if code < 0 else RobirError
         kind = _ERRORS.get(code, unknown)
         raise kind(sentence or f"Blender ended with code {code}")
+    if "files" not in last:
+        raise RobirError("Blender ended without a word about what it wrote")
     after = os.times()
     return Outcome(
         files=tuple(Path(file) for file in last.get("files", ())),
@@ -109,3 +126,38 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         - before.children_user
         - before.children_system,
     )
+
+
+def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """The command line and the environment variables of a headless command."""
+    executable = os.environ.get(_EXECUTABLE)
+    if executable:
+        addon = os.environ.get(_ADDON, "bl_ext.user_default.robir")
+        start = [executable, "--background", "--addons", addon, "--command", _COMMAND]
+        return [*start, *arguments], dict(os.environ)
+    # -P: what this process imports decides, not what lies in the current folder
+    start = [sys.executable, "-P", "-m", "robir_addon.headless"]
+    search_path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    return [*start, *arguments], {**os.environ, "PYTHONPATH": search_path}
+
+
+def _report(line: str) -> dict[str, Any]:
+    """The report in a line; empty where a whole Blender says something of its own."""
+    if not line.startswith("{"):
+        return {}
+    try:
+        return json.loads(line)
+    except ValueError:
+        return {}
+
+
+def _sentence(complaints: str) -> str:
+    """The command's own sentence among what was said on standard error, else the last line."""
+    lines = complaints.strip().splitlines() or [""]
+    if any(line.startswith("Unrecognized command") for line in lines):
+        return (
+            f"the Blender that {_EXECUTABLE} names has no RobIR extension of this version; "
+            "install it there"
+        )
+    ours = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return (ours or lines)[-1]
