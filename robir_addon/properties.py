@@ -91,7 +91,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Shown result",
         description="Result folder that the panels Result, Relight and Export work with",
         subtype="DIR_PATH",
-        update=lambda *_: read_shown(),
+        update=lambda _settings, _context: read_shown(),
     )
     studio_light: EnumProperty(
         name="Studio light",
