@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Commands of a Blender without a window.
+
+`blender -b --command robir CAPTURE -o OUT [--engine PYTHON] [OPTION ...]` reconstructs with the
+engine of the preferences, or the one given, and ends with the exit codes of `robir reconstruct`,
+whose options it takes.
+
+`blender -b --command robir_scene scene|render|relight OUT ...` does what `headless` does. The
+engine calls the user's Blender by it, so that it needs no Blender of its own.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import engine, gateway, headless
+from .preferences import engine_python
+
+_handles: list[Any] = []
+
+
+def worker_environment() -> dict[str, str]:
+    """Variables for a process of the engine; with them it uses this Blender.
+
+    The wheel `bpy` has no executable; there the engine falls back on a wheel of its own.
+    """
+    environment = engine.clean_environment()
+    if bpy.app.binary_path:
+        environment |= {"ROBIR_BLENDER": bpy.app.binary_path, "ROBIR_ADDON": __package__}
+    return environment
+
+
+def reconstruct(arguments: list[str]) -> int:
+    """Run a whole reconstruction; progress and the result's path appear as the engine says them.
+
+    Args:
+        arguments: Words after `--command robir`.
+
+    Returns:
+        The exit code of the engine, or 4 if there is no engine.
+    """
+    parser = argparse.ArgumentParser(
+        prog="blender -b --command robir",
+        usage="%(prog)s CAPTURE -o OUT [--engine PYTHON] [OPTION ...]",
+        description="Make a relightable asset of a capture.",
+        epilog="Every OPTION is one of `robir reconstruct`, such as --preset draft|standard|high, "
+        "--device auto|cpu|cuda, --masks DIR, --resume, --progress json.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--engine",
+        type=Path,
+        metavar="PYTHON",
+        help="Python that has robir and torch; default is the engine of the preferences",
+    )
+    options, words = parser.parse_known_args(arguments)
+    try:
+        if options.engine is None:
+            python = engine_python(bpy.context)
+        else:
+            python = engine.interpreter(options.engine)
+            engine.inspect(python, gateway.__version__)
+    except engine.EngineError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_code
+    command = [python, "-P", "-m", "robir", "reconstruct", *words]
+    code = subprocess.run(command, check=False, env=worker_environment()).returncode
+    return code if code >= 0 else 1
+
+
+def register() -> None:
+    """Make the commands known to Blender."""
+    for name, command in (("robir", reconstruct), ("robir_scene", headless.main)):
+        _handles.append(bpy.utils.register_cli_command(name, command))
+
+
+def unregister() -> None:
+    """Take the commands back."""
+    while _handles:
+        bpy.utils.unregister_cli_command(_handles.pop())
