@@ -19,9 +19,11 @@ import bpy
 from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths
-from .importer import import_result, read_json, set_environment
+from .importer import import_result, read_json
+from .lights import show_environment, turn_light
 from .lut import ToneTable, read_tone_table
 from .rendering import prepare_scene, render_still, set_threads, write_film
+from .view_transform import match_view_transform
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,12 +48,14 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     scene = bpy.context.scene
     _say(reports, {"progress": 0.0, "message": "importing the asset"})
     imported = import_result(options.out, scene)
+    paths = JobPaths(options.out.resolve())
+    notes = match_view_transform(scene, read_json(paths.tone_curve))
     prepare_scene(scene)
     photos = {c.data.background_images[0].image for c in imported.cameras.values()}
     for image in bpy.data.images:
         if image.source == "FILE" and image not in photos:
             image.pack()
-    path = JobPaths(options.out.resolve()).scene
+    path = paths.scene
     temporary = path.with_name(f".{path.stem}-{os.getpid()}.blend")
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
@@ -60,7 +64,7 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
         raise ResultError(f"{path} cannot be written: {fault}") from fault
     finally:
         temporary.unlink(missing_ok=True)
-    return [path], imported.notes
+    return [path], notes
 
 
 def render_views(
@@ -87,7 +91,8 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
     turn = math.radians(options.rotation)
     if options.turntable:
         return _turntable(options, reports, environment, cameras[0]), ()
-    set_environment(scene.world, environment, turn)
+    show_environment(scene, scene.world, environment)
+    turn_light(scene, turn)
     files = []
     for index, camera in enumerate(cameras):
         message = f"relighting view {camera[VIEW]} with {environment.name}"
@@ -110,12 +115,12 @@ def _turntable(
     renders, table = paths.renders, _tone_table(paths)
     name = f"turntable_{environment.stem}_{camera[VIEW]}"
     use_camera(scene, camera, options.max_side)
+    show_environment(scene, scene.world, environment)
     frames = []
     for index in range(count):
         message = f"turning the light, frame {index + 1} of {count}"
         _say(reports, {"progress": index / count, "message": message})
-        turn = math.radians(options.rotation) + 2.0 * math.pi * index / count
-        set_environment(scene.world, environment, turn)
+        turn_light(scene, math.radians(options.rotation) + 2.0 * math.pi * index / count)
         frames.append(renders / name / f"{index + 1:04d}.png")
         render_still(scene, frames[-1], table)
     film = renders / f"{name}.mp4"

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Brings a result folder into the open Blender file.
 
-One collection holds it all: the object with its Principled material, and the capture's cameras with
-their photographs behind. The scene gets the recovered light as its World and the recovered tone
-curve as its view transform. Importing the same folder again replaces what the first time made.
+One collection holds it all: the object with its Principled material, the capture's cameras with
+their photographs behind, and the recovered sun as a lamp. The recovered light becomes the scene's
+World; the World it had before is remembered. Importing the same folder again replaces what the
+first time made, and nothing that the user made is touched.
 """
 
 import json
@@ -12,15 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
+from .blocks import MARK, remove_marked, with_mark
 from .cameras import add_camera, use_camera
 from .errors import ResultError
 from .gateway import JobPaths
-from .glb import GlbMesh, read_glb
+from .glb import read_glb
+from .lights import add_lamps, give_back_world, make_world, show_recovered_light, turn_light
+from .materials import add_asset, texture_sockets
 
-MARK = "robir_result"
-"""Custom property that names the result folder a data-block came from."""
+_ROLE = "robir_role"
 
 
 @dataclass(frozen=True)
@@ -28,77 +30,93 @@ class Imported:
     """What an import made.
 
     Attributes:
-        collection: Holds the object and the cameras.
+        collection: Holds the object and the lamps, and a collection of the cameras.
         asset: The reconstructed object.
         cameras: One camera object a view, by the view's name.
+        lamps: Sun lamps, if the light has suns; hidden where the environment holds them.
         world: The recovered light.
-        notes: Sentences for the user, for example on a tone curve Blender does not have.
     """
 
     collection: bpy.types.Collection
     asset: bpy.types.Object
     cameras: dict[str, bpy.types.Object]
+    lamps: list[bpy.types.Object]
     world: bpy.types.World
-    notes: tuple[str, ...]
 
 
-def import_result(root: Path, scene: bpy.types.Scene) -> Imported:
+def mark_of(root: Path) -> str:
+    """What the data-blocks of a result folder are marked with."""
+    return str(root.resolve())
+
+
+def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = True) -> Imported:
     """Import a finished result folder.
 
     Args:
         root: The result folder, OUT of `robir reconstruct`.
-        scene: Scene to put it into.
+        scene: Scene to put it into. Its view transform stays as it is, and so does its camera
+            if it has one.
+        use_sun_lamp: Give a recovered sun as a lamp; otherwise it is part of the environment.
 
     Returns:
         What was made.
 
     Raises:
-        ResultError: If the folder holds no finished export.
+        ResultError: If the folder holds no finished export; then nothing has changed.
     """
-    root = root.resolve()
-    paths = JobPaths(root)
+    mark = mark_of(root)
+    paths = JobPaths(Path(mark))
     table = read_json(paths.cameras)
     views, centre = table["views"], table["bounds"]["centre"]
-    tone_curve = read_json(paths.tone_curve)
+    # results of before there were lamps have none
+    suns = read_json(paths.light).get("sun_lamps", [])
     mesh = read_glb(paths.asset)
-    if not paths.environment.is_file():
-        raise ResultError(f"{paths.environment} is missing; export the result again")
-    mark = str(root)
-    remove_result(mark)
-    name = root.name
-    collection = bpy.data.collections.new(name)
-    collection[MARK] = mark
-    scene.collection.children.link(collection)
-    asset = _add_object(mesh, _material(name, paths, mark), mark)
-    collection.objects.link(asset)
-    cameras = {}
-    for view in views:
-        camera = add_camera(view, paths.cameras.parent, centre)
+    needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
+    missing = next((file for file in needed if not file.is_file()), None)
+    if missing is not None:
+        raise ResultError(f"{missing} is missing; export the result again")
+    name = paths.root.name
+    _remove_objects(mark)
+    collection = _collection(name, "result", mark, scene.collection)
+    stands = _collection(f"{name} cameras", "cameras", mark, collection)
+    asset = add_asset(mesh, name, paths, mark)
+    lamps = add_lamps(suns, name, mark)
+    for lamp in lamps:  # a lamp shines from everywhere along its direction; this is for the eye
+        towards = lamp.rotation_quaternion.to_matrix().col[2]
+        lamp.location = [
+            c + 1.5 * table["bounds"]["radius"] * t for c, t in zip(centre, towards, strict=True)
+        ]
+    cameras = {view["name"]: add_camera(view, paths.cameras.parent, centre) for view in views}
+    for camera in cameras.values():
         for block in (camera, camera.data, camera.data.background_images[0].image):
             block[MARK] = mark
-        collection.objects.link(camera)
-        cameras[view["name"]] = camera
-    world = _world(name, paths.environment, mark)
-    scene.world = world
-    first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
-    use_camera(scene, cameras[first])
-    return Imported(collection, asset, cameras, world, _set_view_transform(scene, tone_curve))
+        stands.objects.link(camera)
+    for block in (asset, *lamps):
+        collection.objects.link(block)
+    world = make_world(name, paths, mark)
+    show_recovered_light(scene, world, use_sun_lamp)
+    turn_light(scene, 0.0)
+    if scene.camera is None:
+        first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
+        use_camera(scene, cameras[first])
+    return Imported(collection, asset, cameras, lamps, world)
 
 
-def remove_result(mark: str) -> None:
-    """Remove every data-block that an earlier import of the same folder made."""
-    kinds = (
-        bpy.data.objects,
-        bpy.data.collections,
-        bpy.data.meshes,
-        bpy.data.cameras,
-        bpy.data.materials,
-        bpy.data.worlds,
-        bpy.data.images,
-    )
-    for blocks in kinds:
-        for block in [b for b in blocks if b.get(MARK) == mark]:
-            blocks.remove(block)
+def remove_result(root: Path) -> None:
+    """Take an imported result out of the file; its scenes get their own World back."""
+    mark = mark_of(root)
+    for scene in bpy.data.scenes:
+        if scene.world is not None and scene.world.get(MARK) == mark:
+            give_back_world(scene)
+    _remove_objects(mark)
+    for collection in with_mark(bpy.data.collections, mark):
+        _release(collection)
+    remove_marked(mark, bpy.data.collections, bpy.data.worlds, bpy.data.images)
+
+
+def asset_of(root: Path) -> bpy.types.Object | None:
+    """The object of an imported result, if it is in the file."""
+    return next((o for o in with_mark(bpy.data.objects, mark_of(root)) if o.type == "MESH"), None)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -111,104 +129,34 @@ def read_json(path: Path) -> dict[str, Any]:
         ) from fault
 
 
-def _add_object(mesh: GlbMesh, material: bpy.types.Material, mark: str) -> bpy.types.Object:
-    data = bpy.data.meshes.new(mesh.name)
-    data[MARK] = mark
-    data.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
-    layer = data.uv_layers.new(name="UVMap")
-    layer.uv.foreach_set("vector", mesh.corner_uvs.reshape(-1).astype(np.float32))
-    data.polygons.foreach_set("use_smooth", np.ones(len(mesh.faces), dtype=bool))
-    data.normals_split_custom_set(mesh.corner_normals.reshape(-1, 3).tolist())
-    data.materials.append(material)
-    data.update()
-    asset = bpy.data.objects.new(mesh.name, data)
-    asset[MARK] = mark
-    return asset
+def _remove_objects(mark: str) -> None:
+    """Remove what an earlier import made, but for the collection and the World."""
+    data = bpy.data
+    kinds = (data.objects, data.meshes, data.cameras, data.lights, data.materials, data.images)
+    remove_marked(mark, *kinds)
 
 
-def _material(name: str, paths: JobPaths, mark: str) -> bpy.types.Material:
-    """Principled material from the texture files; IOR stays Blender's 1.5."""
-    material = bpy.data.materials.new(name)
-    material[MARK] = mark
-    _enable_nodes(material)
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
-    sockets = [("albedo.png", "Base Color", "sRGB"), ("roughness.png", "Roughness", "Non-Color")]
-    if (paths.textures / "metallic.png").is_file():
-        sockets.append(("metallic.png", "Metallic", "Non-Color"))
-    for row, (file, socket, space) in enumerate(sockets):
-        texture = nodes.new("ShaderNodeTexImage")
-        texture.location = (-420, 300 - 300 * row)
-        texture.label = socket
-        texture.image = _image(paths.textures / file, space, mark)
-        links.new(texture.outputs["Color"], shader.inputs[socket])
-    return material
+def _collection(
+    name: str, role: str, mark: str, parent: bpy.types.Collection
+) -> bpy.types.Collection:
+    """A collection of the result's; one that the user moved within its parent stays there."""
+    known = [c for c in with_mark(bpy.data.collections, mark) if c.get(_ROLE) == role]
+    collection = known[0] if known else bpy.data.collections.new(name)
+    collection[MARK], collection[_ROLE] = mark, role
+    if collection not in parent.children_recursive:
+        parent.children.link(collection)
+    return collection
 
 
-def _world(name: str, environment: Path, mark: str) -> bpy.types.World:
-    """World whose background is the recovered light; the mapping node turns it."""
-    world = bpy.data.worlds.new(name)
-    world[MARK] = mark
-    _enable_nodes(world)
-    nodes, links = world.node_tree.nodes, world.node_tree.links
-    nodes.clear()
-    place = nodes.new("ShaderNodeTexCoord")
-    turn = nodes.new("ShaderNodeMapping")
-    picture = nodes.new("ShaderNodeTexEnvironment")
-    background = nodes.new("ShaderNodeBackground")
-    output = nodes.new("ShaderNodeOutputWorld")
-    for column, node in enumerate((place, turn, picture, background, output)):
-        node.location = (220 * column - 800, 0)
-    picture.image = _image(environment, "Linear Rec.709", mark)
-    links.new(place.outputs["Generated"], turn.inputs["Vector"])
-    links.new(turn.outputs["Vector"], picture.inputs["Vector"])
-    links.new(picture.outputs["Color"], background.inputs["Color"])
-    links.new(background.outputs["Background"], output.inputs["Surface"])
-    return world
-
-
-def set_environment(world: bpy.types.World, file: Path, rotation: float) -> None:
-    """Light the scene with another lat-long image.
-
-    Args:
-        world: One that the importer made.
-        file: .exr or .hdr, linear Rec.709.
-        rotation: Radians about the up axis, counter-clockwise seen from above.
-    """
-    nodes = world.node_tree.nodes
-    picture = next(node for node in nodes if node.type == "TEX_ENVIRONMENT")
-    turn = next(node for node in nodes if node.type == "MAPPING")
-    picture.image = _image(file, "Linear Rec.709", world.get(MARK, ""))
-    # the mapping turns the direction that is looked up, so the picture turns the other way
-    turn.inputs["Rotation"].default_value = (0.0, 0.0, -rotation)
-
-
-def _image(file: Path, space: str, mark: str) -> bpy.types.Image:
-    try:
-        image = bpy.data.images.load(str(file), check_existing=False)
-    except RuntimeError as fault:
-        raise ResultError(f"{file} cannot be read as an image; is it there and whole?") from fault
-    image.colorspace_settings.name = space
-    image[MARK] = mark
-    return image
-
-
-def _set_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> tuple[str, ...]:
-    """Show the scene as the photographs do; says so where Blender has no such curve."""
-    wanted = tone_curve["blender_view_transform"]
-    settings = scene.view_settings
-    settings.look = "None"
-    settings.gamma = 1.0
-    settings.exposure = tone_curve["exposure"]
-    settings.view_transform = wanted or "Standard"
-    if wanted:
-        return ()
-    return (
-        f"the recovered tone curve ({tone_curve['family']}) is none of Blender's view transforms: "
-        "the viewport shows Standard; rendered files go through export/tone_curve.cube",
-    )
-
-
-def _enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:
-    if bpy.app.version < (5, 0, 0):  # later versions always have nodes and warn about the flag
-        block.use_nodes = True
+def _release(collection: bpy.types.Collection) -> None:
+    """Hand what the user put into a collection to the scenes that showed it."""
+    for scene in bpy.data.scenes:
+        if collection not in scene.collection.children_recursive:
+            continue
+        home = scene.collection
+        for foreign in collection.objects:
+            if foreign.name not in home.objects:
+                home.objects.link(foreign)
+        for child in collection.children:
+            if MARK not in child and child.name not in home.children:
+                home.children.link(child)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Data-blocks that came from a result folder: how they are known, loaded and removed."""
+
+from pathlib import Path
+
+import bpy
+
+from .errors import ResultError
+
+MARK = "robir_result"
+"""Custom property that names the result folder a data-block came from."""
+
+
+def with_mark(blocks: bpy.types.bpy_prop_collection, mark: str) -> list[bpy.types.ID]:
+    """Those of a kind of data-blocks that came from a result folder; linked ones are not ours."""
+    return [b for b in blocks if b.library is None and b.get(MARK) == mark]
+
+
+def remove_marked(mark: str, *kinds: bpy.types.bpy_prop_collection) -> None:
+    """Remove the data-blocks of some kinds that came from a result folder."""
+    for blocks in kinds:
+        for block in with_mark(blocks, mark):
+            blocks.remove(block)
+
+
+def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
+    """An image of its own, even where the user has loaded the same file.
+
+    Args:
+        file: Image file.
+        space: Name of its colour space.
+        mark: Result folder it belongs to.
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    try:
+        image = bpy.data.images.load(str(file), check_existing=False)
+    except RuntimeError as fault:
+        raise ResultError(f"{file} cannot be read as an image; is it there and whole?") from fault
+    image.colorspace_settings.name = space
+    image[MARK] = mark
+    return image
+
+
+def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:
+    """Give a material or a World its nodes."""
+    if bpy.app.version < (5, 0, 0):  # later versions always have nodes and warn about the flag
+        block.use_nodes = True
