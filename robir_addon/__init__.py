@@ -6,7 +6,7 @@ Importing this package has no side effects and needs no Blender; `register` does
 
 import importlib
 
-_MODULES = ("properties",)
+_MODULES = ("properties", "summary", "dropping", "presets", "panels", "menus")
 """Parts with classes, pointers, timers or handlers, each after those it builds upon.
 
 A part has `CLASSES`, or `register` and `unregister`, or both.

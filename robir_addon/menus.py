@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything the panels can do as menu entries, which is where Blender's search (F3) looks."""
+
+import bpy
+
+_IN_ORDER = (
+    ("choose_capture", "look_at_capture", "clear_capture"),
+    ("reconstruct", "attach", "cancel_reconstruct"),
+    ("import_result", "compare", "show_tone_curve", "match_view_transform", "open_report"),
+    ("use_recovered_light", "use_environment", "turntable"),
+    ("export_glb", "export_usd", "export_textures", "mark_asset"),
+    ("install_engine", "cancel_install", "check_engine", "remove_engine", "copy_report"),
+)
+
+
+class ROBIR_MT_commands(bpy.types.Menu):
+    """All commands in order of work."""
+
+    bl_label = "RobIR"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One group a panel."""
+        layout = self.layout
+        for group in _IN_ORDER:
+            for name in group:
+                layout.operator(f"robir.{name}")
+            if "use_environment" in group:
+                layout.operator_menu_enum("robir.use_studio_light", "light")
+            layout.separator()
+
+
+def _draw_in_view(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.separator()
+    menu.layout.menu(ROBIR_MT_commands.__name__)
+
+
+def _draw_in_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator("robir.choose_capture", text="RobIR Capture (folder)")
+    menu.layout.operator("robir.import_result", text="RobIR Result (folder)")
+
+
+CLASSES = (ROBIR_MT_commands,)
+
+
+def register() -> None:
+    """Add the menu to the 3D viewport's View, and the folders to File > Import."""
+    bpy.types.VIEW3D_MT_view.append(_draw_in_view)
+    bpy.types.TOPBAR_MT_file_import.append(_draw_in_import)
+
+
+def unregister() -> None:
+    """Take the entries back."""
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_in_import)
+    bpy.types.VIEW3D_MT_view.remove(_draw_in_view)
