@@ -18,8 +18,10 @@ TAB = "RobIR"
 STEP = 9
 """Pixels between two places where the sidebar is probed; its lowest rows are 18 high."""
 
+COLUMNS = (0.55, 0.3, 0.93, 0.85, 0.77)
+"""Where across the sidebar it is probed: fields, names of fields, the small buttons of a row."""
+
 PROBE = """
-import time
 manager = bpy.context.window_manager
 area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
 region = next(r for r in area.regions if r.type == "UI")
@@ -143,26 +145,42 @@ class BlenderWindow:
         window_height = self.get("window.height")
         return x, window_height - y - height, x + width - 22, window_height - y
 
-    def controls(self) -> dict[str, Place]:
-        """Everything in the sidebar that answers to the mouse, found by moving over it.
+    def find(self, wanted: str) -> Place:
+        """Where in the sidebar a control is, found by moving the mouse over it.
+
+        Args:
+            wanted: How its Python begins: `bpy.ops.robir.reconstruct` for a button, or the end of
+                a property's path, `robir.preset`.
 
         Returns:
-            The centre of each control, by `bpy.ops.robir.look_at_capture()` for a button and
-            `bpy.data.scenes["Scene"].robir.preset` for a property; the first of equals.
+            Its middle from top to bottom.
         """
         left, top, right, bottom = self.sidebar()
-        found: dict[str, list[Place]] = {}
-        columns = [left + int(f * (right - left)) for f in (0.3, 0.55, 0.93)]
-        for column in columns:
-            last = ""
+        seen = set()
+        for share in COLUMNS:
+            x = left + int(share * (right - left))
+            rows = []
             for y in range(top + STEP, bottom - 2, STEP):
-                self.screen.move(column, y)
-                time.sleep(0.06)
-                name = self.run(PROBE)
-                if name and (name == last or name not in found):
-                    found.setdefault(name, []).append(Place(column, y))
-                last = name
-        return {name: places[len(places) // 2] for name, places in found.items()}
+                name = self._under(Place(x, y))
+                seen.add(name)
+                if name.startswith(wanted) or name.endswith(wanted):
+                    rows.append(y)
+                elif rows:
+                    break
+            if rows:
+                return Place(x, rows[len(rows) // 2])
+        raise LookupError(f"no {wanted} in the sidebar, but {sorted(seen)}")
+
+    def press(self, wanted: str) -> float:
+        """Click a control of the sidebar; returns the time (`time.monotonic`) of the click."""
+        place = self.find(wanted)
+        self.screen.click(place.x, place.y)
+        return time.monotonic()
+
+    def _under(self, place: Place) -> str:
+        self.screen.move(place.x, place.y)
+        time.sleep(0.04)
+        return self.run(PROBE)
 
     def view_centre(self) -> Place:
         """A pixel in the middle of the 3D viewport."""

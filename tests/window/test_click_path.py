@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a dropped capture to the relit object, as a person does it, with accidents on the way.
+
+The tests are one session in their order: one reconstruction is begun, cancelled, killed, left
+behind by a killed Blender, found again and finished. Every state is photographed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from window.blender_window import BlenderWindow
+from window.conftest import BUILD
+from window.screen import Screen
+
+pytestmark = pytest.mark.slow
+
+LONGEST_GAP = 1.0
+"""Seconds that the viewport may stand still while the worker runs."""
+
+STATE = "bpy.context.window_manager.robir"
+SETTINGS = "bpy.context.scene.robir"
+OBJECT = "next((o for o in bpy.data.objects if o.type == 'MESH' and o.name != 'Cube'), None)"
+
+
+@pytest.fixture(scope="module")
+def window(
+    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[BlenderWindow]:
+    """Blender with the add-on installed; its engine is the Python of this checkout."""
+    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures")
+    window.install(package)
+    window.start()
+    yield window
+    window.quit()
+
+
+@pytest.fixture(scope="module")
+def out(capture: Path) -> Path:
+    """Where the add-on puts the result by itself."""
+    return capture.parent / f"{capture.name}_robir"
+
+
+def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
+    window.picture("nothing_chosen")
+    window.find("bpy.ops.robir.choose_capture")
+    window.run(
+        "import bl_ext.user_default.robir as addon\n"
+        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
+        "chosen.engine = 'EXISTING'\n"
+        f"chosen.python = {sys.executable!r}\n"
+        "bpy.ops.wm.save_userpref()"
+    )
+
+
+def test_a_dropped_capture_is_looked_at_and_checked(window: BlenderWindow, capture: Path) -> None:
+    place = window.view_centre()
+    start_redraw_clock(window)
+    window.screen.drop(capture / "transforms_train.json", place.x, place.y)
+    assert window.wait_until(f"{STATE}.task or {STATE}.recognised", 5.0) < 5.0
+    seconds = window.wait_until(f"{STATE}.recognised", 60.0)
+    window.wait_until(f"not {STATE}.task", 60.0)
+    note("seconds to cameras in view", seconds)
+    note("longest gap while looking, s", max(redraw_gaps(window)))
+    assert Path(window.get(f"{SETTINGS}.capture")) == capture
+    assert window.get("len([o for o in bpy.data.objects if o.type == 'CAMERA'])") >= 16
+    window.picture("looked_at")
+    window.run("bpy.ops.wm.save_as_mainfile(filepath={!r})".format(str(capture.parent / "a.blend")))
+
+
+def test_esc_stops_the_reconstruction_at_once(window: BlenderWindow) -> None:
+    start_redraw_clock(window)
+    clicked = window.press("bpy.ops.robir.reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
+    note("seconds from click to running", time.monotonic() - clicked)
+    window.wait_until(f"{STATE}.stage == 'geometry' and {STATE}.preview_serial > 1", 300.0)
+    window.picture("reconstructing")
+    check_gaps(window, "shape")
+    place = window.view_centre()
+    window.screen.move(place.x, place.y)
+    time.sleep(0.4)
+    pressed = time.monotonic()
+    window.screen.key("Escape")
+    window.wait_until(f"not {STATE}.task or 'stop' in {STATE}.message.lower()", 5.0)
+    answered = time.monotonic() - pressed
+    window.picture("stopping")
+    window.wait_until(f"not {STATE}.task", 15.0)
+    note("Esc answered, s", answered)
+    note("Esc to idle, s", time.monotonic() - pressed)
+    window.picture("stopped")
+    assert answered < 1.0
+
+
+def test_a_killed_worker_is_reported_and_nothing_is_lost(window: BlenderWindow, out: Path) -> None:
+    window.press("bpy.ops.robir.reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct' and {STATE}.stage == 'geometry'", 60.0)
+    os.kill(worker(out), signal.SIGKILL)
+    window.wait_until(f"not {STATE}.task and {STATE}.error", 10.0)
+    window.picture("worker_killed")
+    assert window.get(f"{STATE}.error_cure") or "Reconstruct" in window.get(f"{STATE}.error")
+
+
+def test_the_worker_outlives_a_killed_blender(
+    window: BlenderWindow, capture: Path, out: Path
+) -> None:
+    window.press("bpy.ops.robir.reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct' and {STATE}.stage == 'geometry'", 60.0)
+    window.kill()
+    assert is_alive(worker(out))
+    window.start(capture.parent / "a.blend")
+    window.wait_until(f"{STATE}.job or {STATE}.task", 20.0)
+    window.picture("found_again")
+    if not window.get(f"{STATE}.task"):
+        window.press("bpy.ops.robir.attach")
+    window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
+
+
+def test_cancel_and_go_on(window: BlenderWindow) -> None:
+    clicked = window.press("bpy.ops.robir.cancel_reconstruct")
+    window.wait_until(f"not {STATE}.task or 'stop' in {STATE}.message.lower()", 5.0)
+    answered = time.monotonic() - clicked
+    window.wait_until(f"not {STATE}.task", 15.0)
+    note("Cancel answered, s", answered)
+    note("Cancel to idle, s", time.monotonic() - clicked)
+    assert answered < 1.0
+
+
+def test_the_result_comes_by_itself(window: BlenderWindow, out: Path) -> None:
+    window.press("bpy.ops.robir.reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
+    start_redraw_clock(window)
+    window.wait_until(f"{STATE}.stage == 'appearance'", 600.0)
+    window.picture("light_and_materials")
+    window.wait_until(f"{STATE}.fraction > 0.98 or not {STATE}.task", 600.0)
+    check_gaps(window, "whole run")
+    start_redraw_clock(window)
+    window.wait_until(f"not {STATE}.task", 60.0)
+    note("longest gap at import, s", max(redraw_gaps(window)))
+    assert window.get(f"{STATE}.error") == ""
+    assert Path(window.get(f"{SETTINGS}.result")) == out
+    assert window.get(OBJECT + " is not None")
+    window.picture("imported")
+
+
+def note(what: str, value: float) -> None:
+    """Keep a measured figure beside the pictures."""
+    path = BUILD / "measured.json"
+    known = json.loads(path.read_text()) if path.exists() else {}
+    path.write_text(json.dumps(known | {what: round(value, 3)}, indent=1))
+
+
+def start_redraw_clock(window: BlenderWindow) -> None:
+    """Measure from now on how long the viewport stands still."""
+    window.run("bpy.app.driver_namespace['redraws'].start()")
+
+
+def redraw_gaps(window: BlenderWindow) -> list[float]:
+    """Seconds between two drawings of the viewport since the clock was started."""
+    return window.get("bpy.app.driver_namespace['redraws'].stop()")
+
+
+def check_gaps(window: BlenderWindow, name: str) -> None:
+    """Note the longest gap, and hold it to the bar."""
+    longest = max(redraw_gaps(window))
+    note(f"longest gap, {name}, s", longest)
+    assert longest < LONGEST_GAP
+
+
+def worker(out: Path) -> int:
+    """Process of the worker of a result folder."""
+    return json.loads((out / "worker.json").read_text())["pid"]
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process exists."""
+    return Path(f"/proc/{pid}").exists()
