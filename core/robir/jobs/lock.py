@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +33,32 @@ else:
     def _try_lock(handle: int) -> None:
         """Lock the whole file."""
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+_TRIES = 5
+_PAUSE = 0.05
+"""Seconds between tries: `holder` has the lock for a moment when it finds it free."""
+
+
+def holder(path: Path) -> int | None:
+    """Process that holds a lock file.
+
+    Returns:
+        Its number, 0 where it has not said yet, or None if nobody holds the lock.
+    """
+    try:
+        handle = os.open(path, os.O_RDWR)
+    except OSError:
+        return None
+    try:
+        _try_lock(handle)
+    except OSError:
+        text = os.read(handle, 32).decode(errors="replace").strip()
+        return int(text) if text.isdecimal() else 0
+    else:
+        return None
+    finally:
+        os.close(handle)
 
 
 @contextmanager
@@ -59,15 +86,20 @@ def folder_lock(path: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
+    tries = 0
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             _try_lock(handle)
         except OSError as error:
-            holder = os.read(handle, 32).decode(errors="replace").strip() or "unknown"
+            name = os.read(handle, 32).decode(errors="replace").strip() or "unknown"
             os.close(handle)
+            tries += 1
+            if tries < _TRIES:
+                time.sleep(_PAUSE)
+                continue
             raise UsageError(
-                f"{path.parent} is in use by process {holder}; wait for it, stop it, "
+                f"{path.parent} is in use by process {name}; wait for it, stop it, "
                 "or give another output folder"
             ) from error
         # The holder before us may have removed the file between our open and our lock.

@@ -66,6 +66,16 @@ class JobPaths:
         return self.root / "lock"
 
     @property
+    def worker(self) -> Path:
+        """When and as which process a client started the worker; the client writes it."""
+        return self.root / "worker.json"
+
+    @property
+    def worker_log(self) -> Path:
+        """All that a worker started by a client printed."""
+        return self.root / "worker.log"
+
+    @property
     def stale(self) -> Path:
         """Where results of another configuration are moved, never deleted."""
         return self.root / "stages" / ".stale"

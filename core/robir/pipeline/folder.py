@@ -22,33 +22,6 @@ from robir.settings import (
 )
 
 
-def create(paths: JobPaths) -> None:
-    """Make the result folder, or accept an existing one that is empty or ours.
-
-    Raises:
-        UsageError: If it holds other things.
-        StorageError: If it cannot be made.
-    """
-    root = paths.root
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        ours = {path.name for path in (paths.run, paths.lock, paths.log)}
-        strangers = [
-            path.name
-            for path in root.iterdir()
-            if path.name not in ours and not path.name.startswith(f".{paths.run.stem}-")
-        ]
-    except OSError as error:
-        raise StorageError(
-            f"the output folder {root} cannot be made: {error.strerror}; give another with -o"
-        ) from error
-    if strangers and not paths.run.exists():
-        raise UsageError(
-            f"{root} holds other files ({', '.join(sorted(strangers)[:3])}) and is not a result "
-            "folder; give a new or empty folder with -o"
-        )
-
-
 def read_run(paths: JobPaths) -> dict[str, Any] | None:
     """What `run.json` says, or None where no run has begun.
 

@@ -15,6 +15,7 @@ from typing import Any, cast
 from robir.config import RunConfig
 from robir.errors import RobirError
 from robir.jobs.context import StageContext
+from robir.jobs.folder import create
 from robir.jobs.lock import folder_lock
 from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
@@ -87,7 +88,7 @@ def reconstruct(
     """
     paths = JobPaths(request.out)
     capture = capture_fingerprint(request.source, request.masks, request.out)
-    folder.create(paths)
+    create(paths)
     try:
         with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
             _bring_up_to_date(request, paths, display, stages, capture)

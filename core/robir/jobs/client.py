@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts a reconstruction that outlives its caller, and follows, stops or finds it again by files.
+
+Whoever knows the result folder can follow the worker: the lock says whether one is at work, as it
+goes with the process that holds it, `status.json` says where it stands, and `worker.log` holds what
+it printed, which matters where it ended before it could write a status.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from robir.errors import CancelledError, DeviceError, StorageError, UsageError
+from robir.jobs.folder import create
+from robir.jobs.lock import holder
+from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.jobs.status import Status, read_status
+
+State = Literal["none", "starting", "running", "done", "failed", "cancelled", "died"]
+
+_STARTING_SECONDS = 120.0
+"""Longest time between the start of a worker and its lock, unless it is a child of this process."""
+
+_LOG_LINES = 30
+_FULL_BELOW_BYTES = 1 << 20
+
+_children: dict[Path, subprocess.Popen[Any]] = {}
+"""Workers that this process started, by result folder; asking them keeps zombies away."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What to reconstruct; every path is absolute.
+
+    Attributes:
+        capture: Folder or file of the capture.
+        out: Result folder; an unfinished one is continued.
+        preset: How much work to do.
+        device: "auto", "cpu" or "cuda".
+        masks: Folder of masks, or None for the capture's own.
+    """
+
+    capture: Path
+    out: Path
+    preset: str = "draft"
+    device: str = "auto"
+    masks: Path | None = None
+
+    def words(self) -> list[str]:
+        """The command line without the program."""
+        masks = [] if self.masks is None else ["--masks", str(self.masks)]
+        choices = ["--preset", self.preset, "--device", self.device]
+        return [
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
+            "--resume", "--progress", "json",
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Where a reconstruction stands.
+
+    Attributes:
+        state: "none" where nothing was ever begun, "died" where the worker ended without a word.
+        stage: Stage at work or last at work; empty before the first.
+        fraction: Share of the run that is done, in [0, 1].
+        message: What is being done, or the sentence that says why it ended.
+        seconds_left: Estimated seconds to the end, or None.
+        metrics: Latest metrics by name.
+        exit_code: Of the ended worker, or None where it is not known.
+        warnings: Sentences about what lowers the result.
+        log: Last lines of the log for people, where the run ended badly.
+    """
+
+    state: State
+    stage: str = ""
+    fraction: float = 0.0
+    message: str = ""
+    seconds_left: float | None = None
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    exit_code: int | None = None
+    warnings: tuple[str, ...] = ()
+    log: tuple[str, ...] = ()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a worker is at work."""
+        return self.state in ("starting", "running")
+
+
+def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
+    """Start a worker that goes on when this process ends.
+
+    Args:
+        program: Words before those of the request, such as PYTHON -P -m robir.
+        request: What to do.
+        environment: All variables of the worker.
+
+    Raises:
+        UsageError: If the result folder holds other things, or a worker is at work in it.
+        StorageError: If nothing can be written there.
+        DeviceError: If the program cannot be run.
+    """
+    paths = JobPaths(request.out)
+    create(paths)
+    if not snapshot(request.out).is_live:
+        _reap(request.out, 5.0)  # it has said that it is done and may still be going
+    at_work = holder(paths.lock)
+    if at_work is not None:
+        raise UsageError(f"{request.out} is in use by process {at_work}; wait for it or stop it")
+    begun: dict[str, Any] = {"started": time.time(), "pid": None}
+    try:
+        paths.cancel.unlink(missing_ok=True)
+        write_json(paths.worker, begun)
+        with paths.worker_log.open("wb") as log:
+            process = subprocess.Popen(
+                [*program, *request.words()],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=request.out,
+                env=dict(environment),
+                **_detached(),
+            )
+    except OSError as error:
+        if error.filename == program[0]:
+            raise DeviceError(
+                f"the engine {program[0]} cannot be run: {error.strerror}; check the engine"
+            ) from error
+        raise StorageError(
+            f"{error.filename or request.out} cannot be written: {error.strerror}; make room or "
+            "choose another result folder"
+        ) from error
+    _children[request.out] = process
+    with suppress(OSError):  # the number only helps others to tell a slow start from a death
+        write_json(paths.worker, begun | {"pid": process.pid})
+
+
+def snapshot(root: Path) -> Snapshot:
+    """Where the reconstruction in a result folder stands; never raises, whatever is in there."""
+    paths = JobPaths(root)
+    begun = _read(paths.worker)
+    status = _read_status(paths)
+    while True:
+        is_held = holder(paths.lock) is not None
+        before, status = status, _read_status(paths)
+        # A worker that has just begun or ended did so between two looks; a dead one stays dead.
+        if is_held or status == before:
+            break
+    if not begun and status is None and not is_held:
+        return Snapshot(state="none")
+    is_current = status is not None and status.heartbeat >= begun.get("started", 0.0)
+    if status is not None and is_current:
+        known = Snapshot(
+            state="running",
+            stage=status.stage,
+            fraction=status.fraction,
+            message=status.message,
+            seconds_left=status.seconds_left,
+            metrics=status.metrics,
+        )
+        if status.state != "running":
+            _reap(root, 0.0)
+            return _ended(paths, known, status.state, status.message, status.exit_code)
+        if is_held:
+            return known
+    elif is_held or _is_starting(root, begun):
+        return Snapshot(state="starting", message="starting")
+    else:
+        known = Snapshot(state="running")
+    return _without_a_word(paths, known, _reap(root, 0.2))
+
+
+def request_cancel(root: Path) -> None:
+    """Ask the worker to stop at its next step; one that has not begun is ended at once."""
+    paths = JobPaths(root)
+    paths.cancel.touch()
+    if snapshot(root).state == "starting":
+        stop(root)
+
+
+def stop(root: Path, *, is_forced: bool = False) -> None:
+    """End the worker without waiting for its next step.
+
+    Args:
+        root: Result folder.
+        is_forced: Whether to give it no chance to end in good order; its own children go with it.
+    """
+    child = _children.get(root)
+    # The lock names the process that holds it, so no stranger with a used-up number is hit.
+    pid = holder(JobPaths(root).lock) or (child.pid if child and child.poll() is None else None)
+    if pid is None:
+        return
+    try:
+        if not is_forced or sys.platform == "win32":
+            os.kill(pid, signal.SIGTERM)
+        elif os.getpgid(pid) == pid:
+            os.killpg(pid, signal.SIGKILL)
+        else:
+            os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass  # it was faster
+
+
+def _detached() -> dict[str, Any]:
+    """What keeps a worker alive when its starter ends."""
+    if sys.platform == "win32":
+        flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
+        return {"creationflags": flags}
+    return {"start_new_session": True}
+
+
+def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
+    """Whether a worker that holds no lock yet may still come to it."""
+    child = _children.get(root)
+    if child is not None:
+        return child.poll() is None
+    if time.time() - begun.get("started", 0.0) > _STARTING_SECONDS:
+        return False
+    if sys.platform == "win32" or begun.get("pid") is None:
+        return True
+    try:
+        os.kill(begun["pid"], 0)
+    except OSError as error:
+        return isinstance(error, PermissionError)
+    return True
+
+
+def _reap(root: Path, seconds: float) -> int | None:
+    """Exit code of a worker of ours that ends within some seconds, or None; forgets it."""
+    child = _children.get(root)
+    if child is None:
+        return None
+    try:
+        code = child.wait(seconds)
+    except subprocess.TimeoutExpired:
+        return None
+    del _children[root]
+    return code
+
+
+def _ended(
+    paths: JobPaths, known: Snapshot, state: State, message: str, exit_code: int | None
+) -> Snapshot:
+    return Snapshot(
+        state=state,
+        stage=known.stage,
+        fraction=known.fraction,
+        message=message,
+        metrics=known.metrics,
+        exit_code=exit_code,
+        warnings=_warnings(paths),
+        log=() if state == "done" else _log_tail(paths),
+    )
+
+
+def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snapshot:
+    """What became of a worker that is gone and left no final status."""
+    printed = _printed(paths)
+    if (failure := _failure(printed)) is not None:
+        code = failure["exit_code"]
+        state: State = "cancelled" if code == CancelledError.exit_code else "failed"
+        return _ended(paths, known, state, failure["message"], code)
+    if paths.cancel.exists():
+        return _ended(paths, known, "cancelled", "stopped on request", code)
+    again = "press Reconstruct to go on from the last finished stage"
+    words = [line for line in printed if not line.startswith("{")]
+    if _is_full(paths.root):
+        message = f"the disk of {paths.root} is full; make room, then {again}"
+    elif not known.stage and code is not None and code > 0:
+        said = words[-1] if words else f"it ended with code {code}"
+        message = f"the engine did not start ({said}); check the engine"
+    else:
+        place = f" in {known.stage}" if known.stage else ""
+        why = " by the system, perhaps for want of memory" if code == -9 else ""
+        message = f"the worker was killed{place}{why}; {again}"
+    return _ended(paths, known, "died", message, code)
+
+
+def _printed(paths: JobPaths) -> list[str]:
+    try:
+        text = paths.worker_log.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return []
+    return [line for line in text.splitlines() if line.strip()]
+
+
+def _failure(printed: Sequence[str]) -> dict[str, Any] | None:
+    """The last sentence of a worker that could say why it ended."""
+    for line in reversed(printed):
+        try:
+            event = json.loads(line)
+            if event["kind"] == "failed":
+                return {"message": str(event["message"]), "exit_code": int(event["exit_code"])}
+        except (ValueError, KeyError, TypeError):
+            continue
+    return None
+
+
+def _log_tail(paths: JobPaths) -> tuple[str, ...]:
+    try:
+        log = paths.log.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        log = []
+    words = [line for line in _printed(paths) if not line.startswith("{")]
+    return tuple([*log, *words][-_LOG_LINES:])
+
+
+def _warnings(paths: JobPaths) -> tuple[str, ...]:
+    found = _read(paths.run).get("warnings", ())
+    return tuple(str(warning["message"]) for warning in found if "message" in warning)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Contents of a JSON file; nothing where it is missing or damaged."""
+    try:
+        return dict(read_json(path))
+    except (OSError, ValueError, TypeError):
+        return {}
+
+
+def _read_status(paths: JobPaths) -> Status | None:
+    try:
+        return read_status(paths.status)
+    except (OSError, ValueError, TypeError, AttributeError):
+        return None
+
+
+def _is_full(root: Path) -> bool:
+    try:
+        return shutil.disk_usage(root).free < _FULL_BELOW_BYTES
+    except OSError:
+        return False

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes a result folder, and never takes a folder that holds other things for one."""
+
+from __future__ import annotations
+
+from robir.errors import StorageError, UsageError
+from robir.jobs.paths import JobPaths
+
+
+def create(paths: JobPaths) -> None:
+    """Make the result folder, or accept an existing one that is empty or ours.
+
+    Raises:
+        UsageError: If it holds other things.
+        StorageError: If it cannot be made.
+    """
+    root = paths.root
+    first = (paths.run, paths.lock, paths.log, paths.cancel, paths.worker, paths.worker_log)
+    ours = {path.name for path in first}
+    halves = tuple(f".{path.stem}-" for path in (paths.run, paths.worker))
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        strangers = [
+            path.name
+            for path in root.iterdir()
+            if path.name not in ours and not path.name.startswith(halves)
+        ]
+    except OSError as error:
+        raise StorageError(
+            f"the output folder {root} cannot be made: {error.strerror}; give another with -o"
+        ) from error
+    if strangers and not paths.run.exists():
+        raise UsageError(
+            f"{root} holds other files ({', '.join(sorted(strangers)[:3])}) and is not a result "
+            "folder; give a new or empty folder with -o"
+        )
