@@ -10,15 +10,20 @@ engine calls the user's Blender by it, so that it needs no Blender of its own.
 """
 
 import argparse
+import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import bpy
 
 from . import engine, gateway, headless
 from .preferences import engine_python
+
+_STOPS = (signal.SIGINT, signal.SIGTERM)
 
 _handles: list[Any] = []
 
@@ -65,10 +70,26 @@ def reconstruct(arguments: list[str]) -> int:
             python = engine.interpreter(options.engine)
             engine.inspect(python, gateway.__version__)
     except engine.EngineError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {error}, or name one with --engine PYTHON\n")
         return error.exit_code
-    command = [python, "-P", "-m", "robir", "reconstruct", *words]
-    code = subprocess.run(command, check=False, env=worker_environment()).returncode
+    return _run_worker([python, "-P", "-m", "robir", "reconstruct", *words])
+
+
+def _run_worker(command: Sequence[str | Path]) -> int:
+    """Run the engine to its end; a request to stop Blender stops the engine, which says so."""
+    # in a session of its own: else it gets a terminal's Ctrl-C twice, from here and from there
+    with subprocess.Popen(command, env=worker_environment(), start_new_session=True) as worker:
+
+        def stop(_number: int, _frame: FrameType | None) -> None:
+            worker.terminate()
+
+        before = {number: signal.signal(number, stop) for number in _STOPS}
+        try:
+            code = worker.wait()
+        finally:
+            for number, handler in before.items():
+                # Blender's own handlers are unknown to Python, which reports them as None
+                signal.signal(number, signal.SIG_DFL if handler is None else handler)
     return code if code >= 0 else 1
 
 
