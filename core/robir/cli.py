@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: `robir reconstruct|check|relight|evaluate|bench`.
+"""The command line: `robir reconstruct|check|relight|evaluate|bench|selftest`.
 
 Standard output carries the result alone (a path, or JSON where asked for); progress and messages
 go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
@@ -71,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_relight(subparsers)
     _add_evaluate(subparsers)
     _add_bench(subparsers)
+    _add_selftest(subparsers)
     return parser
 
 
@@ -145,6 +146,17 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(command=commands.bench)
     parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="captures, seeds and variants")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
+
+
+def _add_selftest(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "selftest", help="see by a small fit whether this machine can reconstruct"
+    )
+    parser.set_defaults(command=commands.selftest)
+    parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
+    parser.add_argument(
+        "--json", action="store_true", help="progress and at last the verdict as JSON lines"
+    )
 
 
 def _add_progress(parser: argparse.ArgumentParser) -> None:

@@ -112,6 +112,24 @@ def relight(options: Namespace) -> int:
     return 0
 
 
+def selftest(options: Namespace) -> int:
+    """Say whether this machine can reconstruct; with --json the last line is the verdict."""
+    from robir.selftest import run_selftest
+
+    def show(fraction: float, message: str) -> None:
+        if options.json:
+            line = json.dumps({"progress": round(fraction, 3), "message": message})
+            print(line, flush=True)
+
+    verdict = asdict(run_selftest(options.device, show))
+    code = verdict.pop("exit_code")
+    if options.json:
+        print(json.dumps(verdict))
+    else:
+        print("\n".join(f"{name}: {value}" for name, value in verdict.items()))
+    return code
+
+
 def bench(options: Namespace) -> int:
     """Run a plan and tabulate its scores; prints the table's path."""
     from robir.bench.plan import read_plan

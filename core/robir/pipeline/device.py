@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chooses the device and the number of threads that torch works with."""
+"""Chooses the device and the number of threads that torch works with, and says what they are."""
 
 from __future__ import annotations
 
 import os
+import platform
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from robir.errors import DeviceError
@@ -23,6 +26,21 @@ class Execution:
     threads: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """What a device is.
+
+    Attributes:
+        name: Of the processor or the graphics card.
+        memory_bytes: All its memory; 0 if unknown.
+        free_memory_bytes: What a new process can have of it; 0 if unknown.
+    """
+
+    name: str
+    memory_bytes: int
+    free_memory_bytes: int
+
+
 def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None) -> Execution:
     """The device to work on; also sets the number of threads.
 
@@ -38,6 +56,73 @@ def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None)
     torch.set_num_threads(threads or os.cpu_count() or 1)
     has_cuda = torch.cuda.is_available()
     if asked == "cuda" and not has_cuda:
-        raise DeviceError("torch finds no CUDA device; use --device cpu, or install torch for CUDA")
+        raise DeviceError(_why_no_cuda())
     device = "cuda" if has_cuda and asked != "cpu" else "cpu"
     return Execution(device=device, threads=torch.get_num_threads())
+
+
+def machine(device: str) -> Machine:
+    """Name and memory of a torch device, "cpu" or "cuda"."""
+    if device == "cuda":
+        import torch
+
+        free, total = torch.cuda.mem_get_info()
+        name = torch.cuda.get_device_name()
+        return Machine(name=name, memory_bytes=total, free_memory_bytes=free)
+    total, free = _main_memory()
+    return Machine(name=_processor(), memory_bytes=total, free_memory_bytes=free)
+
+
+def _why_no_cuda() -> str:
+    """What keeps torch from CUDA, and the cure."""
+    import torch
+
+    if torch.version.cuda is None:
+        return (
+            f"torch {torch.__version__} was built without CUDA; use --device cpu, or install torch "
+            "for CUDA"
+        )
+    try:
+        torch.cuda.init()
+        said = "it finds none"
+    except (RuntimeError, AssertionError) as error:
+        said = str(error).strip().partition(". ")[0]
+    return (
+        f"torch {torch.__version__} for CUDA {torch.version.cuda} finds no CUDA device ({said}); "
+        "use --device cpu, or install or update NVIDIA's driver"
+    )
+
+
+def _processor() -> str:
+    cores = f"{os.cpu_count()} cores"
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    name = models[0] if models else platform.processor() or platform.machine()
+    return f"{name}, {cores}"
+
+
+def _main_memory() -> tuple[int, int]:
+    """All main memory and what is available of it, bytes; 0 where the system does not say."""
+    if sys.platform == "win32":
+        return _windows_memory()
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return total, 0
+    available = [int(line.split()[1]) for line in lines if line.startswith("MemAvailable")]
+    return total, 1024 * available[0] if available else 0
+
+
+def _windows_memory() -> tuple[int, int]:
+    """As `_main_memory`, from GlobalMemoryStatusEx."""
+    import ctypes
+
+    # dwLength and dwMemoryLoad share the first eight bytes; seven sizes of eight bytes follow
+    status = (ctypes.c_uint64 * 8)(64)
+    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(status):  # type: ignore[attr-defined]
+        return 0, 0
+    return status[1], status[2]

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`robir selftest`: a real but tiny fit, to see that this machine can reconstruct at all.
+
+Nothing heavy is imported before the test runs: that torch cannot be loaded is one of its findings.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Literal
+
+from robir import __version__
+from robir.errors import CancelledError, DeviceError, RobirError, StorageError
+from robir.export.blender import missing_blender
+from robir.pipeline.device import Machine, choose_execution, machine
+
+DRAFT_BYTES = 2 << 30
+"""Memory that a draft of a usual capture takes at most."""
+
+_DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What the test found; every field is plain.
+
+    Attributes:
+        ok: Whether reconstructions will work.
+        exit_code: 0, 4 (no usable device or memory), 5 (the fit is bad), or that of another error.
+        seconds: Wall seconds of the whole test.
+        device: "cpu" or "cuda"; empty where none could be used.
+        device_name: Name of the processor or graphics card.
+        memory_bytes: Memory of the device; 0 if unknown.
+        free_memory_bytes: How much of it is free; 0 if unknown.
+        torch: Version; empty if it is not installed. The same for the next three.
+        numpy: Version.
+        robir: Version.
+        python: Version.
+        blender: How Cycles would be run, or why it cannot be.
+        held_out_psnr: dB on views that were kept aside; None if the fit did not end.
+        message: One sentence: that it works, or what is wrong.
+        cure: What to do; may be said of a machine that just about works, too.
+    """
+
+    ok: bool
+    exit_code: int
+    seconds: float
+    device: str
+    device_name: str
+    memory_bytes: int
+    free_memory_bytes: int
+    torch: str
+    numpy: str
+    robir: str
+    python: str
+    blender: str
+    held_out_psnr: float | None
+    message: str
+    cure: str
+
+
+def run_selftest(
+    asked: Literal["cpu", "cuda", "auto"], progress: Callable[[float, str], None]
+) -> Verdict:
+    """Fit a tiny capture and judge the machine by it.
+
+    Args:
+        asked: Device as on the command line.
+        progress: Told the share that is done and what is being done.
+
+    Raises:
+        CancelledError: If the user asked to stop.
+    """
+    begin = time.monotonic()
+    found = Machine(name="", memory_bytes=0, free_memory_bytes=0)
+    device, psnr, code, message, cure = "", None, 0, "", ""
+    try:
+        from robir.specimen import judged_fit
+
+        execution = choose_execution(asked, None)
+        device, found = execution.device, machine(execution.device)
+        psnr = judged_fit(execution, progress)
+        message = f"A small fit on {found.name} took {time.monotonic() - begin:.0f} s"
+        if 0 < found.free_memory_bytes < DRAFT_BYTES:
+            message += f", but only {_gigabytes(found.free_memory_bytes)} of memory are free"
+            cure = f"a draft needs up to {_gigabytes(DRAFT_BYTES)}: close other programs"
+    except CancelledError:
+        raise
+    except (ImportError, OSError, RuntimeError, RobirError) as error:
+        fault = _in_words(error, device, found)
+        code = fault.exit_code
+        message, _, cure = str(fault).partition("; ")
+    return Verdict(
+        ok=code == 0,
+        exit_code=code,
+        seconds=round(time.monotonic() - begin, 1),
+        device=device,
+        device_name=found.name,
+        memory_bytes=found.memory_bytes,
+        free_memory_bytes=found.free_memory_bytes,
+        torch=_version("torch"),
+        numpy=_version("numpy"),
+        robir=__version__,
+        python=".".join(map(str, sys.version_info[:3])),
+        blender=missing_blender() or os.environ.get("ROBIR_BLENDER") or f"bpy {_version('bpy')}",
+        held_out_psnr=psnr,
+        message=message,
+        cure=cure,
+    )
+
+
+def _in_words(error: Exception, device: str, found: Machine) -> RobirError:
+    """An error as a sentence with the cure behind the first semicolon; bugs are raised again."""
+    if isinstance(error, DeviceError) and str(error).startswith("out of memory"):
+        free = f" ({_gigabytes(found.free_memory_bytes)} free)" if found.free_memory_bytes else ""
+        return DeviceError(
+            f"even a small fit runs out of memory on {found.name}{free}; close other programs"
+        )
+    if isinstance(error, RobirError):
+        return error
+    if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
+        return StorageError(
+            f"the temporary folder cannot be written ({error.strerror}); make room on its disk"
+        )
+    if isinstance(error, ImportError | OSError):
+        return DeviceError(f"a part is missing or broken ({error}); install the engine again")
+    if device == "cuda":
+        said = str(error).partition("\n")[0]
+        return DeviceError(
+            f"torch {_version('torch')} cannot compute on {found.name} ({said}); update the "
+            "graphics driver, or choose the processor as device"
+        )
+    raise error
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def _gigabytes(count: int) -> str:
+    return f"{count / 2**30:.1f} GB"
