@@ -72,6 +72,7 @@ def _require_ours() -> None:
 _require_ours()
 
 from robir import __version__
+from robir.jobs import client
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.jobs.status import Status, read_status
 
@@ -80,6 +81,7 @@ __all__ = [
     "JobPaths",
     "Status",
     "__version__",
+    "client",
     "read_json",
     "read_status",
     "replacing",

@@ -27,6 +27,9 @@ from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.jobs.status import Status, read_status
 
+START_ERRORS = (UsageError, StorageError, DeviceError)
+"""What `start` raises, each with a sentence for the user."""
+
 State = Literal["none", "starting", "running", "done", "failed", "cancelled", "died"]
 
 _STARTING_SECONDS = 120.0

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Choose a capture, look at it, and put it away again."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from .. import monitor, viewport
+from ..engine import EngineError
+from ..errors import AddonError
+from ..preferences import engine_python
+from ..worker import absolute, in_panel_words, program
+
+_FORMATS = {
+    "nerf-synthetic": "NeRF-synthetic",
+    "nerfstudio": "nerfstudio",
+    "colmap": "COLMAP",
+    "neus": "NeuS",
+    "llff": "LLFF",
+}
+
+_faulty: set[Path] = set()
+"""Captures that the last look at them refused."""
+
+
+def is_refused(capture: Path | None) -> bool:
+    """Whether the last look at a capture found faults that have to be mended first."""
+    return capture in _faulty
+
+
+class _Look:
+    """One look at a capture: what the engine says of it becomes the panel's and the viewport's."""
+
+    def __init__(self, scene: bpy.types.Scene, capture: Path) -> None:
+        self._scene = scene.name
+        self._capture = capture
+        self._facts: dict[str, Any] | None = None
+        self.problem = ""
+
+    def take(self, event: dict[str, Any]) -> None:
+        """Remember the answer among what the engine prints."""
+        if "accepted" in event:
+            self._facts = event
+
+    def end(self, code: int, said: str) -> None:
+        """Show the answer; `problem` says why the capture cannot be used, if so."""
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or absolute(scene.robir.capture) != self._capture:
+            return  # another file or another capture by now
+        state = bpy.context.window_manager.robir
+        _forget(state)
+        if self._facts is None:
+            if code == 130:
+                self.problem = "The look at the capture was stopped"
+                state.message = self.problem
+            else:
+                last = (said.splitlines() or [f"it ended with code {code}"])[-1]
+                self.problem = (
+                    f"the engine could not look at the capture ({last}); check the engine"
+                )
+                monitor.show_problem(self.problem)
+            return
+        _show_findings(state, self._facts["findings"])
+        if not self._facts["accepted"]:
+            _faulty.add(self._capture)
+            viewport.clear_capture()
+            first = state.findings[0]
+            self.problem = f"{first.text}; {first.cure}" if first.cure else first.text
+            return
+        state.recognised = _recognised(self._facts)
+        try:
+            monitor.do_in_steps(viewport.show_capture(scene, self._facts))
+        except RuntimeError as fault:
+            self.problem = f"a photograph cannot be shown ({str(fault).strip()}); look again"
+            monitor.show_problem(self.problem)
+
+
+def _forget(state: Any) -> None:
+    """What was known of the capture before."""
+    state.recognised = ""
+    state.findings.clear()
+    _faulty.clear()
+    monitor.drop_steps()
+
+
+def _show_findings(state: Any, findings: list[dict[str, Any]]) -> None:
+    for finding in findings:
+        shown = state.findings.add()
+        files = f" ({', '.join(finding['files'])})" if finding["files"] else ""
+        shown.level = finding["level"]
+        shown.text = in_panel_words(finding["message"]) + files
+        shown.cure = in_panel_words(finding["cure"])
+
+
+def _recognised(facts: dict[str, Any]) -> str:
+    name = _FORMATS.get(facts["format"], facts["format"])
+    count = facts["views"] + facts["held_out"]
+    return f"{name}, {count} photographs, {facts['held_out']} kept aside"
+
+
+class ROBIR_OT_choose_capture(bpy.types.Operator):
+    """Folder of photographs with their cameras."""
+
+    bl_idname = "robir.choose_capture"
+    bl_label = "Choose Capture"
+    bl_description = "Choose the folder that holds the photographs and their cameras"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(
+        name="Capture",
+        description="Folder with the photographs and their cameras",
+        subtype="DIR_PATH",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    _way = "EXEC_DEFAULT"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not while something is at work."""
+        return may_begin(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder, beginning with the one that is chosen."""
+        self._way = "INVOKE_DEFAULT"
+        if not self.directory:
+            self.directory = context.scene.robir.capture
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Take the folder and look at it."""
+        capture = absolute(self.directory)
+        if capture is None or not capture.exists():
+            self.report({"ERROR"}, f"There is no folder {self.directory!r}; choose another")
+            return {"CANCELLED"}
+        context.scene.robir.capture = str(capture)
+        try:
+            return bpy.ops.robir.look_at_capture(self._way)
+        except RuntimeError as fault:  # how Blender passes on what that operator reported
+            self.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
+
+
+class ROBIR_OT_look_at_capture(bpy.types.Operator):
+    """What the capture is, what is wrong with it, and where its cameras stand."""
+
+    bl_idname = "robir.look_at_capture"
+    bl_label = "Look at Capture"
+    bl_description = "Recognise the capture, check it, and show its cameras in the viewport"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a capture is chosen, while nothing is at work."""
+        if not context.scene.robir.capture:
+            cls.poll_message_set("Choose a capture first")
+            return False
+        return may_begin(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Begin to look and return; what was seen appears by itself."""
+        look, command = self._begin(context)
+        if look is None:
+            return {"CANCELLED"}
+
+        def end(code: int, said: str) -> None:
+            look.end(code, said)
+            with monitor.in_window():
+                bpy.ops.ed.undo_push(message=self.bl_label)
+
+        return self._run(context, monitor.run_task, command, look, end)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Look, and return when that is done."""
+        look, command = self._begin(context)
+        if look is None:
+            return {"CANCELLED"}
+        answer = self._run(context, monitor.wait_task, command, look, look.end)
+        if look.problem:
+            self.report({"ERROR"}, look.problem)
+            return {"CANCELLED"}
+        return answer
+
+    def _begin(self, context: bpy.types.Context) -> tuple[_Look | None, list[str]]:
+        """The look and the engine's command; no look where there is no engine."""
+        settings = context.scene.robir
+        capture, masks = absolute(settings.capture), absolute(settings.masks)
+        try:
+            words = program(engine_python(context))
+        except EngineError as error:
+            monitor.show_problem(str(error))
+            self.report({"ERROR"}, str(error))
+            return None, []
+        command = [*words, "check", str(capture), "--json"]
+        if masks is not None:
+            command += ["--masks", str(masks)]
+        return _Look(context.scene, capture), command
+
+    def _run(
+        self, context: bpy.types.Context, run: Any, command: list[str], look: _Look, end: Any
+    ) -> set[str]:
+        try:
+            run("look", command, look.take, end)
+        except AddonError as error:
+            monitor.show_problem(str(error))
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if monitor.is_busy():
+            context.window_manager.robir.message = "Reading the photographs"
+        return {"FINISHED"}
+
+
+class ROBIR_OT_clear_capture(bpy.types.Operator):
+    """No capture any more."""
+
+    bl_idname = "robir.clear_capture"
+    bl_label = "Clear Capture"
+    bl_description = "Take the capture's cameras and photographs out of the scene; no file is lost"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """While nothing is at work."""
+        return may_begin(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Forget it, and remove all that was shown of it."""
+        viewport.clear_capture()
+        _forget(context.window_manager.robir)
+        monitor.show_problem("")
+        context.scene.robir.capture = ""
+        context.scene.robir.out = ""
+        return {"FINISHED"}
+
+
+def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether nothing is at work; says so as the operator's reason if something is."""
+    if monitor.is_busy() or context.window_manager.robir.task:
+        operator.poll_message_set("Wait until the work at hand is done, or cancel it")
+        return False
+    return True
+
+
+CLASSES = (ROBIR_OT_choose_capture, ROBIR_OT_look_at_capture, ROBIR_OT_clear_capture)

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reconstruct the capture, stop that, or find a reconstruction that is at work again."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import monitor, viewport
+from ..command_line import worker_environment
+from ..engine import EngineError
+from ..gateway import client
+from ..preferences import engine_python, engine_status
+from ..worker import absolute, in_panel_words, program, request_of, result_folder
+from .capture import is_refused, may_begin
+
+_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+
+
+class ROBIR_OT_reconstruct(bpy.types.Operator):
+    """From the photographs to an object in the scene."""
+
+    bl_idname = "robir.reconstruct"
+    bl_label = "Reconstruct"
+    bl_description = (
+        "Reconstruct the captured object and import it when it is done; an unfinished "
+        "reconstruction is continued, and Blender may be closed meanwhile"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a capture and an engine, while nothing is at work."""
+        if not may_begin(cls, context):
+            return False
+        capture = absolute(context.scene.robir.capture)
+        if capture is None:
+            cls.poll_message_set("Choose a capture first")
+            return False
+        if is_refused(capture):
+            cls.poll_message_set("The capture has faults that must be mended first: see Check")
+            return False
+        status = engine_status(context)
+        if status.state != "ready":
+            cls.poll_message_set(f"{status.text}: {status.cure}")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the worker and return; the object arrives by itself."""
+        root = self._start(context)
+        if root is None:
+            return {"CANCELLED"}
+        monitor.watch(root)
+        return {"FINISHED"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the worker, wait for it, and import the object."""
+        root = self._start(context)
+        if root is None:
+            return {"CANCELLED"}
+        return _waited(self, context, root)
+
+    def _start(self, context: bpy.types.Context) -> Path | None:
+        """Result folder of a worker that was started; None where it was not."""
+        try:
+            request = request_of(context.scene.robir)
+            if not client.snapshot(request.out).is_live:
+                words = program(engine_python(context))
+                client.start(words, request, worker_environment())
+        except (EngineError, *client.START_ERRORS) as error:
+            monitor.show_problem(str(error))
+            self.report({"ERROR"}, in_panel_words(str(error)))
+            return None
+        return request.out
+
+
+class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
+    """Stop what is at work."""
+
+    bl_idname = "robir.cancel_reconstruct"
+    bl_label = "Cancel"
+    bl_description = "Stop the work at hand; finished stages of a reconstruction are kept"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """While something is at work."""
+        if not (monitor.is_busy() and context.window_manager.robir.task):
+            cls.poll_message_set("Nothing is at work")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask it to stop; it is made to if it does not."""
+        monitor.cancel()
+        return {"FINISHED"}
+
+
+class ROBIR_OT_attach(bpy.types.Operator):
+    """Follow a reconstruction that is at work already."""
+
+    bl_idname = "robir.attach"
+    bl_label = "Follow Reconstruction"
+    bl_description = "Follow the reconstruction that is at work on this capture, whoever started it"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a result folder, while nothing else is followed."""
+        if not may_begin(cls, context):
+            return False
+        if result_folder(context.scene.robir) is None:
+            cls.poll_message_set("Choose a capture or a result folder first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Follow it and return."""
+        root = self._find(context)
+        if root is None:
+            return {"CANCELLED"}
+        monitor.watch(root)
+        return {"FINISHED"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Follow it to its end."""
+        root = self._find(context)
+        if root is None:
+            return {"CANCELLED"}
+        return _waited(self, context, root)
+
+    def _find(self, context: bpy.types.Context) -> Path | None:
+        root = result_folder(context.scene.robir)
+        if not client.snapshot(root).is_live:
+            self.report({"ERROR"}, f"No reconstruction is at work in {root.name}; start one")
+            return None
+        return root
+
+
+def _waited(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> set[str]:
+    """Follow a job to its end and say how it ended."""
+    snapshot = monitor.wait_job(root)
+    for warning in snapshot.warnings:
+        operator.report({"WARNING"}, warning)
+    sentence = in_panel_words(snapshot.message)
+    if snapshot.state != "done":
+        kind = "WARNING" if snapshot.state == "cancelled" else "ERROR"
+        operator.report({kind}, sentence)
+        return {"CANCELLED"}
+    problem = context.window_manager.robir.error
+    if problem:  # it is done, but could not be imported
+        operator.report({"ERROR"}, problem)
+        return {"CANCELLED"}
+    operator.report({"INFO"}, sentence)
+    return {"FINISHED"}
+
+
+def _bring_in(root: Path) -> None:
+    """Import a finished result as one step that can be undone."""
+    with monitor.in_window():
+        bpy.context.scene.robir.result = str(root)
+        if not bpy.ops.robir.import_result.poll():
+            monitor.show_problem(
+                "the reconstruction is done and can only be imported in Object Mode; "
+                "leave the present mode and press Import Result"
+            )
+            return
+        monitor.drop_steps()
+        viewport.clear_capture()  # the result brings the same cameras
+        try:
+            bpy.ops.robir.import_result(directory=str(root))
+        except RuntimeError as fault:  # how Blender passes on what that operator reported
+            monitor.show_problem(str(fault).removeprefix("Error: ").strip())
+        bpy.ops.ed.undo_push(message="Import Result")
+
+
+def register() -> None:
+    """Import what is done, and let Esc over the viewport stop what is at work."""
+    monitor.on_done.append(_bring_in)
+    keys = bpy.context.window_manager.keyconfigs.addon
+    if keys is None:  # without a window
+        return
+    # A key and no modal operator: while one of those runs, Blender never saves automatically.
+    keymap = keys.keymaps.new(name="3D View", space_type="VIEW_3D")
+    item = keymap.keymap_items.new(ROBIR_OT_cancel_reconstruct.bl_idname, "ESC", "PRESS")
+    _keys.append((keymap, item))
+
+
+def unregister() -> None:
+    """Take both back."""
+    monitor.on_done.remove(_bring_in)
+    while _keys:
+        keymap, item = _keys.pop()
+        keymap.keymap_items.remove(item)
+
+
+CLASSES = (ROBIR_OT_reconstruct, ROBIR_OT_cancel_reconstruct, ROBIR_OT_attach)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture in the viewport before anything is computed: cameras, photographs, the object's bounds.
+
+All of it lies in one collection, is known by a mark, and goes together. The cameras hold the files
+that the user gave; what hangs in front of them are small copies, so that hundreds of large
+photographs neither fill the memory nor stop the window.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .cameras import SENSOR_WIDTH, add_camera
+
+COLLECTION = "RobIR capture"
+
+_MARK = "robir_capture"
+"""Custom property of everything that is made here."""
+
+_LISTED = "robir_size"
+"""What lists a camera among those of a result, which these are not."""
+
+_SMALL_SIDE = 128
+"""Longer side of the small copies, pixels."""
+
+_MOST_REACH = 12.0
+"""Cameras farther off than this many radii are not made to fit into the view."""
+
+
+def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None]:
+    """Show a capture instead of the one that was shown before.
+
+    Args:
+        scene: Where to.
+        facts: What `robir check --json` said of an accepted capture.
+
+    Returns:
+        What is left to do, a photograph a step: the small copies in front of the cameras.
+    """
+    clear_capture()
+    collection = bpy.data.collections.new(COLLECTION)
+    collection[_MARK] = True
+    scene.collection.children.link(collection)
+    centre, radius = facts["centre"], facts["radius"]
+    bounds = bpy.data.objects.new("Bounds of the object", None)
+    bounds.empty_display_type = "SPHERE"
+    bounds.empty_display_size = radius
+    bounds.location = centre
+    bounds[_MARK] = True
+    collection.objects.link(bounds)
+    cameras = []
+    for view in facts["cameras"]:
+        camera = add_camera(view, Path(), centre)
+        del camera[_LISTED]
+        for block in (camera, camera.data, camera.data.background_images[0].image):
+            block[_MARK] = True
+        collection.objects.link(camera)
+        cameras.append((camera.name, view))
+    distances = [
+        sum((row[3] - at) ** 2 for row, at in zip(view["camera_to_world"], centre, strict=False))
+        for _, view in cameras
+    ]
+    reach = max(radius, min(max(distances) ** 0.5, _MOST_REACH * radius))
+    _frame(scene, centre, reach)
+    return _hang_photographs(collection.name, cameras)
+
+
+def clear_capture() -> None:
+    """Take away all that `show_capture` made."""
+    kinds = (bpy.data.objects, bpy.data.cameras, bpy.data.images, bpy.data.collections)
+    bpy.data.batch_remove([block for blocks in kinds for block in blocks if _MARK in block])
+
+
+def _hang_photographs(
+    collection_name: str, cameras: list[tuple[str, dict[str, Any]]]
+) -> Iterator[None]:
+    """Hang a small copy of its photograph in front of each camera, as large as it sees it there."""
+    for name, view in cameras:
+        yield
+        # by name: undo may have taken them away, and then references to them are no more
+        camera, collection = bpy.data.objects.get(name), bpy.data.collections.get(collection_name)
+        if camera is None or collection is None or _MARK not in camera:
+            return
+        picture = _small_copy(Path(view["image"]))
+        if picture is None:
+            continue
+        lens = camera.data
+        width = lens.display_size
+        height = width * (view["height"] / view["fy"]) / (view["width"] / view["fx"])
+        photo = bpy.data.objects.new(f"{view['name']} photograph", None)
+        photo[_MARK] = True
+        photo.empty_display_type = "IMAGE"
+        photo.data = picture
+        photo.empty_display_size = width if picture.size[0] >= picture.size[1] else height
+        photo.parent = camera
+        photo.location = (
+            lens.shift_x * width,
+            lens.shift_y * width,
+            -width * lens.lens / SENSOR_WIDTH,
+        )
+        photo.hide_select = True
+        collection.objects.link(photo)
+
+
+def _small_copy(file: Path) -> bpy.types.Image | None:
+    """A photograph reduced to a thumbnail that is kept in the Blender file; None if unreadable."""
+    try:
+        image = bpy.data.images.load(str(file))
+    except RuntimeError:
+        return None
+    image[_MARK] = True
+    width, height = image.size
+    if not width or not height:
+        bpy.data.images.remove(image)
+        return None
+    shrink = min(1.0, _SMALL_SIDE / max(width, height))
+    image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
+    image.name = f"{file.stem} small"
+    image.pack()
+    return image
+
+
+def _frame(scene: bpy.types.Scene, centre: list[float], reach: float) -> None:
+    """Make the viewports of a scene look at the capture as a whole."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type != "VIEW_3D":
+                continue
+            space = area.spaces.active
+            region = space.region_3d
+            if region.view_perspective == "CAMERA":
+                region.view_perspective = "PERSP"
+            region.view_location = centre
+            region.view_distance = 1.9 * reach
+            space.clip_start = min(space.clip_start, 1e-3 * reach)
+            space.clip_end = max(space.clip_end, 20.0 * reach)

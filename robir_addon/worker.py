@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a reconstruction is asked for, where its result goes, its sentences in the panel's words.
+
+Knows no Blender data beyond the settings it is handed.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .gateway import client
+
+_WORDS = (
+    ("; continue with --resume", "; press Reconstruct to go on"),
+    ("then continue with --resume", "then press Reconstruct to go on"),
+    ("continue it with --resume", "press Reconstruct to go on"),
+    ("redo the stages concerned with --resume", "press Reconstruct to redo what differs"),
+    ("install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume",
+     "press Check Engine"),
+    ("give another output folder with -o", "choose another result folder"),
+    ("give a new or empty folder with -o", "choose a new or empty result folder"),
+    ("give another output folder", "choose another result folder"),
+    ("give another with -o", "choose another result folder"),
+    ("give all masks with --masks DIR", "choose their folder as Masks"),
+    ("Masks will be needed as well (--masks DIR)", "Masks will be needed as well"),
+    ("with --masks DIR", "in a folder chosen as Masks"),
+    ("with --set, ", "or take a lower preset, "),
+    (", or try another --seed", ""),
+    ("run `robir check` on the capture", "look at the findings under Check"),
+    ("Run `robir check` and look", "Look"),
+    ("use --device cpu", "choose the processor as Device"),
+)  # fmt: skip
+"""What the command line calls a thing, and what it is called in the panel."""
+
+
+def in_panel_words(sentence: str) -> str:
+    """A sentence of the command line as someone needs it who sees only the panel."""
+    for theirs, ours in _WORDS:
+        sentence = sentence.replace(theirs, ours)
+    return sentence
+
+
+def problem_and_cure(sentence: str) -> tuple[str, str]:
+    """A sentence of the worker taken apart: what is wrong, and what to do about it."""
+    problem, _, cure = in_panel_words(sentence).partition("; ")
+    return problem[:1].upper() + problem[1:], cure[:1].upper() + cure[1:]
+
+
+def absolute(path: str) -> Path | None:
+    """A folder of the settings as an absolute path; None where none is chosen."""
+    # normalised without a look at the disk: a link to a capture keeps its own name
+    return Path(os.path.normpath(Path(bpy.path.abspath(path)).absolute())) if path else None
+
+
+def result_folder(settings: Any) -> Path | None:
+    """Where the result of the chosen capture goes; None where no capture is chosen."""
+    capture = absolute(settings.capture)
+    if settings.out or capture is None:
+        return absolute(settings.out)
+    folder = capture if capture.suffix.lower() not in (".json", ".npz") else capture.parent
+    return folder.with_name(f"{folder.name}_robir")
+
+
+def request_of(settings: Any) -> client.Request:
+    """The reconstruction that the settings ask for; a capture is chosen."""
+    capture, out = absolute(settings.capture), result_folder(settings)
+    assert capture is not None
+    assert out is not None
+    return client.Request(
+        capture=capture,
+        out=out,
+        preset=settings.preset,
+        device=settings.device,
+        masks=absolute(settings.masks),
+    )
+
+
+def program(python: Path) -> list[str]:
+    """Words that start the engine's command line; the current folder is not searched for it."""
+    return [str(python), "-P", "-m", "robir"]
