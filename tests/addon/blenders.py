@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -93,8 +94,11 @@ def run(blender: Blender, script: str, *arguments: Any, user: Path) -> Any:
             check=False,
             env={**os.environ, "BLENDER_USER_RESOURCES": str(user)},
         )
+        # Blender 4.2 crashes at its very end where a property group with an update function was
+        # uninstalled, whosever it was; what was to be done is done by then
+        is_known_crash = blender.version.startswith("4.2.") and done.returncode == -signal.SIGSEGV
         said = f"{done.stdout[-3000:]}\n{done.stderr[-5000:]}"
-        assert done.returncode == 0, (
+        assert done.returncode == 0 or (is_known_crash and answer.exists()), (
             f"Blender {blender.version} ended with {done.returncode}\n{said}"
         )
         return json.loads(answer.read_text(encoding="utf-8"))
