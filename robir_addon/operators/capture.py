@@ -167,10 +167,12 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         if look is None:
             return {"CANCELLED"}
 
+        label = self.bl_label  # the operator itself is gone by then
+
         def end(code: int, said: str) -> None:
             look.end(code, said)
             with monitor.in_window():
-                bpy.ops.ed.undo_push(message=self.bl_label)
+                bpy.ops.ed.undo_push(message=label)
 
         return self._run(context, monitor.run_task, command, look, end)
 
