@@ -2,7 +2,9 @@
 # make demo                        render a test scene, reconstruct it, relight it, show the report
 # make demo CAPTURE=path [MASKS=dir] [DEMO=dir]   the same for a capture of your own
 # make test                        everything the project checks about itself
+# make addon                       the Blender extension: dist/robir-VERSION.zip and dist/repository
 # make setup                       only the environment; .venv/bin/robir is then the command
+# make blenders                    further Blender versions, for the tests of the extension
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
 VENV := .venv
@@ -10,11 +12,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO ?= demo
 
+SOURCES := core tests blender_scenes robir_addon build_addon.py
+
 # What Blender's wheel links against and a bare Debian lacks.
 SYSTEM_LIBRARIES := libXrender.so.1 libXfixes.so.3 libXi.so.6 libxkbcommon.so.0 libSM.so.6 libGL.so.1
 SYSTEM_PACKAGES := libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1
 
-.PHONY: setup demo test fast lint system-packages
+.PHONY: setup demo addon blenders test fast lint system-packages
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -85,13 +89,51 @@ fi
 endef
 export RUN_DEMO
 
+addon: setup
+	$(BIN)/python build_addon.py
+
+blenders: setup
+	@sh -c "$$MAKE_BLENDERS"
+
+# Each in an environment of its own; what this machine cannot have is said loudly and left out.
+define MAKE_BLENDERS
+set -u
+
+find_python() {
+  for candidate in "python$$1" "$$HOME"/.pyenv/versions/"$$1".*/bin/python; do
+    found=$$("$$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+    if [ "$$found" = "$$1" ]; then echo "$$candidate"; return; fi
+  done
+  return 1
+}
+
+make_blender() {
+  folder=.venv-blender/$$1
+  mark=$$folder/installed-bpy-$$2
+  if [ -e "$$mark" ]; then return; fi
+  rm -rf "$$folder"
+  if python=$$(find_python "$$3") && "$$python" -m venv "$$folder" &&
+    "$$folder/bin/python" -m pip install --quiet --disable-pip-version-check "bpy==$$2"; then
+    touch "$$mark"
+  else
+    rm -rf "$$folder"
+    echo "******** NOT TESTED WITH BLENDER $$1: no Python $$3, or bpy $$2 cannot be had ********"
+  fi
+}
+
+make_blender 4.2 4.2.23 3.11
+make_blender 5.0 5.0.1 3.11
+make_blender 5.2 5.2.3 3.13
+endef
+export MAKE_BLENDERS
+
 lint: setup
-	$(BIN)/ruff check core tests blender_scenes robir_addon
-	$(BIN)/ruff format --check core tests blender_scenes robir_addon
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-test: lint
+test: lint blenders
 	$(BIN)/python -m pytest -q
 
 fast: lint

@@ -36,6 +36,5 @@ def blender(request: pytest.FixtureRequest) -> blenders.Blender:
 @pytest.fixture
 def own_blender() -> blenders.Blender:
     """The Blender of the environment that runs the tests."""
-    found = blenders.find_blender("4.5")
-    assert found is not None
-    return found
+    everyone = filter(None, map(blenders.find_blender, blenders.VERSIONS))
+    return next(found for found in everyone if found.python == Path(sys.executable))
