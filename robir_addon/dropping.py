@@ -10,6 +10,8 @@ from pathlib import Path
 import bpy
 from bpy.props import CollectionProperty, StringProperty
 
+from .operators.capture import may_begin, take_capture
+
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
 
@@ -55,10 +57,7 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Not while something is at work."""
-        if context.window_manager.robir.task:
-            cls.poll_message_set("Wait until the work at hand is done, or cancel it")
-            return False
-        return True
+        return may_begin(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Look without making the user wait."""
@@ -80,12 +79,7 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
                 "cameras.bin, cameras_sphere.npz or poses_bounds.npy",
             )
             return {"CANCELLED"}
-        context.scene.robir.capture = str(folder)
-        try:
-            return bpy.ops.robir.look_at_capture(way)
-        except RuntimeError as fault:  # how Blender passes on what that operator reported
-            self.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
-            return {"CANCELLED"}
+        return take_capture(self, context, folder, way)
 
 
 class ROBIR_FH_capture(bpy.types.FileHandler):

@@ -6,10 +6,11 @@ import bpy
 _IN_ORDER = (
     ("choose_capture", "look_at_capture", "clear_capture"),
     ("reconstruct", "attach", "cancel_reconstruct"),
-    ("import_result", "compare", "show_tone_curve", "match_view_transform", "open_report"),
+    ("import_result", "remove_result", "compare", "show_tone_curve", "match_view_transform"),
     ("use_recovered_light", "use_environment", "turntable"),
     ("export_glb", "export_usd", "export_textures", "mark_asset"),
-    ("install_engine", "cancel_install", "check_engine", "remove_engine", "copy_report"),
+    ("install_engine", "cancel_install", "check_engine", "remove_engine"),
+    ("open_report", "copy_report"),
 )
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sidebar's tab, its panels in order of work; they draw what is known and decide nothing.
 
-No panel touches a file: what the result's report says was read by `summary`, what goes on comes
-from `WindowManager.robir`, which `monitor` fills.
+What the result's report says was read by `summary`, what goes on comes from
+`WindowManager.robir`, which `monitor` fills; drawing itself reads nothing.
 """
 
 from pathlib import Path
@@ -10,9 +10,12 @@ from pathlib import Path
 import bpy
 from bl_ui.utils import PresetPanel
 
+from .growth import PREVIEW
 from .paragraphs import paragraph
+from .preferences import shown_engine_status
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
 from .summary import shown_summary
+from .viewport import COLLECTION
 
 _LEVEL_ICONS = {"error": "CANCEL", "warning": "ERROR", "note": "INFO"}
 _STAGES = {
@@ -22,8 +25,6 @@ _STAGES = {
     "appearance": "Light and materials",
     "export": "Files and report",
 }
-_PREVIEW = "RobIR preview"
-_CAPTURE_COLLECTION = "RobIR capture"
 
 
 class _Panel:
@@ -53,6 +54,31 @@ class ROBIR_PT_problem(_Panel, bpy.types.Panel):
         if state.error_cure:
             paragraph(box, context, state.error_cure, "BLANK1")
         box.operator("robir.copy_report", icon="COPYDOWN")
+
+
+class ROBIR_PT_no_engine(_Panel, bpy.types.Panel):
+    """The way to an engine, above the work that needs one."""
+
+    bl_label = "Engine Needed"
+    bl_options = {"HIDE_HEADER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Until there is an engine."""
+        return shown_engine_status(context).state != "ready"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """What is missing, and the button that gets it."""
+        status, box = shown_engine_status(context), self.layout.box()
+        if context.window_manager.robir.task == "install":
+            box.label(text="Installing the engine", icon="IMPORT")
+            _progress(box, context)
+            return
+        paragraph(box, context, status.text, "INFO")
+        paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
+        row = box.row(align=True)
+        row.operator("robir.install_engine", icon="IMPORT")
+        _preferences(row, text="")
 
 
 class ROBIR_PT_capture(_Panel, bpy.types.Panel):
@@ -85,7 +111,7 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
             paragraph(layout, context, state.recognised, "CHECKMARK")
         split = _split(layout)
         split.prop(settings, "masks")
-        cameras = bpy.data.collections.get(_CAPTURE_COLLECTION)
+        cameras = bpy.data.collections.get(COLLECTION)
         if cameras is not None:
             split.prop(cameras, "hide_viewport", text="Cameras in view", invert_checkbox=True)
 
@@ -146,11 +172,9 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
         split.prop(settings, "preset")
         split.prop(settings, "device")
         split.prop(settings, "out")
-        if state.job:
-            paragraph(layout, context, "A reconstruction of this capture is running", "INFO")
-            _big(layout).operator("robir.attach", icon="LINKED")
-        else:
-            _big(layout).operator("robir.reconstruct", icon="PLAY")
+        row = _big(layout)
+        row.operator("robir.reconstruct", icon="PLAY")
+        row.operator("robir.attach", text="", icon="LINKED")
 
     def _draw_running(self, context: bpy.types.Context) -> None:
         state, layout = context.window_manager.robir, self.layout
@@ -161,11 +185,10 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
             column.label(text=f"{_duration(state.seconds_left)} left", icon="BLANK1")
         if state.held_out_psnr >= 0.0:
             text = f"{state.held_out_psnr:.1f} dB on photographs kept aside"
-            column.label(text=text, icon="BLANK1")
-        preview = bpy.data.images.get(_PREVIEW)
+            paragraph(column, context, text, "BLANK1")
+        preview = bpy.data.images.get(PREVIEW)
         if preview is not None:
             layout.template_icon(icon_value=layout.icon(preview), scale=10.0)
-        _big(layout).operator("robir.cancel_reconstruct", icon="CANCEL")
 
 
 class ROBIR_PT_result(_Panel, bpy.types.Panel):
@@ -182,6 +205,7 @@ class ROBIR_PT_result(_Panel, bpy.types.Panel):
         row = layout.row(align=True)
         row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
         row.operator("robir.import_result", text="", icon="FILE_REFRESH")
+        row.operator("robir.remove_result", text="", icon="X")
         column = layout.column(align=True)
         column.operator("robir.compare", icon="IMAGE_REFERENCE")
         column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
@@ -268,15 +292,16 @@ class ROBIR_PT_engine(_Panel, bpy.types.Panel):
         if state.task in ("install", "check_engine"):
             _progress(layout, context)
         column = layout.column(align=True)
-        if state.task == "install":
-            column.operator("robir.cancel_install", icon="CANCEL")
-        else:
-            column.operator("robir.install_engine", icon="IMPORT")
         column.operator("robir.check_engine", icon="CHECKMARK")
+        column.operator("robir.install_engine", icon="IMPORT")
         column.operator("robir.remove_engine", icon="TRASH")
-        layout.operator(
-            "preferences.addon_show", text="Preferences", icon="PREFERENCES"
-        ).module = __package__
+        _preferences(layout, text="Preferences")
+
+
+def _preferences(layout: bpy.types.UILayout, text: str) -> None:
+    """The button that leads to the choice of the engine."""
+    button = layout.operator("preferences.addon_show", text=text, icon="PREFERENCES")
+    button.module = __package__
 
 
 def _big(layout: bpy.types.UILayout) -> bpy.types.UILayout:
@@ -294,9 +319,11 @@ def _split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def _progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """A bar, and below it what is being done."""
+    """A bar with what stops it, and below what is being done."""
     state = context.window_manager.robir
-    layout.progress(factor=state.fraction, type="BAR", text=f"{100.0 * state.fraction:.0f} %")
+    row = layout.row(align=True)
+    row.progress(factor=state.fraction, type="BAR", text=f"{100.0 * state.fraction:.0f} %")
+    row.operator("robir.cancel_reconstruct", text="Cancel", icon="CANCEL")
     if state.message:
         paragraph(layout, context, state.message)
 
@@ -316,6 +343,7 @@ def _duration(seconds: float) -> str:
 CLASSES = (
     ROBIR_PT_presets,
     ROBIR_PT_problem,
+    ROBIR_PT_no_engine,
     ROBIR_PT_capture,
     ROBIR_PT_check,
     ROBIR_PT_reconstruct,

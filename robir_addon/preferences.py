@@ -7,6 +7,7 @@ the Python that runs the script is the engine.
 """
 
 import sys
+import time
 from pathlib import Path
 
 import bpy
@@ -16,6 +17,11 @@ from . import engine, gateway
 from .engine import EngineError, Place, Status
 
 _CHOOSE = "choose one in the add-on's preferences"
+
+_shown: list[tuple[float, Status]] = []
+"""When the engine's state was last asked for to be drawn, and the answer."""
+
+_FRESH_SECONDS = 1.0
 
 
 class ROBIR_AP_preferences(bpy.types.AddonPreferences):
@@ -134,6 +140,14 @@ def engine_status(context: bpy.types.Context) -> Status:
     except EngineError as error:
         return Status("missing", error.message, error.cure)
     return Status("ready", f"The engine is {python}", python=python)
+
+
+def shown_engine_status(context: bpy.types.Context) -> Status:
+    """`engine_status` for drawing: looks at files once a second at most."""
+    now = time.monotonic()
+    if not _shown or now - _shown[0][0] > _FRESH_SECONDS:
+        _shown[:] = [(now, engine_status(context))]
+    return _shown[0][1]
 
 
 def engine_python(context: bpy.types.Context) -> Path:

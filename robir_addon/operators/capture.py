@@ -137,12 +137,7 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
         if capture is None or not capture.exists():
             self.report({"ERROR"}, f"There is no folder {self.directory!r}; choose another")
             return {"CANCELLED"}
-        context.scene.robir.capture = str(capture)
-        try:
-            return bpy.ops.robir.look_at_capture(self._way)
-        except RuntimeError as fault:  # how Blender passes on what that operator reported
-            self.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
-            return {"CANCELLED"}
+        return take_capture(self, context, capture, self._way)
 
 
 class ROBIR_OT_look_at_capture(bpy.types.Operator):
@@ -237,6 +232,25 @@ class ROBIR_OT_clear_capture(bpy.types.Operator):
         context.scene.robir.capture = ""
         context.scene.robir.out = ""
         return {"FINISHED"}
+
+
+def take_capture(
+    operator: bpy.types.Operator, context: bpy.types.Context, capture: Path, way: str
+) -> set[str]:
+    """Make a folder the scene's capture and look at it; what an operator then returns.
+
+    Args:
+        operator: Reports why the capture cannot be looked at.
+        context: Of the operator.
+        capture: Absolute.
+        way: INVOKE_DEFAULT looks without making the user wait, EXEC_DEFAULT waits.
+    """
+    context.scene.robir.capture = str(capture)
+    try:
+        return bpy.ops.robir.look_at_capture(way)
+    except RuntimeError as fault:  # how Blender passes on what that operator reported
+        operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
+        return {"CANCELLED"}
 
 
 def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

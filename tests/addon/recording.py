@@ -8,8 +8,7 @@ nothing of the checkout can be imported; so this file's text is put in front of 
 
 import types
 
-import bpy  # the wheel brings the next
-import blf  # isort: skip
+import bpy
 
 _LAYOUT = bpy.types.UILayout.bl_rna
 _FUNCTIONS = {function.identifier: function for function in _LAYOUT.functions}
@@ -167,6 +166,8 @@ class Drawn:
 
 def text_width(text):
     """Width in points at Blender's own size of text."""
+    import blf  # found once bpy was imported
+
     blf.size(0, bpy.context.preferences.ui_styles[0].widget.points)
     return blf.dimensions(0, text)[0]
 

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every panel of the installed extension, in every state, on a layout that records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from addon.blenders import VERSIONS, find_blender, run
+from addon.finished import make_result
+
+pytestmark = pytest.mark.blender
+
+HERE = Path(__file__).parent
+INTERNAL = {"drop_capture", "add_preset"}
+"""Operators that are of no use by themselves: no menu has them."""
+
+
+def script(session: str) -> str:
+    """The recorder and a session as one text, for nothing of the checkout is importable there."""
+    recorder = (HERE / "recording.py").read_text(encoding="utf-8")
+    lines = (HERE / session).read_text(encoding="utf-8").splitlines()
+    return "\n".join([recorder, *(line for line in lines if not line.startswith("from recording"))])
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_result(tmp_path_factory.mktemp("finished") / "a 'result' über all").root
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def seen(
+    request: pytest.FixtureRequest,
+    extension_zip: Path,
+    finished: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, Any]:
+    """What a session in one Blender answered."""
+    blender = find_blender(request.param)
+    if blender is None:
+        pytest.skip(f"no Blender {request.param} on this machine; make blenders fetches it")
+    user = tmp_path_factory.mktemp("user")
+    return run(blender, script("panel_session.py"), str(extension_zip), str(finished), user=user)
+
+
+def test_every_panel_can_be_drawn_in_every_state(seen):
+    faults = {state: found["faults"] for state, found in seen["states"].items() if found["faults"]}
+    assert not faults
+
+
+def test_each_panel_appears_in_its_state(seen):
+    always = {"capture", "reconstruct", "result", "engine"}
+    more = {
+        "looked": {"check"},
+        "failed": {"check", "problem"},
+        "done": {"check", "relight", "export"},
+    }
+    for state, found in seen["states"].items():
+        names = {name.removeprefix("ROBIR_PT_") for name in found["panels"]}
+        assert always <= names, state
+        assert names >= more.get(state, set()), state
+    assert "check" not in {n.removeprefix("ROBIR_PT_") for n in seen["states"]["nothing"]["panels"]}
+
+
+def test_what_matters_is_said(seen):
+    def said(state):
+        return " ".join(seen["states"][state]["texts"])
+
+    assert "wooden truck" in said("chosen")
+    assert "reading photograph 12 of 48" in said("looking")
+    assert "40 photographs, 8 kept aside" in said("looked")
+    assert "less exposure" in said("looked")
+    assert "No faults found" in said("faultless")
+    running = said("running")
+    for words in ("42 %", "Shape", "1 h 33 min left", "27.3 dB on photographs kept aside"):
+        assert words in running
+    assert "dB" not in said("started")
+    assert "Reconstruct again; it goes on" in said("failed")
+    for words in ("kept aside", "Tone curve:", "triangles", "über all"):
+        assert words in said("done")
+    assert "frame 24 of 48" in said("filming")
+    assert "downloading torch" in said("installing")
+    assert "7.8 GB free" in said("engine_checked")
+
+
+def test_the_button_that_is_needed_is_there(seen):
+    needed = {
+        "nothing": "choose_capture",
+        "looked": "reconstruct",
+        "running": "cancel_reconstruct",
+        "failed": "copy_report",
+        "done": "use_studio_light",
+        "installing": "cancel_install",
+        "unreadable": "import_result",
+    }
+    for state, name in needed.items():
+        assert f"robir.{name}" in seen["states"][state]["buttons"], state
+    assert "robir.reconstruct" not in seen["states"]["running"]["buttons"]
+
+
+def test_text_fits_a_narrow_sidebar(seen):
+    assert not {state: found["wide"] for state, found in seen["states"].items() if found["wide"]}
+
+
+def test_drawing_touches_no_file_and_is_fast(seen):
+    assert not {state: found["files"] for state, found in seen["states"].items() if found["files"]}
+    slowest = max(found["milliseconds"] for found in seen["states"].values())
+    assert slowest < 5.0
+
+
+def test_the_recorder_notices_what_does_not_exist(seen):
+    """Without this, the tests above would prove nothing."""
+    for fault, said in seen["planted"].items():
+        assert said != "nothing", fault
+    for fault in ("operator", "icon", "property", "menu", "popover", "function", "bar"):
+        assert any(word in seen["planted"][fault] for word in ("fly", "banana", "BANANA"))
+
+
+def test_every_operator_says_what_it_does(seen):
+    for name, known in seen["operators"].items():
+        assert known["label"], name
+        assert len(known["about"].split()) >= 3, name
+        assert not known["about"].endswith("."), name
+
+
+def test_every_operator_is_found_by_the_search(seen):
+    listed = {name.removeprefix("robir.") for name in seen["menus"]["commands"]}
+    assert listed == set(seen["operators"]) - INTERNAL
+    assert "ROBIR_MT_commands" in seen["menus"]["VIEW3D_MT_view"]
+    assert "robir.import_result" in seen["menus"]["TOPBAR_MT_file_import"]
+    for name in listed:
+        assert "REGISTER" in seen["operators"][name]["options"], name
+
+
+def test_who_refuses_says_why(seen):
+    refused = seen["refusals"]
+    for state, said in refused.items():
+        for name, words in said.items():
+            assert len(words.split()) >= 3, (state, name, words)
+            assert "context is incorrect" not in words, (state, name)
+    assert {"reconstruct", "use_studio_light", "export_glb"} <= set(refused["nothing"])
+    assert {"reconstruct", "look_at_capture"} <= set(refused["started"])
