@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What test_capture_operators.py has done in a Blender without a window.
+
+There no timer fires, so what a window would do by itself is done by `pulse`, step for step.
+"""
+
+import os
+import signal
+import time
+from importlib import import_module
+from pathlib import Path
+
+import bpy
+
+MODULE = "bl_ext.user_default.robir"
+
+
+def main(part, archive, engine, *arguments):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=archive, repo="user_default", enable_on_install=True
+    )
+    preferences = bpy.context.preferences.addons[MODULE].preferences
+    preferences.engine, preferences.python = "EXISTING", engine[0]
+    for name in ("capture", "reconstruct"):
+        module("operators." + name).program = lambda python: [str(python), "-P", engine[1]]
+    return globals()[part](*arguments)
+
+
+def module(name):
+    return import_module(f"{MODULE}.{name}")
+
+
+def settings():
+    return bpy.context.scene.robir
+
+
+def state():
+    return bpy.context.window_manager.robir
+
+
+def told():
+    """All that a panel could show."""
+    names = ("task", "fraction", "stage", "message", "held_out_psnr", "job", "error", "error_cure")
+    return {name: getattr(state(), name) for name in names} | {"result": settings().result}
+
+
+def pulse(is_enough, seconds=60.0):
+    """Let the timer's work be done until something has come of it."""
+    end = time.monotonic() + seconds
+    while not is_enough():
+        assert time.monotonic() < end, told()
+        module("monitor")._pulse()
+        time.sleep(0.02)
+
+
+def attempt(operator, **values):
+    """Result of an operator, and what it said where it reported an error."""
+    try:
+        return list(operator(**values)), ""
+    except RuntimeError as fault:
+        return ["RAISED"], str(fault)
+
+
+def counts():
+    kinds = ("objects", "cameras", "images", "collections")
+    return {kind: len(getattr(bpy.data, kind)) for kind in kinds}
+
+
+def start_worker():
+    """Start as the button does in a window; there the operator would go on to follow it."""
+    worker, client = module("worker"), module("gateway").client
+    request = worker.request_of(settings())
+    engine = module("operators.reconstruct").program(
+        bpy.context.preferences.addons[MODULE].preferences.python
+    )
+    client.start(engine, request, module("command_line").worker_environment())
+    return request.out
+
+
+def look(capture, bad, missing):
+    """Look at a good, a bad and a missing capture, twice at the good one, and clear it."""
+    own = bpy.data.objects.new("the user's", None)
+    bpy.context.scene.collection.objects.link(own)
+    before = counts()
+    answer = {"poll": bpy.ops.robir.look_at_capture.poll()}
+    answer["chosen"] = attempt(bpy.ops.robir.choose_capture, directory=capture + os.sep)
+    answer["recognised"] = state().recognised
+    answer["levels"] = [finding.level for finding in state().findings]
+    answer["objects"] = [describe(o) for o in bpy.data.collections["RobIR capture"].objects]
+    first = counts()
+    answer["again"] = attempt(bpy.ops.robir.look_at_capture)
+    answer["is_same"] = counts() == first
+    answer["may_reconstruct"] = bpy.ops.robir.reconstruct.poll()
+    answer["bad"] = attempt(bpy.ops.robir.choose_capture, directory=bad)
+    answer["bad_findings"] = [(f.level, f.text, f.cure) for f in state().findings]
+    answer["bad_recognised"] = state().recognised
+    answer["may_reconstruct_bad"] = bpy.ops.robir.reconstruct.poll()
+    settings().capture = missing
+    answer["missing"] = attempt(bpy.ops.robir.look_at_capture)
+    answer["no_folder"] = attempt(bpy.ops.robir.choose_capture, directory=missing)
+    attempt(bpy.ops.robir.choose_capture, directory=capture)
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(capture).with_name("look.blend")))
+    answer["cleared"] = attempt(bpy.ops.robir.clear_capture)
+    answer["is_as_before"] = counts() == before and settings().capture == ""
+    answer["told"] = told()
+    return answer
+
+
+def describe(shown):
+    """Where an object is, and for a camera what it projects and shows."""
+    facts = {
+        "name": shown.name,
+        "type": shown.type,
+        "matrix": [list(r) for r in shown.matrix_world],
+    }
+    if shown.type == "EMPTY":
+        facts["size"] = shown.empty_display_size
+        facts["picture"] = list(shown.data.size) if shown.data else None
+        facts["parent"] = shown.parent.name if shown.parent else None
+        facts["local"] = list(shown.matrix_local.translation)
+    if shown.type == "CAMERA":
+        lens = shown.data
+        facts["view"] = shown["robir_view"]
+        facts["frame"] = [list(corner) for corner in lens.view_frame(scene=None)]
+        facts["lens"] = [lens.lens, lens.sensor_width, lens.shift_x, lens.shift_y]
+        facts["display_size"] = lens.display_size
+        facts["photo"] = lens.background_images[0].image.filepath
+    return facts
+
+
+def reconstruct(capture, other, out):
+    """The whole way as a script goes it, again, and where it cannot go on."""
+    answer = {"poll": bpy.ops.robir.reconstruct.poll()}
+    bpy.ops.robir.choose_capture(directory=capture)
+    settings().out = out
+    answer["done"] = attempt(bpy.ops.robir.reconstruct)
+    answer["told"] = told()
+    answer["collections"] = [c.name for c in bpy.data.collections]
+    answer["preview"] = list(bpy.data.images["RobIR preview"].size)
+    answer["serial"] = state().preview_serial
+    first = counts()
+    answer["again"] = attempt(bpy.ops.robir.reconstruct)
+    answer["is_same"] = counts() == first
+    answer["nothing_at_work"] = attempt(bpy.ops.robir.attach)
+    settings().capture = other
+    answer["other"] = attempt(bpy.ops.robir.reconstruct)
+    answer["other_told"] = told()
+    settings().capture = capture + " deleted"
+    answer["deleted"] = attempt(bpy.ops.robir.reconstruct)
+    answer["deleted_told"] = told()
+    return answer
+
+
+def default_folder(capture):
+    """Where results go if nothing is chosen."""
+    settings().capture = capture + os.sep
+    return str(module("worker").result_folder(settings()))
+
+
+def killed(capture, out):
+    """Worker killed in the middle; the next goes on from there to the imported object."""
+    settings().capture, settings().out = capture, out
+    root = start_worker()
+    monitor = module("monitor")
+    monitor.watch(root)
+    answer = {"told": [told()], "may_look": bpy.ops.robir.look_at_capture.poll()}
+    pulse(lambda: state().stage == "appearance")
+    answer["told"].append(told())
+    lock = module("gateway").JobPaths(root).lock
+    os.kill(int(lock.read_text()), signal.SIGKILL)
+    began = time.monotonic()
+    pulse(lambda: not monitor.is_busy())
+    answer["seconds"] = time.monotonic() - began
+    answer["died"] = told()
+    del os.environ["ROBIR_TEST_SLOWLY"]
+    monitor.watch(start_worker())
+    pulse(lambda: not monitor.is_busy())
+    answer["done"] = told()
+    answer["meshes"] = len(bpy.data.meshes)
+    return answer
+
+
+def start_and_wait(capture, out, ready):
+    """A Blender that is going to be killed while its worker works."""
+    settings().capture, settings().out = capture, out
+    module("monitor").watch(start_worker())
+    pulse(lambda: state().stage == "geometry")
+    Path(ready).write_text(str(os.getpid()))
+    time.sleep(300.0)
+
+
+def find_again(capture, out):
+    """Another Blender finds the worker by the settings of its file, and stops it."""
+    monitor = module("monitor")
+    answer = {"nothing": monitor.attach()}
+    settings().capture, settings().out = capture, out
+    answer["attached"] = monitor.attach()
+    monitor._pulse()
+    answer["told"] = told()
+    began = time.monotonic()
+    answer["cancel"] = attempt(bpy.ops.robir.cancel_reconstruct)
+    answer["answer_seconds"] = time.monotonic() - began
+    answer["stopping"] = told()
+    monitor._pulse()
+    answer["still"] = state().message
+    pulse(lambda: not monitor.is_busy(), 20.0)
+    answer["end_seconds"] = time.monotonic() - began
+    answer["stopped"] = told()
+    answer["may_cancel"] = bpy.ops.robir.cancel_reconstruct.poll()
+    return answer
+
+
+def tasks(python):
+    """A task that speaks, one that is stopped, one that fails, and one that cannot be run."""
+    monitor, lines, ends = module("monitor"), [], []
+    speak = (
+        "import json, sys; print(json.dumps({'progress': 0.5, 'message': 'half'})); "
+        "print('no JSON'); print(json.dumps(['a list'])); "
+        "print(json.dumps({'text': 'G\\u00e4nse'}, ensure_ascii=False)); sys.exit(7)"
+    )
+    wait = "import json, time; print(json.dumps({'message': 'on'}), flush=True); time.sleep(60)"
+
+    def command(program):
+        return [python, "-c", program]
+
+    def end(*how):
+        ends.append([*how, state().task])
+
+    monitor.wait_task("check_engine", command(speak), lines.append, end)
+    spoken = told()
+    monitor.run_task("install", command(wait), lines.append, end)
+    began = told()
+    busy = []
+    try:
+        monitor.run_task("look", command(wait), lines.append, end)
+    except Exception as fault:
+        busy.append(f"{type(fault).__name__}: {fault}")
+    pulse(lambda: len(lines) == 3)
+    started = time.monotonic()
+    monitor.cancel()
+    stopping = told()
+    pulse(lambda: not monitor.is_busy())
+    seconds = time.monotonic() - started
+    try:
+        monitor.run_task("look", [python + " absent"], lines.append, end)
+    except Exception as fault:
+        busy.append(f"{type(fault).__name__}: {fault}")
+    return {
+        "lines": lines, "ends": ends, "spoken": spoken, "began": began, "busy": busy,
+        "stopping": stopping, "seconds": seconds, "last": told(),
+    }  # fmt: skip

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Capture and reconstruction by the installed extension's operators, with workers that are real."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from addon.blenders import run
+from capture.scene import AIM, cameras, shoot
+from capture.writers import nerf_synthetic, nerfstudio
+
+from robir.jobs.lock import holder
+from robir.jobs.paths import JobPaths, read_json
+
+pytestmark = pytest.mark.blender
+
+HERE = Path(__file__).parent
+SESSION = (HERE / "capture_session.py").read_text(encoding="utf-8")
+ENGINE = [sys.executable, str(HERE / "tiny_engine.py")]
+AWKWARD = 'it\'s a "capture" of Gänse 鵝'
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return [shoot(camera, samples=2) for camera in cameras(14)]
+
+
+@pytest.fixture(scope="module")
+def capture(shots, tmp_path_factory) -> Path:
+    """Twelve photographs and two kept aside, in a place with an awkward name."""
+    return nerf_synthetic(tmp_path_factory.mktemp("captures") / AWKWARD, shots, tests=2)
+
+
+@pytest.fixture
+def session(extension_zip, tmp_path):
+    """Runs a part of the session in a fresh Blender."""
+
+    def part(blender, name, *arguments):
+        words = [str(word) for word in arguments]
+        return run(
+            blender, SESSION, name, str(extension_zip), ENGINE, *words, user=tmp_path / "user"
+        )
+
+    return part
+
+
+def refused(answer, *words: str) -> bool:
+    """Whether an operator said an error that holds some words."""
+    return answer[0] == ["RAISED"] and all(word in answer[1] for word in words)
+
+
+def check_look(answer, capture, shots):
+    assert not answer["poll"]
+    assert answer["chosen"] == answer["again"] == [["FINISHED"], ""]
+    assert answer["recognised"] == "NeRF-synthetic, 14 photographs, 2 kept aside"
+    assert "error" not in answer["levels"]
+    assert answer["is_same"], "a second look made more of everything"
+    assert answer["may_reconstruct"]
+    assert answer["is_as_before"]
+    shown = {o["name"]: o for o in answer["objects"]}
+    bounds = shown.pop("Bounds of the object")
+    np.testing.assert_allclose(np.array(bounds["matrix"])[:3, 3], AIM, atol=0.15)
+    assert 0.8 < bounds["size"] < 1.3
+    seen = [o for o in shown.values() if o["type"] == "CAMERA"]
+    assert len(seen) == len(shots) and len(shown) == 2 * len(shots)
+    for camera in seen:
+        photo = Path(camera["photo"])
+        assert photo.is_file() and photo.is_relative_to(capture)
+        shot = shots[int(photo.stem[2:]) + (12 if photo.parent.name == "test" else 0)]
+        np.testing.assert_allclose(camera["matrix"], shot.camera.camera_to_world, atol=1e-5)
+        small = shown[f"{camera['view']} photograph"]
+        assert (small["parent"], small["picture"]) == (camera["name"], [48, 48])
+        # it fills the frame that Blender draws for the camera
+        corners = np.array(camera["frame"]) * camera["display_size"]
+        width, depth = np.ptp(corners[:, 0]), -corners[0, 2]
+        np.testing.assert_allclose(small["size"], width, rtol=1e-4)
+        np.testing.assert_allclose(small["local"], [*corners[:, :2].mean(0), -depth], atol=1e-4)
+
+
+def check_faults(answer, bad, missing):
+    assert refused(answer["bad"], "no masks", "Masks")
+    assert answer["bad_recognised"] == "" and not answer["may_reconstruct_bad"]
+    level, text, cure = answer["bad_findings"][0]
+    assert level == "error" and "no masks" in text and "--" not in cure
+    assert refused(answer["missing"], "does not exist")
+    assert refused(answer["no_folder"], "no folder")
+    assert answer["told"]["error"] == answer["told"]["task"] == ""
+
+
+def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, tmp_path):
+    bad, missing = nerfstudio(tmp_path / "bad", shots[:6]), tmp_path / "missing"
+    shutil.rmtree(bad / "mattes")
+    plain = json.loads((bad / "transforms.json").read_text())
+    for frame in plain["frames"]:
+        del frame["mask_path"]
+    (bad / "transforms.json").write_text(json.dumps(plain))
+    answer = session(blender, "look", capture, bad, missing)
+    check_look(answer, capture, shots)
+    check_faults(answer, bad, missing)
+
+
+def test_tasks_are_followed_and_stopped(own_blender, session):
+    answer = session(own_blender, "tasks", sys.executable)
+    assert answer["lines"] == [
+        {"progress": 0.5, "message": "half"},
+        {"text": "Gänse"},
+        {"message": "on"},
+    ]
+    assert answer["ends"] == [[7, 'no JSON\n["a list"]', ""], [130, "", ""]]
+    assert (answer["spoken"]["fraction"], answer["spoken"]["message"]) == (0.5, "half")
+    assert (answer["began"]["task"], answer["began"]["fraction"]) == ("install", 0.0)
+    assert answer["stopping"]["message"] == "Stopping"
+    assert answer["seconds"] < 2.0
+    assert answer["last"]["task"] == ""
+    assert "at work already" in answer["busy"][0]
+    assert "absent cannot be run" in answer["busy"][1]
+
+
+def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots, tmp_path):
+    other = nerf_synthetic(tmp_path / "other", shots[:8], tests=2)
+    out = tmp_path / f"{AWKWARD} result"
+    answer = session(own_blender, "reconstruct", capture, other, out)
+    assert not answer["poll"]
+    assert answer["done"] == answer["again"] == [["FINISHED"], ""]
+    assert answer["is_same"], "the second import made more of everything"
+    told = answer["told"]
+    assert (told["result"], told["error"], told["task"], told["job"]) == (str(out), "", "", "")
+    held_out = read_json(JobPaths(out).manifest("export"))["metrics"]["held_out_psnr"]
+    assert told["held_out_psnr"] == pytest.approx(held_out)
+    assert "RobIR capture" not in answer["collections"] and answer["collections"]
+    assert answer["preview"] == [96, 48] and answer["serial"] >= 2
+    assert refused(answer["nothing_at_work"], "No reconstruction is at work")
+    assert refused(answer["other"], "holds the result of", "choose another result folder")
+    assert answer["other_told"]["error_cure"] == "Choose another result folder"
+    assert refused(answer["deleted"], "does not exist")
+    assert answer["deleted_told"]["error_cure"] == "Check the path"
+    assert read_json(JobPaths(out).run)["state"] == "done"
+
+
+def test_the_result_goes_beside_the_capture(own_blender, session, capture):
+    folder = session(own_blender, "default_folder", capture)
+    assert folder == str(capture.with_name(f"{capture.name}_robir"))
+
+
+def test_a_killed_worker_is_told_and_the_next_goes_on(
+    own_blender, session, capture, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.2")
+    answer = session(own_blender, "killed", capture, tmp_path / "out")
+    first, working = answer["told"]
+    assert (first["task"], first["job"]) == ("reconstruct", str(tmp_path / "out"))
+    assert not answer["may_look"]
+    assert working["held_out_psnr"] > 5.0 and 0.5 < working["fraction"] < 0.9
+    died = answer["died"]
+    assert answer["seconds"] < 2.0
+    assert "killed in appearance" in died["error"]
+    assert died["error_cure"].startswith("Press Reconstruct to go on")
+    assert (died["task"], died["job"], died["result"]) == ("", "", "")
+    assert answer["done"]["error"] == "" and answer["done"]["result"] == str(tmp_path / "out")
+    assert answer["meshes"] == 1
+
+
+def test_a_killed_blender_leaves_the_worker_to_the_next(
+    own_blender, session, capture, extension_zip, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
+    out, ready = tmp_path / "out", tmp_path / "ready.json"
+    program = (
+        f"from addon.blenders import *; import sys\nfrom pathlib import Path\n"
+        f"run(find_blender({own_blender.version[:3]!r}), sys.argv[1], 'start_and_wait', "
+        f"sys.argv[2], sys.argv[3:5], *sys.argv[5:8], user=Path(sys.argv[8]))"
+    )
+    words = [SESSION, extension_zip, *ENGINE, capture, out, ready, tmp_path / "first"]
+    path = os.pathsep.join([str(HERE.parent), str(HERE.parents[1] / "core")])
+    starter = subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, words)],
+        env={**os.environ, "PYTHONPATH": path},
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        end = time.monotonic() + 90.0
+        while not (ready.exists() and ready.read_text()):
+            assert time.monotonic() < end and starter.poll() is None
+            time.sleep(0.1)
+        os.kill(int(ready.read_text()), signal.SIGKILL)
+    finally:
+        starter.wait(60.0)
+    worker = holder(JobPaths(out).lock)
+    assert worker, "the worker went with its Blender"
+    answer = session(own_blender, "find_again", capture, out)
+    assert (answer["nothing"], answer["attached"]) == (False, True)
+    assert (answer["told"]["task"], answer["told"]["stage"]) == ("reconstruct", "geometry")
+    assert answer["cancel"] == [["FINISHED"], ""]
+    assert answer["answer_seconds"] < 1.0 and answer["end_seconds"] < 10.0
+    assert answer["stopping"]["message"] == answer["still"] == "Stopping"
+    assert answer["stopped"]["error"] == "" and answer["stopped"]["message"].startswith("Stopped")
+    assert not answer["may_cancel"]
+    assert holder(JobPaths(out).lock) is None
