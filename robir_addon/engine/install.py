@@ -93,7 +93,8 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
         _refuse_little_room(place, options.torch)
     pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
     if options.wheels is None and not pip.can_resume:
-        pip = _updated(pip, place, steps.of("pip"))
+        with suppress(EngineError):  # an old one works too, it begins a broken file again
+            pip.install(["--upgrade", "pip>=25.1"], 2 * MEBIBYTE, steps.of("pip"), "pip")
     if before is not None and before.torch_build != options.torch:
         pip.uninstall("torch")
     pip.install(
@@ -136,9 +137,8 @@ def _take_folder(place: Place) -> None:
 def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress) -> Pip:
     """The pip of the virtual environment; a whole one is kept, a broken one made anew."""
     progress(0.0, "making the environment")
-    if place.python.exists():
-        with suppress(EngineError):
-            return Pip(place, wheels)
+    if place.python.exists() and place.whole.exists():
+        return Pip(place, wheels)
     if importlib.util.find_spec("ensurepip") is None:
         raise EngineError("Blender's Python has no ensurepip to make one with", CHOOSE_EXISTING)
     builder = venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=True)
@@ -149,14 +149,8 @@ def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress)
         raise EngineError(
             f"Blender's Python cannot make an environment ({said[-1]})", CHOOSE_EXISTING
         ) from fault
+    place.whole.touch()
     return Pip(place, wheels)
-
-
-def _updated(pip: Pip, place: Place, progress: Progress) -> Pip:
-    """A pip that goes on with files whose download broke off, where it can be had."""
-    with suppress(EngineError):
-        pip.install(["--upgrade", "pip>=25.1"], 2 * MEBIBYTE, progress, "pip")
-    return Pip(place, None)
 
 
 def _torch_index(options: argparse.Namespace) -> list[str]:

@@ -2,10 +2,13 @@
 """Runs pip in the engine's environment: progress while it works, a sentence when it fails."""
 
 import re
+import signal
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import distributions
 from pathlib import Path
 
 from .errors import EngineError
@@ -24,6 +27,11 @@ _RAW_PROGRESS = (24, 1)
 _RESUMES = (25, 1)
 
 _REASONS = (
+    (
+        r"No module named pip",
+        "the environment is damaged",
+        "press Remove Engine, then Install Engine",
+    ),
     (
         r"No space left on device|Errno 28|not enough space on the disk",
         "the disk is full",
@@ -63,23 +71,29 @@ class Pip:
     """pip of one environment, with what its version can do."""
 
     def __init__(self, place: Place, wheels: Path | None) -> None:
-        """Ask pip for its version.
+        """Nothing is run yet.
 
         Args:
             place: The engine; its environment has pip.
             wheels: Folder that all packages come from; None takes them from the network.
-
-        Raises:
-            EngineError: If the environment has no pip that works.
         """
         self._place = place
         self._wheels = wheels
-        self._version = self._read_version()
 
     @property
     def can_resume(self) -> bool:
         """Whether it goes on with a file whose download broke off."""
         return self._version >= _RESUMES
+
+    @property
+    def _version(self) -> tuple[int, ...]:
+        found = re.match(r"(\d+)\.(\d+)", self._installed().get("pip", ""))
+        return tuple(map(int, found.groups())) if found else (0, 0)
+
+    def _installed(self) -> dict[str, str]:
+        """Versions of the environment's packages by name."""
+        found = distributions(path=[str(self._place.site_packages)])
+        return {item.metadata["Name"].lower(): item.version for item in found}
 
     def install(
         self, words: Sequence[str], expected_bytes: int, progress: Progress, name: str
@@ -108,16 +122,10 @@ class Pip:
             raise self._reason(name, tail)
 
     def uninstall(self, *names: str) -> None:
-        """Remove packages; those that are not there are no error."""
-        self._run(["uninstall", "--yes", *names])
-
-    def _read_version(self) -> tuple[int, ...]:
-        lines: list[str] = []
-        code, _ = self._run(["--version"], lines.append)
-        found = re.match(r"pip (\d+)\.(\d+)", "".join(lines))
-        if code != 0 or found is None:
-            raise EngineError("the engine's environment is damaged", "press Remove, then Install")
-        return tuple(map(int, found.groups()))
+        """Remove packages that are there."""
+        there = self._installed().keys() & set(names)
+        if there:
+            self._run(["uninstall", "--yes", *there])
 
     def _run(
         self, words: Sequence[str], on_line: Callable[[str], object] = str
@@ -130,31 +138,34 @@ class Pip:
             "PYTHONUTF8": "1",
         }
         tail: deque[str] = deque(maxlen=TAIL)
-        with (
-            self._place.log.open("a", encoding="utf-8") as log,
-            subprocess.Popen(
-                [self._place.python, "-P", "-u", "-m", "pip", *words],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-                env=environment,
-                cwd=self._place.root,
-                creationflags=QUIETLY,
-            ) as process,
-        ):
+        process = None
+        with self._place.log.open("a", encoding="utf-8") as log:
             try:
-                for line in process.stdout or ():
-                    if not line.startswith("Progress "):
-                        log.write(line)
-                        tail.append(line.strip())
-                    on_line(line.strip())
+                with _stops_held():
+                    process = subprocess.Popen(
+                        [self._place.python, "-P", "-u", "-m", "pip", *words],
+                        stdin=subprocess.DEVNULL,
+                        stdout=subprocess.PIPE,
+                        stderr=subprocess.STDOUT,
+                        text=True,
+                        encoding="utf-8",
+                        errors="replace",
+                        env=environment,
+                        cwd=self._place.root,
+                        creationflags=QUIETLY,
+                    )
+                with process.stdout as lines:
+                    for line in lines:
+                        if not line.startswith("Progress "):
+                            log.write(line)
+                            tail.append(line.strip())
+                        on_line(line.strip())
+                return process.wait(), tail
             except BaseException:
-                process.kill()
+                if process is not None:
+                    process.kill()
+                    process.wait()
                 raise
-            return process.wait(), tail
 
     def _reason(self, name: str, tail: Sequence[str]) -> EngineError:
         """Why pip failed, for the user."""
@@ -162,22 +173,43 @@ class Pip:
         for pattern, message, cure in _REASONS:
             if re.search(pattern, text, re.IGNORECASE):
                 return EngineError(f"{message} while {name} was installed", cure)
-        lacking = re.search(r"No matching distribution found for (.+)", text)
+        # pip calls it a conflict where the one version that the constraints allow is not there
+        lacking = re.findall(r"No matching distribution found for (\S+)", text) or re.findall(
+            r"The user requested \(constraint\) (\S+)", text
+        )
         if lacking and self._wheels is not None:
             return EngineError(
-                f"the folder of wheels lacks {lacking[1]} for this Python",
+                f"the folder of wheels lacks {', '.join(lacking)} for this Python",
                 f"put it into {self._wheels}",
             )
         if lacking:
             release = "{}.{}".format(*sys.version_info[:2])
             return EngineError(
-                f"nobody offers {lacking[1]} for Python {release} on this system", CHOOSE_EXISTING
+                f"nobody offers {', '.join(lacking)} for Python {release} on this system",
+                CHOOSE_EXISTING,
             )
         errors = [line for line in tail if line.startswith("ERROR:")] or list(tail)[-1:]
         said = errors[-1].removeprefix("ERROR: ") if errors else "it says nothing"
         return EngineError(
             f"{name} could not be installed ({said})", f"see {self._place.log.name}, then {GO_ON}"
         )
+
+
+@contextmanager
+def _stops_held() -> Iterator[None]:
+    """Keep a request to stop until the end of the block: in the midst of it pip would go astray."""
+    caught: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: caught.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if caught:
+        raise KeyboardInterrupt
 
 
 class _Meter:
@@ -198,9 +230,9 @@ class _Meter:
             self._current = done
             text = f"{self._file}, {done / MEBIBYTE:.0f} of {total / MEBIBYTE:.0f} MB"
             self._progress(self._share(), f"downloading {text}")
-        elif line.startswith(("Downloading ", "Using cached ", "Processing ")):
+        elif found := re.match(r"(?:Downloading|Using cached|Processing) (.+\.whl)", line):
             self._finished, self._current = self._finished + self._current, 0
-            self._file = _package(line.split()[1 if line[0] in "DP" else 2])
+            self._file = _package(found[1])
             self._progress(self._share(), f"fetching {self._file}")
         elif line.startswith("Installing collected packages"):
             self._progress(0.92, f"unpacking {self._name}")
@@ -211,5 +243,4 @@ class _Meter:
 
 def _package(address: str) -> str:
     """Name and version of a wheel's address or path."""
-    file = re.split(r"[/\\]", address)[-1].partition("#")[0]
-    return " ".join(file.replace("%2B", "+").split("-")[:2]) if file.endswith(".whl") else file
+    return " ".join(re.split(r"[/\\]", address)[-1].replace("%2B", "+").split("-")[:2])

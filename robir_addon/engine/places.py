@@ -50,6 +50,19 @@ class Place:
         return python_in(self.environment)
 
     @property
+    def whole(self) -> Path:
+        """Says that the environment was made to its end."""
+        return self.environment / "robir-whole"
+
+    @property
+    def site_packages(self) -> Path:
+        """Where the environment keeps its packages."""
+        if IS_WINDOWS:
+            return self.environment / "Lib/site-packages"
+        found = sorted(self.environment.glob("lib/python*/site-packages"))
+        return found[0] if found else self.environment / "lib"
+
+    @property
     def cache(self) -> Path:
         """Finished downloads, kept until the installation is done."""
         return self.root / "downloads"

@@ -110,8 +110,8 @@ def write_record(place: Place, record: Record) -> None:
 
 
 def wheel_version(wheel: Path) -> str:
-    """Version in a wheel's file name."""
-    return wheel.name.split("-")[1]
+    """Version in a wheel's file name, without the mark of its content."""
+    return wheel.name.split("-")[1].partition("+")[0]
 
 
 def wheel_hash(wheel: Path) -> str:

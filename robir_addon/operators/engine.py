@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the engine: install, cancel, check, remove.
+
+Installation and check are tasks of `monitor`: subprocesses that say how far they are, and at last
+what came of it, one JSON object a line. A click returns at once; a script waits for them.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import engine, monitor
+from ..engine import EngineError
+from ..errors import AddonError
+from ..preferences import (
+    engine_python,
+    engine_status,
+    managed_place,
+    managed_wheel,
+    preferences_of,
+)
+
+_BUSY = "Wait until the work at hand is done, or cancel it"
+_OFFLINE = "Blender is not allowed to go online"
+_ALLOW = (
+    "turn on Allow Online Access in Preferences > System, or give a folder of wheels in the "
+    "add-on's preferences"
+)
+_RESTART = "start Blender without --offline-mode, or give a folder of wheels"
+
+_CANCELLED = 130
+
+Run = Callable[..., None]
+
+
+class _Task:
+    """A subprocess of the engine: what it says goes to the window manager's state."""
+
+    def __init__(self, what: str) -> None:
+        """Clear what the last task left.
+
+        Args:
+            what: What is done, for the message when the process dies without a word.
+        """
+        self._what = what
+        self._last: dict[str, Any] = {}
+        _tell("", "")
+
+    def on_line(self, report: dict[str, Any]) -> None:
+        """Keep the last report, which is the outcome."""
+        if "progress" not in report:
+            self._last = report
+
+    def on_end(self, code: int, complaint: str) -> None:
+        """Show the outcome.
+
+        Args:
+            code: Exit code of the process, 130 if it was cancelled.
+            complaint: What it said besides.
+        """
+        if code == _CANCELLED:
+            self.cancelled()
+        elif "error" in self._last:
+            _tell(self._last["error"], self._last["cure"])
+        elif self._last:
+            self.succeed(self._last)
+        else:
+            said = (complaint.splitlines() or [f"it ended with code {code}"])[-1]
+            _tell(f"{self._what} failed: {said}", "remove the engine and install it again")
+
+    def succeed(self, outcome: dict[str, Any]) -> None:
+        """Show the report that the process ended with."""
+        raise NotImplementedError
+
+    def cancelled(self) -> None:
+        """Show that the user stopped it."""
+        bpy.context.window_manager.robir.engine_text = f"{self._what} was cancelled"
+
+
+class _Installation(_Task):
+    def cancelled(self) -> None:
+        status, state = engine_status(bpy.context), bpy.context.window_manager.robir
+        state.engine_ok = False
+        state.engine_text = f"{status.text}; {status.cure}"
+
+    def succeed(self, outcome: dict[str, Any]) -> None:
+        state = bpy.context.window_manager.robir
+        state.engine_ok = False
+        state.engine_text = engine_status(bpy.context).text
+        if not bpy.app.background:
+            _check(bpy.context, monitor.run_task)
+
+
+class _Check(_Task):
+    def succeed(self, outcome: dict[str, Any]) -> None:
+        state = bpy.context.window_manager.robir
+        state.engine_ok = outcome["ok"]
+        state.engine_text = describe(outcome)
+        if not outcome["ok"]:
+            _tell(_sentence(outcome["message"]), outcome["cure"])
+
+
+class ROBIR_OT_install_engine(bpy.types.Operator):
+    """Make the engine, go on with a broken installation, or update it."""
+
+    bl_idname = "robir.install_engine"
+    bl_label = "Install Engine"
+    bl_description = (
+        "Download what reconstructs into a folder of its own; Blender's Python stays as it is"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is something to install."""
+        problem = _not_managed(context) or _busy(context)
+        if not problem and engine_status(context).state == "ready":
+            problem = "The engine is installed"
+        return _allowed(cls, problem)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Install while Blender stays usable."""
+        return self._install(context, monitor.run_task)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Install and return when that is done."""
+        return self._install(context, monitor.wait_task)
+
+    def _install(self, context: bpy.types.Context, run: Run) -> set[str]:
+        try:
+            command = _install_command(context)
+        except EngineError as error:
+            _tell(error.message, error.cure)
+        else:
+            task = _Installation("The installation")
+            _start(run, "install", command, task)
+        return _outcome(self, context)
+
+
+class ROBIR_OT_cancel_install(bpy.types.Operator):
+    """Stop the installation; the next one goes on where it stopped."""
+
+    bl_idname = "robir.cancel_install"
+    bl_label = "Cancel Installation"
+    bl_description = "Stop the installation; the next one goes on where this one stopped"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only during an installation."""
+        at_work = context.window_manager.robir.task == "install"
+        return _allowed(cls, "" if at_work else "No installation is at work")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask the process to end."""
+        monitor.cancel()
+        return {"FINISHED"}
+
+
+class ROBIR_OT_check_engine(bpy.types.Operator):
+    """Let the engine make a real, tiny reconstruction."""
+
+    bl_idname = "robir.check_engine"
+    bl_label = "Check Engine"
+    bl_description = (
+        "Make a tiny reconstruction, and say the device, its memory and the versions, or what is "
+        "wrong and what to do"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is an engine."""
+        status = engine_status(context)
+        problem = "" if status.state == "ready" else f"{status.text}: {status.cure}"
+        return _allowed(cls, problem or _busy(context))
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Check while Blender stays usable."""
+        _check(context, monitor.run_task)
+        return _outcome(self, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Check and return when that is done."""
+        _check(context, monitor.wait_task)
+        return _outcome(self, context)
+
+
+class ROBIR_OT_remove_engine(bpy.types.Operator):
+    """Remove the engine that RobIR made."""
+
+    bl_idname = "robir.remove_engine"
+    bl_label = "Remove Engine"
+    bl_description = "Remove the engine that RobIR made, and nothing else"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is something of ours."""
+        problem = _not_managed(context) or _busy(context)
+        if not problem and engine_status(context).state == "missing":
+            problem = "There is no engine to remove"
+        return _allowed(cls, problem)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first."""
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove it."""
+        state = context.window_manager.robir
+        try:
+            left = engine.remove(managed_place())
+        except EngineError as error:
+            _tell(error.message, error.cure)
+        else:
+            state.engine_text, state.engine_ok = "", False
+            names = ", ".join(path.name for path in left)
+            _tell(*((f"Not RobIR's and left in place: {names}", "") if left else ("", "")))
+        return _outcome(self, context)
+
+
+def describe(verdict: dict[str, Any]) -> str:
+    """What a check found, in one sentence: what computes, the versions, how Cycles runs."""
+    facts = [verdict["message"]]
+    if verdict["memory_bytes"]:
+        free, total = (verdict[name] / 2**30 for name in ("free_memory_bytes", "memory_bytes"))
+        facts.append(f"{free:.1f} of {total:.1f} GB memory free" if free else f"{total:.1f} GB")
+    names = {"robir": "RobIR", "torch": "torch", "numpy": "numpy", "python": "Python"}
+    versions = [f"{text} {verdict[name]}" for name, text in names.items() if verdict[name]]
+    facts += [", ".join(versions), f"Cycles: {verdict['blender']}"]
+    return _sentence("; ".join(facts))
+
+
+def _install_command(context: bpy.types.Context) -> list[str]:
+    """The command, if the user allows what it does."""
+    chosen, place = preferences_of(context), managed_place()
+    words = ["--root", str(place.root), "--wheel", str(managed_wheel())]
+    words += ["--constraints", str(engine.constraints()), "--torch", chosen.torch_build]
+    if chosen.wheels:
+        folder = Path(bpy.path.abspath(chosen.wheels))
+        if not folder.is_dir():
+            raise EngineError(
+                f"The folder of wheels {folder} does not exist",
+                "choose another in the add-on's preferences, or empty the field to download",
+            )
+        return engine.worker_command(*words, "--wheels", str(folder))
+    if not bpy.app.online_access:
+        raise EngineError(_OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
+    return engine.worker_command(*words, "--online")
+
+
+def _check(context: bpy.types.Context, run: Run) -> None:
+    try:
+        python = engine_python(context)
+    except EngineError as error:
+        _tell(error.message, error.cure)
+        return
+    task = _Check("The check of the engine")
+    words = ["selftest", "--json", "--device", context.scene.robir.device]
+    command = [str(python), "-P", "-m", "robir", *words]
+    _start(run, "check_engine", command, task)
+
+
+def _start(run: Run, name: str, command: list[str], task: _Task) -> None:
+    try:
+        run(name, command, task.on_line, task.on_end)
+    except AddonError as error:
+        message, _, cure = str(error).partition("; ")
+        _tell(message, cure)
+
+
+def _not_managed(context: bpy.types.Context) -> str:
+    """Why there is no managed engine to work on; empty if there is."""
+    chosen = preferences_of(context)
+    if chosen is None:
+        return "RobIR is not enabled as an add-on; the engine is this Python"
+    if chosen.engine != "MANAGED":
+        return "An existing environment is chosen in the preferences"
+    try:
+        managed_place()
+        managed_wheel()
+    except EngineError as error:
+        return f"{_sentence(error.message)}: {error.cure}"
+    return ""
+
+
+def _busy(context: bpy.types.Context) -> str:
+    return _BUSY if monitor.is_busy() or context.window_manager.robir.task else ""
+
+
+def _allowed(operator: type[bpy.types.Operator], problem: str) -> bool:
+    if problem:
+        operator.poll_message_set(problem)
+    return not problem
+
+
+def _tell(error: str, cure: str) -> None:
+    state = bpy.context.window_manager.robir
+    state.error, state.error_cure = _sentence(error), _sentence(cure)
+
+
+def _outcome(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+    """What an operator returns; what went wrong is in the state and becomes its report."""
+    state = context.window_manager.robir
+    if not state.error:
+        return {"FINISHED"}
+    cure = f"; {state.error_cure}" if state.error_cure else ""
+    operator.report({"ERROR"}, f"{state.error}{cure}")
+    return {"CANCELLED"}
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+CLASSES = (
+    ROBIR_OT_install_engine,
+    ROBIR_OT_cancel_install,
+    ROBIR_OT_check_engine,
+    ROBIR_OT_remove_engine,
+)

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine without Blender: made, broken off, gone on with, updated, removed; others' Pythons."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from addon.wheelhouse import CONSTRAINTS, build_robir, serve, stand_ins
+
+import robir
+from robir_addon.engine import EngineError, Place, remove, status
+from robir_addon.engine.lock import engine_lock
+from robir_addon.engine.places import worker_command
+from robir_addon.engine.states import read_record, write_record
+
+UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"
+FAR_INDEX = "http://127.0.0.1:9/"
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is installed from: the wheel of robir, and folders of wheels."""
+
+    robir: Path
+    wheels: Path
+    cuda_wheels: Path
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Source:
+    folder = tmp_path_factory.mktemp("house")
+    wheels, cuda = folder / 'it\'s "all" hére', folder / "cuda"
+    stand_ins(wheels)
+    stand_ins(cuda, "cu130")
+    return Source(build_robir(folder / "robir"), wheels, cuda)
+
+
+def command(place, source, *, build="CPU", wheels=None):
+    words = ["--root", str(place.root), "--wheel", str(source.robir), "--torch", build]
+    origin = ["--online"] if wheels == "" else ["--wheels", str(wheels or source.wheels)]
+    return worker_command(*words, "--constraints", str(CONSTRAINTS), *origin)
+
+
+def variables(**more):
+    """No settings of pip but these."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PIP_")}
+    return kept | {"PIP_CONFIG_FILE": os.devnull} | more
+
+
+def run(words, **more):
+    """Exit code, the JSON lines, the last line of standard error."""
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, env=variables(**more), timeout=120
+    )
+    said = done.stderr.strip().splitlines()
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines()], said[-1:]
+
+
+@pytest.fixture(scope="module")
+def made(source, tmp_path_factory):
+    """An engine in a folder with an unusual name, made while Python's variables point elsewhere."""
+    folder = tmp_path_factory.mktemp("made")
+    trap = folder / "trap"
+    for name in ("robir", "torch", "pip"):
+        (trap / name).mkdir(parents=True)
+        (trap / name / "__init__.py").write_text("raise SystemExit('wrong module')")
+    place = Place(folder / UNUSUAL)
+    with serve(source.wheels) as index:
+        answer = run(
+            command(place, source),
+            PYTHONPATH=str(trap),
+            PIP_USER="1",
+            PIP_TARGET=str(folder / "elsewhere"),
+            PIP_INDEX_URL=index.url,
+        )
+        return place, answer, index.asked
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    """A copy of the engine to be spoilt; a virtual environment runs where it is put."""
+    place = Place(tmp_path / "engine")
+    shutil.copytree(made[0].root, place.root, symlinks=True)
+    return place
+
+
+def test_an_engine_is_made_and_known(made, source):
+    place, (code, lines, _), _ = made
+    assert code == 0
+    assert lines[-1]["installed"]["robir"] == robir.__version__
+    found = status(place, source.robir, "CPU")
+    assert (found.state, found.python, found.cure) == ("ready", place.python, "")
+    assert "torch 2.13.0+cpu" in found.text
+    where = "import robir, sys; print(robir.__file__, sys.prefix)"
+    said = subprocess.run([place.python, "-I", "-c", where], capture_output=True, text=True)
+    assert said.stdout.count(str(place.environment)) == 2
+    assert not place.cache.exists()
+
+
+def test_it_tells_how_far_it_is(made):
+    lines = made[1][1][:-1]
+    shares = [line["progress"] for line in lines]
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < 0.1
+    assert 0.9 < shares[-1] < 1.0
+    assert any("torch 2.13.0" in line["message"] for line in lines)
+
+
+def test_a_folder_of_wheels_leaves_the_network_alone(made):
+    assert made[2] == []
+
+
+def test_nothing_is_installed_elsewhere(made):
+    place, _, _ = made
+    assert sorted(p.name for p in place.root.parent.iterdir()) == sorted(["trap", UNUSUAL])
+
+
+def test_permission_is_part_of_the_command(made, source):
+    words = command(made[0], source)
+    assert run(words[: words.index("--wheels")])[0] == 2
+
+
+def kill_at(words, message, number, group=True):
+    """Send a signal when a message is told; the exit code and what was said."""
+    with subprocess.Popen(
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+        env=variables(),
+    ) as process:
+        said = []
+        for line in process.stdout:
+            said.append(json.loads(line))
+            if said[-1].get("message", "").startswith(message):
+                (os.killpg if group else os.kill)(process.pid, number)
+                break
+        said += [json.loads(line) for line in process.stdout]
+    return process.returncode, said
+
+
+def forget(place, *packages):
+    """Take packages out of an engine, and its record, as if it had never got so far."""
+    place.record.unlink()
+    for name in packages:
+        for path in place.site_packages.glob(f"{name}*"):
+            shutil.rmtree(path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_killed_while_the_environment_is_made(source, tmp_path):
+    place = Place(tmp_path / "engine")
+    code, _ = kill_at(command(place, source), "making the environment", signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    found = status(place, source.robir, "CPU")
+    assert found.state == "incomplete"
+    assert "goes on" in found.cure
+    assert run(command(place, source))[0] == 0
+    assert status(place, source.robir, "CPU").state == "ready"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_killed_before_the_last_step_it_goes_on_there(copy, source):
+    forget(copy, "robir", "numpy")
+    assert kill_at(command(copy, source), "looking for RobIR", signal.SIGKILL)[0] < 0
+    assert status(copy, source.robir, "CPU").state == "incomplete"
+    assert run(command(copy, source))[0] == 0
+    assert status(copy, source.robir, "CPU").state == "ready"
+    log = copy.log.read_text(encoding="utf-8")
+    assert "Requirement already satisfied: torch" in log
+    assert "Collecting torch" not in log
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_cancelled_it_says_so_and_takes_pip_along(copy, source):
+    forget(copy, "torch")
+    code, said = kill_at(command(copy, source), "looking for torch", signal.SIGTERM, group=False)
+    assert code == 130
+    assert "cancelled" in said[-1]["error"]
+    assert "goes on" in said[-1]["cure"]
+    assert status(copy, source.robir, "CPU").state == "incomplete"
+    with engine_lock(copy.lock):
+        listing = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(copy.environment) not in listing
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere torch has an index of its own")
+def test_a_download_that_breaks_off_goes_on(copy, source):
+    forget(copy, "torch", "numpy", "scipy")
+    words = command(copy, source, build="CUDA", wheels="")
+    with serve(source.cuda_wheels) as index:
+        index.break_off = {file.name for file in source.cuda_wheels.glob("scipy-*")}
+        online = {"PIP_INDEX_URL": index.url, "PIP_RETRIES": "0", "PIP_TRUSTED_HOST": "127.0.0.1"}
+        code, lines, said = run(words, **online)
+        assert code == 4
+        assert re.search("broke off|damaged", lines[-1]["error"])
+        assert "goes on" in lines[-1]["cure"]
+        assert said == [f"{lines[-1]['error']}; {lines[-1]['cure']}"]
+        assert status(copy, source.robir, "CUDA").state == "incomplete"
+        assert run(words, **online)[0] == 0
+    assert status(copy, source.robir, "CUDA").state == "ready"
+    fetched = [path.split("/")[2].split("-")[0] for path in index.asked if "/files/" in path]
+    assert sorted(fetched) == ["numpy", "scipy", "scipy", "torch"]
+    assert not copy.cache.exists()
+
+
+def test_no_network_at_all(copy, source):
+    forget(copy, "torch")
+    words = command(copy, source, build="CUDA", wheels="")
+    code, lines, _ = run(words, PIP_INDEX_URL=FAR_INDEX, PIP_RETRIES="1")
+    assert code == 4
+    assert "broke off while torch" in lines[-1]["error"]
+    assert "check the network" in lines[-1]["cure"]
+
+
+def test_a_wheel_that_is_lacking(copy, source, tmp_path):
+    wheels = stand_ins(tmp_path / "few", leave_out=("numpy",))
+    forget(copy, "numpy")
+    code, lines, _ = run(command(copy, source, wheels=wheels))
+    assert code == 4
+    assert "lacks numpy==" in lines[-1]["error"]
+    assert str(wheels) in lines[-1]["cure"]
+
+
+def test_another_version_is_outdated_and_updated(copy, source, tmp_path):
+    record = read_record(copy)
+    write_record(copy, type(record)(**vars(record) | {"robir": "0.0.9"}))
+    found = status(copy, source.robir, "CPU")
+    assert found.state == "outdated"
+    assert "made by RobIR 0.0.9, the add-on is RobIR " + robir.__version__ in found.text
+    assert "Update" in found.cure
+
+
+def test_another_build_of_the_same_version_is_installed_anew(copy, source, tmp_path):
+    newer = tmp_path / source.robir.name
+    shutil.copyfile(source.robir, newer)
+    with newer.open("r+b") as file:  # the archive's comment: other bytes, the same content
+        file.seek(-2, os.SEEK_END)
+        file.write(b"\x01\x00!")
+    found = status(copy, newer, "CPU")
+    assert found.state == "outdated"
+    assert "another build" in found.text
+    file = copy.site_packages / "robir/cli.py"
+    file.write_text("spoilt")
+    assert run(command(copy, Source(newer, source.wheels, source.wheels)))[0] == 0
+    assert status(copy, newer, "CPU").state == "ready"
+    assert "spoilt" not in file.read_text()
+
+
+def test_the_other_torch_takes_the_place_of_the_first(copy, source):
+    found = status(copy, source.robir, "CUDA")
+    assert found.state == "outdated"
+    assert "computes with CPU, chosen is CUDA" in found.text
+    assert run(command(copy, source, build="CUDA", wheels=source.cuda_wheels))[0] == 0
+    assert status(copy, source.robir, "CUDA").state == "ready"
+    assert read_record(copy).torch.endswith("+cu130")
+
+
+def test_torch_without_cuda_is_not_taken_for_one_with(copy, source):
+    code, lines, _ = run(command(copy, source, build="CUDA"))
+    assert code == 4
+    assert "knows no CUDA" in lines[-1]["error"]
+    assert status(copy, source.robir, "CUDA").state == "incomplete"
+
+
+def test_a_python_that_is_gone(copy, source):
+    copy.python.unlink()
+    copy.python.symlink_to("/nowhere/python3.11")
+    found = status(copy, source.robir, "CPU")
+    assert found.state == "incomplete"
+    assert "is gone" in found.text
+
+
+def test_a_folder_that_is_not_ours_is_left_alone(source, tmp_path):
+    place = Place(tmp_path)
+    (tmp_path / "thesis.txt").write_text("mine")
+    code, lines, _ = run(command(place, source))
+    assert code == 4
+    assert "not RobIR's" in lines[-1]["error"]
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    with pytest.raises(EngineError, match="no mark of RobIR"):
+        remove(place)
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_removal_takes_what_is_ours_and_leaves_the_rest(copy, tmp_path):
+    other = tmp_path / "other"
+    (other / "kept").mkdir(parents=True)
+    shutil.rmtree(copy.environment)
+    copy.environment.symlink_to(other)
+    (copy.root / "notes.txt").write_text("mine")
+    assert remove(copy) == (copy.root / "notes.txt",)
+    assert (other / "kept").is_dir()
+    assert [path.name for path in copy.root.iterdir()] == ["notes.txt"]
+
+
+def test_removal_leaves_nothing(copy):
+    assert remove(copy) == ()
+    assert not copy.root.exists()
+
+
+def test_a_link_to_an_engine_is_not_followed(copy, tmp_path):
+    link = Place(tmp_path / "link")
+    link.root.symlink_to(copy.root)
+    with pytest.raises(EngineError, match="no mark"):
+        remove(link)
+    assert copy.record.exists()
+
+
+def test_one_works_on_it_at_a_time(copy, source):
+    with engine_lock(copy.lock):
+        code, lines, _ = run(command(copy, source))
+        assert code == 4
+        assert "another process" in lines[-1]["error"]
+        with pytest.raises(EngineError, match="another process"):
+            remove(copy)
+    assert status(copy, source.robir, "CPU").state == "ready"
