@@ -323,7 +323,8 @@ def _progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     state = context.window_manager.robir
     row = layout.row(align=True)
     row.progress(factor=state.fraction, type="BAR", text=f"{100.0 * state.fraction:.0f} %")
-    row.operator("robir.cancel_reconstruct", text="Cancel", icon="CANCEL")
+    stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
+    row.operator(stop, text="Cancel", icon="CANCEL")
     if state.message:
         paragraph(layout, context, state.message)
 

@@ -130,7 +130,17 @@ def test_every_operator_is_found_by_the_search(seen):
     assert "ROBIR_MT_commands" in seen["menus"]["VIEW3D_MT_view"]
     assert "robir.import_result" in seen["menus"]["TOPBAR_MT_file_import"]
     for name in listed:
-        assert "REGISTER" in seen["operators"][name]["options"], name
+        assert "INTERNAL" not in seen["operators"][name]["options"], name
+
+
+def test_what_changes_the_file_can_be_undone(seen):
+    looks_only = {
+        "add_preset", "cancel_install", "cancel_reconstruct", "check_engine", "copy_report",
+        "export_glb", "export_textures", "export_usd", "install_engine", "open_report",
+        "remove_engine", "turntable",
+    }  # fmt: skip
+    undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
+    assert undone == set(seen["operators"]) - looks_only
 
 
 def test_who_refuses_says_why(seen):

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A capture dropped on Blender, choices kept as presets, and what is left when all is disabled."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from addon.blenders import run
+from capture.scene import cameras, shoot
+from capture.writers import colmap, nerf_synthetic
+
+pytestmark = pytest.mark.blender
+
+SESSION = (Path(__file__).parent / "drop_session.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("file", "capture"),
+    [
+        ("truck/transforms.json", "truck"),
+        ("truck/transforms_val.json", "truck"),
+        ("mouse/sparse/0/cameras.bin", "mouse"),
+        ("mouse/sparse/12/images.txt", "mouse"),
+        ("mouse/sparse/points3D.bin", "mouse"),
+        ("mouse/colmap/sparse/0/cameras.bin", "mouse"),
+        ("mouse/model/cameras.txt", "mouse/model"),
+        ("scissors/cameras_sphere.npz", "scissors"),
+        ("carton/poses_bounds.npy", "carton"),
+        ("truck/settings.json", None),
+        ("truck/notes.txt", None),
+        ("truck/depth.npz", None),
+        ("truck/features.npy", None),
+        ("truck/database.bin", None),
+    ],
+)
+def test_the_folder_that_a_file_stands_for(file, capture):
+    from robir_addon.dropping import capture_folder
+
+    root = Path("/captures with 'quotes'")
+    assert capture_folder(root / file) == (root / capture if capture else None)
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    """One capture with files to drop in its folder, one with them far below it."""
+    shots = [shoot(camera, samples=2) for camera in cameras(14)]
+    folder = tmp_path_factory.mktemp("captures")
+    plain = nerf_synthetic(folder / "it's Gänse", shots, tests=2)
+    deep = colmap(folder / "deep", shots, binary=True)
+    (model,) = deep.rglob("cameras.*")
+    return plain, deep, model
+
+
+def test_dropped_kept_and_gone(blender, extension_zip, captures, tmp_path):
+    plain, deep, model = captures
+    answer = run(
+        blender, SESSION, str(extension_zip), sys.executable, str(plain), str(model),
+        user=tmp_path / "user",
+    )  # fmt: skip
+    dropped = answer["dropped"]
+    assert dropped["drop"] == [["FINISHED"], str(plain)]
+    assert dropped["recognised"] == "NeRF-synthetic, 14 photographs, 2 kept aside"
+    assert dropped["cameras"] == 14
+    assert dropped["undone"] == [0, ""]
+    assert dropped["redone"] == [14, str(plain)]
+    assert answer["colmap"][1] == str(deep)
+    assert answer["elsewhere"][1] == "", "only the 3D viewport takes captures"
+    assert "notes.txt holds no cameras" in answer["foreign"]
+    assert not answer["busy"]
+    kept, taken, left = answer["preset"]
+    assert (kept, taken, left) == (["FINISHED"], ["high", "cpu", False], [])
+    there = answer["there"]
+    assert there["scene"] and there["state"] and there["handlers"] and there["menus"]
+    assert answer["disabled"] == answer["untouched"]
+    assert answer["enabled"] == there
+    assert not answer["untouched"]["scene"] and not answer["untouched"]["classes"]
