@@ -9,7 +9,9 @@ lies in the bpy wheel and needs no Blender to run. The same tree gives the same 
 """
 
 import argparse
+import hashlib
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -103,11 +105,12 @@ def _packaging_tool() -> tuple[Path, Path]:
 
 
 def _build_wheel(work: Path) -> Path:
-    """Build the core's wheel and make sure that it runs on every system."""
+    """Build the core's wheel, marked with its content, and make sure it runs on every system."""
     if importlib.util.find_spec("hatchling") is None:
         raise BuildError("hatchling, which builds the wheel, is not installed; run `make setup`")
     folder = work / "wheels"
-    _run([sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder])
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder]
+    _run(build, ROBIR_BUILD=f"+b{_fingerprint(ROOT / 'core/robir')[:8]}")
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         compiled = [name for name in archive.namelist() if name.endswith(COMPILED)]
@@ -116,8 +119,19 @@ def _build_wheel(work: Path) -> Path:
     return wheel
 
 
+def _fingerprint(folder: Path) -> str:
+    """A number for the content of a folder; Blender takes a wheel of the same version as known."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
+            digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
 def _version(wheel: Path) -> str:
-    return wheel.name.split("-")[1]
+    """Version of the extension: that of the wheel without the mark of its content."""
+    return wheel.name.split("-")[1].partition("+")[0]
 
 
 def _stage(stage: Path, wheel: Path) -> None:
@@ -155,10 +169,17 @@ def _tool(script: Path, *arguments: str | Path) -> None:
     _run([sys.executable, "-B", script, *arguments])
 
 
-def _run(command: Sequence[str | Path]) -> None:
+def _run(command: Sequence[str | Path], **variables: str) -> None:
     """Run a command in the root of the checkout; what it says is shown only if it fails."""
     try:
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, **variables},
+        )
     except OSError as fault:
         raise BuildError(f"{command[0]} cannot be run: {fault.strerror}") from fault
     if done.returncode != 0:

@@ -23,7 +23,7 @@ def _shipped_version() -> str | None:
     for wheel in manifest.get("wheels", ()):
         name, version, _ = Path(wheel).name.split("-", 2)
         if name == "robir":
-            return version
+            return version.partition("+")[0]  # without the mark of its content
     return None
 
 
@@ -48,7 +48,7 @@ def _fault(shipped: str) -> str | None:
 
 
 def _forget() -> None:
-    """Drop what is loaded: an update of the extension changes the files under loaded modules."""
+    """Drop what is loaded: an update of the extension changed the files under loaded modules."""
     for name in [n for n in sys.modules if n == "robir" or n.startswith("robir.")]:
         del sys.modules[name]
     importlib.invalidate_caches()
@@ -61,7 +61,7 @@ def _require_ours() -> None:
         AddonError: If it is missing, foreign, or of another version.
     """
     shipped = _shipped_version()
-    if shipped is None or _fault(shipped) is None:
+    if shipped is None:
         return
     _forget()
     if fault := _fault(shipped):

@@ -124,13 +124,33 @@ def test_install_disable_enable_uninstall(blender, extension_zip, tmp_path):
 
 
 UPDATE = """
-def main(old, new):
+def main(*archives):
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    versions = []
-    for archive in (old, new):
+    found = []
+    for archive in archives:
         install(archive)
         assert is_enabled()
-        versions.append(sys.modules[MODULE + ".gateway"].__version__)
+        gateway = sys.modules[MODULE + ".gateway"]
+        found.append([gateway.__version__, sys.modules["robir"].__doc__.strip()])
+    return found
+"""
+
+FROM_REPOSITORY = """
+def main(url, newer, served):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.preferences.system.use_online_access = True  # asked for though the file is local
+    bpy.ops.preferences.extension_repo_add(type="REMOTE", remote_url=url, name="own")
+    repositories = bpy.context.preferences.extensions.repos
+    index = [repository.remote_url for repository in repositories].index(url)
+    module = f"bl_ext.{repositories[index].module}.robir"
+    bpy.ops.extensions.repo_sync(repo_index=index)
+    bpy.ops.extensions.package_install(repo_index=index, pkg_id="robir")
+    versions = [sys.modules[module + ".gateway"].__version__]
+    os.rename(served, served + " before")
+    os.rename(newer, served)
+    bpy.ops.extensions.repo_sync(repo_index=index)
+    bpy.ops.extensions.package_upgrade_all()
+    versions.append(sys.modules[module + ".gateway"].__version__)
     return versions
 """
 
@@ -167,10 +187,34 @@ def build(tree, *arguments):
 
 
 def test_update_within_one_session(blender, extension_zip, newer_tree, tmp_path):
-    """The old version's modules are loaded when the new one starts."""
+    """The old version's modules are loaded when the new one starts; so are those of a rebuild."""
+    assert build(newer_tree, "--out", tmp_path / "newer").returncode == 0
+    newer = tmp_path / "newer" / "robir-98.7.6.zip"
+    tree = tmp_path / "rebuilt"
+    shutil.copytree(newer_tree, tree)
+    init = tree / "core/robir/__init__.py"
+    text = init.read_text(encoding="utf-8")
+    init.write_text(text.replace('"""RobIR:', '"""Rebuilt:'), encoding="utf-8")
+    assert build(tree, "--out", tmp_path / "again").returncode == 0
+    rebuilt = tmp_path / "again" / newer.name
+    archives = [str(archive) for archive in (extension_zip, newer, rebuilt)]
+    found = run(blender, COMMON + UPDATE, *archives, user=tmp_path / "user")
+    assert [version for version, _ in found] == [robir.__version__, "98.7.6", "98.7.6"]
+    assert [text.partition(":")[0] for _, text in found] == ["RobIR", "RobIR", "Rebuilt"]
+
+
+def test_blender_updates_from_the_repository(own_blender, extension_zip, newer_tree, tmp_path):
     assert build(newer_tree, "--out", tmp_path).returncode == 0
-    newer = tmp_path / "robir-98.7.6.zip"
-    versions = run(blender, COMMON + UPDATE, str(extension_zip), str(newer), user=tmp_path / "user")
+    served = tmp_path / "served"
+    shutil.copytree(extension_zip.parent / "repository", served)
+    versions = run(
+        own_blender,
+        COMMON + FROM_REPOSITORY,
+        (served / "index.json").as_uri(),
+        str(tmp_path / "repository"),
+        str(served),
+        user=tmp_path / "user",
+    )
     assert versions == [robir.__version__, "98.7.6"]
 
 
