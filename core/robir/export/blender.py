@@ -155,9 +155,6 @@ def _sentence(complaints: str) -> str:
     """The command's own sentence among what was said on standard error, else the last line."""
     lines = complaints.strip().splitlines() or [""]
     if any(line.startswith("Unrecognized command") for line in lines):
-        return (
-            f"the Blender that {_EXECUTABLE} names has no RobIR extension of this version; "
-            "install it there"
-        )
+        return f"the Blender that {_EXECUTABLE} names has no RobIR extension; install it there"
     ours = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
     return (ours or lines)[-1]
