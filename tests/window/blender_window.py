@@ -54,13 +54,14 @@ class BlenderWindow:
     Args:
         screen: where it appears.
         home: folder that takes the place of the user's own; preferences live there.
-        pictures: folder of the screenshots.
+        pictures: folder of the screenshots; what Blender prints goes into blender.log beside it.
     """
 
     def __init__(self, screen: Screen, home: Path, pictures: Path) -> None:
         self.screen = screen
         self.pictures = pictures
         self._home = home
+        self._log = pictures.parent / "blender.log"
         self._control = home / "control"
         self._control.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
@@ -84,17 +85,16 @@ class BlenderWindow:
         command = ["blender", "--no-window-focus", "-p", "0", "0", str(WIDTH), str(HEIGHT)]
         command += [str(blend)] if blend else []
         command += ["--python", str(Path(__file__).with_name("control.py"))]
-        log = (self._home / "blender.log").open("ab")
-        self._process = subprocess.Popen(
-            command, env=self._environment(), stdout=log, stderr=log, start_new_session=True
-        )
-        self.run("bpy.context.preferences.view.show_splash = False", timeout=90)
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                command, env=self._environment(), stdout=log, stderr=log, start_new_session=True
+            )
         self.run(
             "for area in window.screen.areas:\n"
-            "    if area.type == 'VIEW_3D': area.spaces.active.show_region_ui = True"
+            "    if area.type == 'VIEW_3D': area.spaces.active.show_region_ui = True",
+            timeout=90,
         )
         time.sleep(1.0)
-        self.screen.key("Escape")
         self._show_tab()
 
     @property
@@ -199,7 +199,7 @@ class BlenderWindow:
 
     def log(self) -> str:
         """The end of what Blender wrote to its console."""
-        return (self._home / "blender.log").read_text(encoding="utf-8", errors="replace")[-3000:]
+        return self._log.read_text(encoding="utf-8", errors="replace")[-3000:]
 
     def kill(self) -> None:
         """kill -9: Blender alone, nothing it has started."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import statistics
 import sys
 import time
 from collections.abc import Iterator
@@ -24,6 +25,9 @@ pytestmark = pytest.mark.slow
 
 LONGEST_GAP = 1.0
 """Seconds that the viewport may stand still while the worker runs."""
+
+SLOWEST_IDLE = 3.0
+"""The same in idle drawings, where a busy machine draws so slowly that a second is too little."""
 
 STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
@@ -60,7 +64,19 @@ def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     )
 
 
-def test_a_dropped_capture_is_looked_at_and_checked(window: BlenderWindow, capture: Path) -> None:
+@pytest.fixture(scope="module")
+def longest_allowed(window: BlenderWindow) -> float:
+    """Longest time without a drawing, s, on a screen that is drawn by the processor."""
+    start_redraw_clock(window)
+    time.sleep(5.0)
+    idle = statistics.median(seconds for seconds, _ in redraw_gaps(window))
+    note("median gap with nothing at work, s", idle)
+    return max(LONGEST_GAP, SLOWEST_IDLE * idle)
+
+
+def test_a_dropped_capture_is_looked_at_and_checked(
+    window: BlenderWindow, capture: Path, longest_allowed: float
+) -> None:
     place = window.view_centre()
     start_redraw_clock(window)
     window.screen.drop(capture / "transforms_train.json", place.x, place.y)
@@ -68,21 +84,23 @@ def test_a_dropped_capture_is_looked_at_and_checked(window: BlenderWindow, captu
     seconds = window.wait_until(f"{STATE}.recognised", 60.0)
     window.wait_until(f"not {STATE}.task", 60.0)
     note("seconds to cameras in view", seconds)
-    note("longest gap while looking, s", max(redraw_gaps(window)))
+    check_gaps(window, "looking", longest_allowed)
     assert Path(window.get(f"{SETTINGS}.capture")) == capture
     assert window.get("len([o for o in bpy.data.objects if o.type == 'CAMERA'])") >= 16
     window.picture("looked_at")
     window.run("bpy.ops.wm.save_as_mainfile(filepath={!r})".format(str(capture.parent / "a.blend")))
 
 
-def test_esc_stops_the_reconstruction_at_once(window: BlenderWindow) -> None:
+def test_esc_stops_the_reconstruction_at_once(
+    window: BlenderWindow, longest_allowed: float
+) -> None:
     start_redraw_clock(window)
     clicked = window.press("bpy.ops.robir.reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
     note("seconds from click to running", time.monotonic() - clicked)
     window.wait_until(f"{STATE}.stage == 'geometry' and {STATE}.preview_serial > 1", 300.0)
     window.picture("reconstructing")
-    check_gaps(window, "shape")
+    check_gaps(window, "shape", longest_allowed)
     place = window.view_centre()
     window.screen.move(place.x, place.y)
     time.sleep(0.4)
@@ -132,17 +150,19 @@ def test_cancel_and_go_on(window: BlenderWindow) -> None:
     assert answered < 1.0
 
 
-def test_the_result_comes_by_itself(window: BlenderWindow, out: Path) -> None:
+def test_the_result_comes_by_itself(
+    window: BlenderWindow, out: Path, longest_allowed: float
+) -> None:
     window.press("bpy.ops.robir.reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
     start_redraw_clock(window)
     window.wait_until(f"{STATE}.stage == 'appearance'", 600.0)
     window.picture("light_and_materials")
     window.wait_until(f"{STATE}.fraction > 0.98 or not {STATE}.task", 600.0)
-    check_gaps(window, "whole run")
+    check_gaps(window, "light and materials", longest_allowed)
     start_redraw_clock(window)
     window.wait_until(f"not {STATE}.task", 60.0)
-    note("longest gap at import, s", max(redraw_gaps(window)))
+    note("longest gap at import, s", max(redraw_gaps(window))[0])
     assert window.get(f"{STATE}.error") == ""
     assert Path(window.get(f"{SETTINGS}.result")) == out
     assert window.get(OBJECT + " is not None")
@@ -161,16 +181,16 @@ def start_redraw_clock(window: BlenderWindow) -> None:
     window.run("bpy.app.driver_namespace['redraws'].start()")
 
 
-def redraw_gaps(window: BlenderWindow) -> list[float]:
-    """Seconds between two drawings of the viewport since the clock was started."""
+def redraw_gaps(window: BlenderWindow) -> list[tuple[float, str]]:
+    """Seconds between two drawings since the clock was started, and what was at work."""
     return window.get("bpy.app.driver_namespace['redraws'].stop()")
 
 
-def check_gaps(window: BlenderWindow, name: str) -> None:
+def check_gaps(window: BlenderWindow, name: str, longest_allowed: float) -> None:
     """Note the longest gap, and hold it to the bar."""
-    longest = max(redraw_gaps(window))
+    longest, work = max(redraw_gaps(window))
     note(f"longest gap, {name}, s", longest)
-    assert longest < LONGEST_GAP
+    assert longest < longest_allowed, work
 
 
 def worker(out: Path) -> int:
