@@ -10,14 +10,14 @@ from pathlib import Path
 import bpy
 from bl_ui.utils import PresetPanel
 
-from .growth import PREVIEW
+from . import growth
 from .paragraphs import paragraph
 from .preferences import shown_engine_status
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
 from .summary import shown_summary
 from .viewport import COLLECTION
 
-_LEVEL_ICONS = {"error": "CANCEL", "warning": "ERROR", "note": "INFO"}
+_FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
 _STAGES = {
     "capture": "Photographs",
     "geometry": "Shape",
@@ -50,9 +50,9 @@ class ROBIR_PT_problem(_Panel, bpy.types.Panel):
         box = self.layout.box()
         alert = box.column()
         alert.alert = True
-        paragraph(alert, context, state.error, "ERROR")
+        paragraph(alert, context, state.error, "ERROR", is_boxed=True)
         if state.error_cure:
-            paragraph(box, context, state.error_cure, "BLANK1")
+            paragraph(box, context, state.error_cure, "BLANK1", is_boxed=True)
         box.operator("robir.copy_report", icon="COPYDOWN")
 
 
@@ -74,10 +74,11 @@ class ROBIR_PT_no_engine(_Panel, bpy.types.Panel):
             box.label(text="Installing the engine", icon="IMPORT")
             _progress(box, context)
             return
-        paragraph(box, context, status.text, "INFO")
-        paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
+        cure = f"{status.cure[:1].upper()}{status.cure[1:]}"
+        paragraph(box, context, status.text, "INFO", is_boxed=True)
+        paragraph(box, context, cure, "BLANK1", is_boxed=True)
         row = box.row(align=True)
-        row.operator("robir.install_engine", icon="IMPORT")
+        row.operator("robir.install_engine", text=_install_text(context), icon="IMPORT")
         _preferences(row, text="")
 
 
@@ -102,6 +103,15 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
             return
         row = layout.row(align=True)
         row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
+        cameras = bpy.data.collections.get(COLLECTION)
+        if cameras is not None:
+            row.prop(
+                cameras,
+                "hide_viewport",
+                text="",
+                icon="OUTLINER_OB_CAMERA",
+                invert_checkbox=True,
+            )
         row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
         row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
         row.operator("robir.clear_capture", text="", icon="X")
@@ -109,11 +119,10 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
             _progress(layout, context)
         elif state.recognised:
             paragraph(layout, context, state.recognised, "CHECKMARK")
-        split = _split(layout)
-        split.prop(settings, "masks")
+        _split(layout).prop(settings, "masks")
         cameras = bpy.data.collections.get(COLLECTION)
         if cameras is not None:
-            split.prop(cameras, "hide_viewport", text="Cameras in view", invert_checkbox=True)
+            layout.prop(cameras, "hide_viewport", text="Cameras in view", invert_checkbox=True)
 
 
 class ROBIR_PT_check(_Panel, bpy.types.Panel):
@@ -128,19 +137,23 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
         return bool(state.recognised or state.findings)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One paragraph a finding."""
+        """Faults in boxes; what is only good to know folded away."""
         layout = self.layout
         findings = context.window_manager.robir.findings
-        if not findings:
+        faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
+        notes = [f for f in findings if f.level == "note"]
+        if not faults:
             layout.label(text="No faults found", icon="CHECKMARK")
-        for level, icon in _LEVEL_ICONS.items():
-            for finding in findings:
-                if finding.level != level:
-                    continue
-                box = layout.box()
-                paragraph(box, context, finding.text, icon)
-                if finding.cure:
-                    paragraph(box, context, finding.cure, "BLANK1").active = False
+        for fault in faults:
+            box = layout.box()
+            paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
+            if fault.cure:
+                paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+        if notes:
+            header, body = layout.panel("ROBIR_notes", default_closed=True)
+            header.label(text=f"Good to know ({len(notes)})")
+            for note in notes if body is not None else ():
+                paragraph(body, context, f"{note.text}. {note.cure}" if note.cure else note.text)
 
 
 class ROBIR_PT_presets(PresetPanel, bpy.types.Panel):
@@ -178,17 +191,15 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
 
     def _draw_running(self, context: bpy.types.Context) -> None:
         state, layout = context.window_manager.robir, self.layout
+        if state.stage:
+            layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
         _progress(layout, context)
-        column = layout.column(align=True)
-        column.label(text=_STAGES.get(state.stage, state.stage.capitalize()), icon="TIME")
-        if state.seconds_left >= 0.0:
-            column.label(text=f"{_duration(state.seconds_left)} left", icon="BLANK1")
         if state.held_out_psnr >= 0.0:
             text = f"{state.held_out_psnr:.1f} dB on photographs kept aside"
-            paragraph(column, context, text, "BLANK1")
-        preview = bpy.data.images.get(PREVIEW)
-        if preview is not None:
-            layout.template_icon(icon_value=layout.icon(preview), scale=10.0)
+            paragraph(layout, context, text)
+        pictures = layout.row(align=True)
+        for icon in growth.icons():
+            pictures.template_icon(icon_value=icon, scale=5.5)
 
 
 class ROBIR_PT_result(_Panel, bpy.types.Panel):
@@ -293,7 +304,7 @@ class ROBIR_PT_engine(_Panel, bpy.types.Panel):
             _progress(layout, context)
         column = layout.column(align=True)
         column.operator("robir.check_engine", icon="CHECKMARK")
-        column.operator("robir.install_engine", icon="IMPORT")
+        column.operator("robir.install_engine", text=_install_text(context), icon="IMPORT")
         column.operator("robir.remove_engine", icon="TRASH")
         _preferences(layout, text="Preferences")
 
@@ -319,14 +330,22 @@ def _split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def _progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """A bar with what stops it, and below what is being done."""
+    """How far the work is, what is being done, and the button that stops it."""
     state = context.window_manager.robir
-    row = layout.row(align=True)
-    row.progress(factor=state.fraction, type="BAR", text=f"{100.0 * state.fraction:.0f} %")
-    stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
-    row.operator(stop, text="Cancel", icon="CANCEL")
+    text = f"{100.0 * state.fraction:.0f} %"
+    if state.seconds_left >= 0.0:
+        text += f", {_duration(state.seconds_left)} left"
+    layout.progress(factor=state.fraction, type="BAR", text=text)
     if state.message:
         paragraph(layout, context, state.message)
+    stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
+    layout.operator(stop, text="Cancel", icon="CANCEL")
+
+
+def _install_text(context: bpy.types.Context) -> str:
+    """What pressing the button does."""
+    outdated = shown_engine_status(context).state == "outdated"
+    return "Update Engine" if outdated else "Install Engine"
 
 
 def _name(folder: str) -> str:

@@ -6,17 +6,25 @@ from functools import lru_cache
 import blf
 import bpy
 
-_MARGIN = 60
-"""Points of the region that hold its tabs, the panel's border and the label's padding."""
+_MARGIN = 76
+"""Points of the region that hold its tabs, the borders of panel and box, and a label's padding."""
 
 _ICON = 22
 """Points that an icon takes from a line."""
+
+_BOX = 14
+"""Points that the borders of a box take."""
 
 _WIDTH_WITHOUT_REGION = 300
 
 
 def paragraph(
-    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE"
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    text: str,
+    icon: str = "NONE",
+    *,
+    is_boxed: bool = False,
 ) -> bpy.types.UILayout:
     """Draw a sentence as labels, one a line, the icon before the first.
 
@@ -25,6 +33,7 @@ def paragraph(
         context: Its region says how wide the panel is.
         text: May hold line breaks.
         icon: Name of an icon; the other lines are indented by its width.
+        is_boxed: Whether it is drawn inside a box, whose border takes room.
 
     Returns:
         The column of the lines, for example to dim it.
@@ -34,7 +43,7 @@ def paragraph(
     points = context.preferences.ui_styles[0].widget.points
     region = context.region
     width = region.width / scale if region and region.width > 1 else _WIDTH_WITHOUT_REGION
-    room = width - _MARGIN - (_ICON if icon != "NONE" else 0)
+    room = width - _MARGIN - (_ICON if icon != "NONE" else 0) - (_BOX if is_boxed else 0)
     column = layout.column(align=True)
     column.scale_y = 0.8
     for number, line in enumerate(break_lines(text, int(max(room, 40.0)), points)):
