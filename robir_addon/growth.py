@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The image that shows a reconstruction as it grows, beside the photograph it should match."""
+"""A photograph, and beside it what a reconstruction makes of it so far: as image and as icons."""
 
 from pathlib import Path
+from typing import Any
 
 import bpy
+import bpy.utils.previews
 import numpy as np
 
 PREVIEW = "RobIR preview"
 """Name of the image."""
 
+_HALVES = ("photograph", "reconstruction")
+
+_both: list[dict[str, Any]] = []
+"""Blender's collection of the two icons, once there is a picture."""
+
 
 def forget() -> None:
-    """Take the image of an earlier reconstruction away."""
+    """Take the image and the icons of an earlier reconstruction away."""
+    unregister()
     before = bpy.data.images.get(PREVIEW)
     if before is not None:
         bpy.data.images.remove(before)
@@ -42,18 +50,35 @@ def load_newer(path: Path, known: int) -> int:
         image.name = PREVIEW
     else:
         image.reload()
-    if not bpy.app.background:
-        _refresh_icon(image)
+    _refresh_icons(image)
     return changed
 
 
-def _refresh_icon(image: bpy.types.Image) -> None:
-    """Give an image's icon the image's pixels; Blender makes an icon once and keeps it."""
+def icons() -> list[int]:
+    """Icons of the photograph and of the reconstruction; none before there is a picture."""
+    return [icon.icon_id for icon in _both[0].values()] if _both else []
+
+
+def unregister() -> None:
+    """Give the icons back."""
+    while _both:
+        bpy.utils.previews.remove(_both.pop())
+
+
+def _refresh_icons(image: bpy.types.Image) -> None:
+    """Give the icons the pixels of the image's left and right half."""
     width, height = image.size
-    if not width or not height:
+    if width < 2 or not height:
         return
-    pixels = np.empty(4 * width * height, np.float32)
-    image.pixels.foreach_get(pixels)
-    icon = image.preview_ensure()
-    icon.image_size = (width, height)
-    icon.image_pixels_float.foreach_set(pixels)
+    pixels = np.empty((height, width, 4), np.float32)
+    image.pixels.foreach_get(pixels.reshape(-1))
+    if not _both:
+        icons_of = bpy.utils.previews.new()
+        for half in _HALVES:
+            icons_of.new(half)
+        _both.append(icons_of)
+    middle = width // 2
+    for half, part in zip(_HALVES, (pixels[:, :middle], pixels[:, -middle:]), strict=True):
+        icon = _both[0][half]
+        icon.image_size = (middle, height)
+        icon.image_pixels_float.foreach_set(np.ascontiguousarray(part).reshape(-1))

@@ -120,9 +120,6 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         elif state.recognised:
             paragraph(layout, context, state.recognised, "CHECKMARK")
         _split(layout).prop(settings, "masks")
-        cameras = bpy.data.collections.get(COLLECTION)
-        if cameras is not None:
-            layout.prop(cameras, "hide_viewport", text="Cameras in view", invert_checkbox=True)
 
 
 class ROBIR_PT_check(_Panel, bpy.types.Panel):

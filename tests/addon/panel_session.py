@@ -7,9 +7,10 @@ Runs inside Blender after the text of recording.py, whose names it uses.
 import os
 import sys
 import time
+from importlib import import_module
 
 import bpy
-from recording import Drawn, Fault, Recorder, classes_of, text_width  # taken out before it runs
+from recording import Drawn, Fault, Recorder, classes_of  # taken out before it runs
 
 MODULE = "bl_ext.user_default.robir"
 TRIALS = 5
@@ -22,6 +23,10 @@ def main(archive, result):
     bpy.ops.extensions.package_install_files(
         filepath=archive, repo="user_default", enable_on_install=True
     )
+    # the engine's state may be looked at once a second: here it was looked at just now
+    preferences = import_module(f"{MODULE}.preferences")
+    preferences._FRESH_SECONDS = 600.0
+    preferences.shown_engine_status(bpy.context)
     return {
         "states": {name: draw_everything(name, result) for name in STATES},
         "planted": {name: planted(draw) for name, draw in PLANTED.items()},
@@ -69,7 +74,8 @@ def running(settings, state, result):
     started(settings, state, result)
     state.stage, state.fraction, state.seconds_left = "geometry", 0.42, 5600.0
     state.held_out_psnr = 27.31
-    bpy.data.images.new("RobIR preview", 4, 4)
+    growth = import_module(f"{MODULE}.growth")
+    growth._refresh_icons(bpy.data.images.new("RobIR preview", 8, 4))
 
 
 def failed(settings, state, result):
@@ -141,7 +147,8 @@ def draw_everything(state, result):
                 continue
             answer["texts"] += layout.texts()
             answer["buttons"] += layout.operators()
-            answer["wide"] += [text for text in layout.texts() if text_width(text) > 245.0]
+            answer["wide"] += layout.wide
+            answer["pictures"] = answer.get("pictures", 0) + layout.pictures()
             answer["files"] += touched
     answer["milliseconds"] = 1000.0 * min(seconds_to_draw() for _ in range(TRIALS))
     return answer

@@ -25,10 +25,13 @@ class Recorder:
     Attributes:
         calls: (function, arguments by name) in the order of drawing, shared with inner layouts.
         is_open: Whether sub-panels are drawn open.
+        room: Width of a line, points.
+        wide: Texts that are cut off, shared with inner layouts.
     """
 
-    def __init__(self, calls=None, is_open=True):
-        self.__dict__.update(calls=[] if calls is None else calls, is_open=is_open)
+    def __init__(self, outer=None, is_open=True, room=240.0):
+        calls, wide = ([], []) if outer is None else (outer.calls, outer.wide)
+        self.__dict__.update(calls=calls, wide=wide, is_open=is_open, room=room)
 
     def __setattr__(self, name, value):
         prop = _LAYOUT.properties.get(name)
@@ -52,13 +55,17 @@ class Recorder:
         for parameter in parameters:
             _check_argument(function, parameter, given)
         self.calls.append((function.identifier, given))
+        icon = 20.0 if given.get("icon", "NONE") != "NONE" else 0.0
+        if function.identifier == "label" and text_width(given["text"]) + icon > self.room:
+            self.wide.append(given["text"])
         check = globals().get(f"_check_{function.identifier}")
         answer = check(given) if check else None
         if function.identifier in _INNER:
-            return Recorder(self.calls, self.is_open)
+            narrower = 14.0 if function.identifier == "box" else 0.0
+            return Recorder(self, self.is_open, self.room - narrower)
         if function.identifier in ("panel", "panel_prop"):
-            body = Recorder(self.calls, self.is_open) if self.is_open else None
-            return Recorder(self.calls, self.is_open), body
+            body = Recorder(self, self.is_open, self.room) if self.is_open else None
+            return Recorder(self, self.is_open, self.room), body
         return answer
 
     def texts(self):
@@ -70,6 +77,10 @@ class Recorder:
                 text = _operator(given["operator"]).name
             said.append(text or "")
         return [text for text in said if text]
+
+    def pictures(self):
+        """How many large icons are drawn."""
+        return sum(function == "template_icon" for function, _ in self.calls)
 
     def operators(self):
         """Names of the operators that can be pressed."""

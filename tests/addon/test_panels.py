@@ -76,6 +76,8 @@ def test_what_matters_is_said(seen):
     for words in ("42 %", "Shape", "1 h 33 min left", "27.3 dB on photographs kept aside"):
         assert words in running
     assert "dB" not in said("started")
+    # open and closed: a photograph and what is known of it
+    assert [seen["states"][state].get("pictures") for state in ("started", "running")] == [0, 4]
     assert "Reconstruct again; it goes on" in said("failed")
     for words in ("kept aside", "Tone curve:", "triangles", "über all"):
         assert words in said("done")
