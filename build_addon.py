@@ -32,7 +32,7 @@ class BuildError(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Build, and install where asked for; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Build the Blender extension.")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="default dist")
     parser.add_argument(
         "--install", metavar="BLENDER", help="executable of the Blender to install it in"

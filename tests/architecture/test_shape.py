@@ -19,7 +19,8 @@ SHIPPED = ("core/robir", "robir_addon", "blender_scenes")
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 
-SOURCES = [path for folder in SHIPPED for path in sorted((ROOT / folder).rglob("*.py"))]
+SOURCES = [ROOT / "build_addon.py"]
+SOURCES += [path for folder in SHIPPED for path in sorted((ROOT / folder).rglob("*.py"))]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 
@@ -106,6 +107,18 @@ def test_the_word_for_hue_is_never_a_name_of_ours():
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and forbidden in node.name.lower()
     ]
     assert not bad
+
+
+def test_the_add_on_imports_itself_relatively():
+    """Blender loads an extension under a name of its own, such as bl_ext.user_default.robir."""
+    absolute = [
+        f"{name(path)}:{node.lineno}"
+        for path in (ROOT / "robir_addon").rglob("*.py")
+        for node in ast.walk(parse(path))
+        if (isinstance(node, ast.ImportFrom) and not node.level and "robir_addon" in node.module)
+        or (isinstance(node, ast.Import) and any("robir_addon" in a.name for a in node.names))
+    ]
+    assert not absolute
 
 
 def settings_fields() -> list[tuple[str, str, str]]:
