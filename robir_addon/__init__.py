@@ -6,7 +6,24 @@ Importing this package has no side effects and needs no Blender; `register` does
 
 import importlib
 
-_MODULES = ("properties", "summary", "dropping", "presets", "panels", "menus")
+_MODULES = (
+    "properties",
+    "preferences",
+    "summary",
+    "growth",
+    "monitor",
+    "operators.engine",
+    "operators.capture",
+    "operators.reconstruct",
+    "operators.result",
+    "operators.relight",
+    "operators.export",
+    "dropping",
+    "presets",
+    "panels",
+    "menus",
+    "command_line",
+)
 """Parts with classes, pointers, timers or handlers, each after those it builds upon.
 
 A part has `CLASSES`, or `register` and `unregister`, or both.

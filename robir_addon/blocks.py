@@ -38,6 +38,9 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
         image = bpy.data.images.load(str(file), check_existing=False)
     except RuntimeError as fault:
         raise ResultError(f"{file} cannot be read as an image; is it there and whole?") from fault
+    if 0 in image.size:  # Blender finds damage only when it is asked about the pixels
+        bpy.data.images.remove(image)
+        raise ResultError(f"{file} cannot be read as an image; is it there and whole?")
     image.colorspace_settings.name = space
     image[MARK] = mark
     return image

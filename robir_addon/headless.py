@@ -71,7 +71,7 @@ def render_views(
     options: argparse.Namespace, reports: TextIO
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Render capture views of scene.blend as they were photographed."""
-    paths, scene = _open_scene(options)
+    paths, scene = _open_scene(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     files = []
     for index, camera in enumerate(cameras):
@@ -86,7 +86,7 @@ def render_views(
 def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
     """Render scene.blend under another light: stills of the chosen views, or a turning light."""
     environment = _environment_file(options.environment)
-    paths, scene = _open_scene(options)
+    paths, scene = _open_scene(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     turn = math.radians(options.rotation)
     if options.turntable:
@@ -128,14 +128,11 @@ def _turntable(
     return [*frames, film]
 
 
-def _open_scene(options: argparse.Namespace) -> tuple[JobPaths, bpy.types.Scene]:
+def _open_scene(options: argparse.Namespace, reports: TextIO) -> tuple[JobPaths, bpy.types.Scene]:
     """Open scene.blend, building it first where it is missing."""
     paths = JobPaths(options.out.resolve())
     if not paths.scene.is_file():
-        raise ResultError(
-            f"{paths.scene} is missing; make it with: "
-            f"python -m robir_addon.headless scene {options.out}"
-        )
+        build_scene(options, reports)
     bpy.ops.wm.open_mainfile(filepath=str(paths.scene), load_ui=False)
     scene = bpy.context.scene
     scene.cycles.samples = options.samples

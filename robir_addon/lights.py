@@ -119,7 +119,7 @@ def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path)
         ResultError: If the file is missing or damaged.
     """
     picture = _node(world, "TEX_ENVIRONMENT").image
-    if picture is None or Path(bpy.path.abspath(picture.filepath)) != file:
+    if picture is None or environment_file(world) != file:
         picture = load_image(file, "Linear Rec.709", world[MARK])
     _show(scene, world, picture)
     _light_lamps(scene, world[MARK], False)
@@ -127,8 +127,20 @@ def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path)
 
 def shows_recovered_light(world: bpy.types.World) -> bool:
     """Whether the World holds the recovered light, rather than another environment."""
-    picture = _node(world, "TEX_ENVIRONMENT").image
-    return picture is not None and picture in (world.get(_WHOLE), world.get(_WITHOUT_SUN))
+    known = [image for image in (world.get(_WHOLE), world.get(_WITHOUT_SUN)) if image]
+    return any(n.type == "TEX_ENVIRONMENT" and n.image in known for n in world.node_tree.nodes)
+
+
+def environment_file(world: bpy.types.World) -> Path:
+    """File of the environment that the World shows."""
+    return Path(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath))
+
+
+def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
+    """Change how the recovered light is given; nothing happens while another light shines."""
+    world = scene.world
+    if world is not None and MARK in world and shows_recovered_light(world):
+        show_recovered_light(scene, world, use_sun_lamp)
 
 
 def turn_light(scene: bpy.types.Scene, rotation: float) -> None:
@@ -141,8 +153,10 @@ def turn_light(scene: bpy.types.Scene, rotation: float) -> None:
     world = scene.world
     if world is None or MARK not in world:
         return
-    # the mapping turns the direction that is looked up, so the picture turns the other way
-    _node(world, "MAPPING").inputs["Rotation"].default_value = (0.0, 0.0, -rotation)
+    for node in world.node_tree.nodes:  # none, if the user rebuilt the World
+        if node.type == "MAPPING":
+            # it turns the direction that is looked up, so the picture turns the other way
+            node.inputs["Rotation"].default_value = (0.0, 0.0, -rotation)
     for lamp in lamps_of(world[MARK]):
         _aim(lamp, rotation)
 

@@ -17,6 +17,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from .lights import turn_light, use_lamps
 from .summary import read_shown
 
 STUDIO_LIGHTS = (
@@ -105,6 +106,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         subtype="ANGLE",
         soft_min=-3.141592653589793,
         soft_max=3.141592653589793,
+        update=lambda settings, _context: turn_light(settings.id_data, settings.rotation),
     )
     turntable_frames: IntProperty(
         name="Frames",
@@ -117,6 +119,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Sun as a lamp",
         description="Give a recovered sun as a Sun lamp, so that its shadows stay crisp",
         default=True,
+        update=lambda settings, _context: use_lamps(settings.id_data, settings.use_sun_lamp),
     )
 
 

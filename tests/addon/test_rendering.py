@@ -173,7 +173,7 @@ def test_turntable_writes_frames_and_a_film(built):
 def test_wrong_requests_end_in_one_sentence(built, tmp_path):
     for arguments, code, words in (
         (["scene", tmp_path], 1, "cannot be read"),
-        (["render", tmp_path], 1, "is missing"),
+        (["render", tmp_path], 1, "cannot be read"),
         (["render", built.root, "--views", "nobody"], 2, "no view is named 'nobody'"),
         (["relight", built.root, "--environment", "mars"], 2, "ships only city"),
     ):

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A result arrives: it is imported, becomes the shown one, and is seen in its own light."""
+
+from pathlib import Path
+
+import bpy
+
+from .blocks import MARK
+from .gateway import JobPaths
+from .importer import import_result, read_json
+from .view_transform import view_transform_differs
+
+
+def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
+    """Import a result, make it the shown one, and select and frame its object.
+
+    Args:
+        context: Scene, and in a window the viewports to frame it in.
+        root: Result folder, absolute.
+
+    Returns:
+        Sentences for the user.
+
+    Raises:
+        ResultError: If the folder holds no finished export; then nothing has changed.
+    """
+    scene = context.scene
+    settings = scene.robir
+    curve = read_json(JobPaths(root).tone_curve)
+    imported = import_result(root, scene, use_sun_lamp=settings.use_sun_lamp)
+    settings.result = str(root)
+    settings.rotation = 0.0
+    context.view_layer.update()  # else Blender 5 lists objects that are gone
+    for selected in list(context.view_layer.objects.selected):
+        selected.select_set(False)
+    imported.asset.select_set(True)
+    context.view_layer.objects.active = imported.asset
+    _frame(context)
+    notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
+    if view_transform_differs(scene, curve):
+        wanted = curve["blender_view_transform"] or "another curve"
+        notes.append(
+            f"The photographs were made through {wanted}, the scene is shown through "
+            f"{scene.view_settings.view_transform}; Match View Transform makes them alike"
+        )
+    others = [
+        o.name for o in scene.objects if o.type == "LIGHT" and MARK not in o and not o.hide_render
+    ]
+    if others:
+        notes.append(f"The scene's own lights shine on the object too: {', '.join(others)}")
+    return notes
+
+
+def _frame(context: bpy.types.Context) -> None:
+    """Show the selected object in the viewports of the scene, lit by what the scene holds."""
+    for window in context.window_manager.windows:
+        if window.scene != context.scene:
+            continue
+        for area in window.screen.areas:
+            if area.type != "VIEW_3D":
+                continue
+            shading = area.spaces.active.shading
+            if shading.type in ("WIREFRAME", "SOLID"):  # these show neither material nor light
+                shading.type = "MATERIAL"
+            shading.use_scene_world = shading.use_scene_lights = True
+            region = next(r for r in area.regions if r.type == "WINDOW")
+            with context.temp_override(window=window, area=area, region=region):
+                bpy.ops.view3d.view_selected()

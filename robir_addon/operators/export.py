@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The result in files for other programs, and as an asset of Blender's own."""
+
+import os
+import shutil
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from ..asset import make_asset
+from ..errors import RequestError, ResultError
+from ..importer import asset_of, mark_of
+from ..lights import lamps_of
+from .shared import ImportedOperator, ResultOperator, result_paths, result_root
+
+
+class _SaveAs(ExportHelper):
+    """Asks for a file, beginning with one named after the result."""
+
+    filepath: StringProperty(
+        name="File",
+        description="File to write",
+        subtype="FILE_PATH",
+        options={"HIDDEN", "SKIP_SAVE"},  # a file once written is not silently written again
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser; it asks before it overwrites."""
+        if not self.filepath:
+            self.filepath = f"{result_root(context).name}{self.filename_ext}"
+        return super().invoke(context, event)
+
+    def target(self) -> Path:
+        """The chosen file."""
+        if not self.filepath:
+            raise RequestError(f"no file was given; name a {self.filename_ext} file")
+        return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
+
+
+class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
+    """The asset as the reconstruction wrote it."""
+
+    bl_idname = "robir.export_glb"
+    bl_label = "Export GLB"
+    bl_description = (
+        "Save the asset as glTF binary: mesh, UVs and textures as reconstructed. "
+        "The format knows no environment light"
+    )
+    bl_options = {"REGISTER"}
+
+    filename_ext = ".glb"
+    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Copy the file that the export stage made."""
+        source = result_paths(context).asset
+        if not source.is_file():
+            raise ResultError(f"{source.name} is missing; export the result again")
+        copy_whole(source, self.target())
+        self.report({"INFO"}, f"Saved {self.target().name}")
+
+
+class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
+    """The imported object with its present light."""
+
+    bl_idname = "robir.export_usd"
+    bl_label = "Export USD"
+    bl_description = (
+        "Save the imported object as USD, with its textures, the World as a dome light "
+        "and the Sun lamps that shine"
+    )
+    bl_options = {"REGISTER"}
+
+    filename_ext = ".usdc"
+    filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Where Blender can write USD."""
+        if not bpy.app.build_options.usd:
+            cls.poll_message_set("This Blender was built without USD")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Write object and light; the selection is left as it was."""
+        root = result_root(context)
+        asset = asset_of(root)
+        if asset is None:
+            raise ResultError("the object is not in this file; import the result again")
+        lamps = [lamp for lamp in lamps_of(mark_of(root)) if not lamp.hide_viewport]
+        target = self.target()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        layer = context.view_layer
+        selected, active = list(layer.objects.selected), layer.objects.active
+        try:
+            for block in selected:
+                block.select_set(False)
+            for block in (asset, *lamps):
+                block.select_set(True)
+            bpy.ops.wm.usd_export(
+                filepath=str(target),
+                selected_objects_only=True,
+                overwrite_textures=True,
+                relative_paths=True,
+                export_custom_properties=False,  # they name folders of the user's
+                convert_world_material=True,
+                **_textures_too(),
+            )
+        finally:
+            for block in (asset, *lamps):
+                block.select_set(block in selected)
+            for block in selected:
+                block.select_set(True)
+            layer.objects.active = active
+        if not target.is_file():
+            raise ResultError(f"{target.name} was not written; is the folder writable?")
+        self.report({"INFO"}, f"Saved {target.name} with its textures beside it")
+
+
+class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
+    """Texture images in a folder."""
+
+    bl_idname = "robir.export_textures"
+    bl_label = "Export Textures"
+    bl_description = "Copy the texture images to a folder"
+    bl_options = {"REGISTER", "PRESET"}
+
+    directory: StringProperty(
+        name="Folder",
+        description="Folder to copy to",
+        subtype="DIR_PATH",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    overwrite: BoolProperty(
+        name="Overwrite",
+        description="Replace files of the same name",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Copy all or nothing."""
+        if not self.directory:
+            raise RequestError("no folder was given; choose one for the textures")
+        folder = Path(bpy.path.abspath(self.directory))
+        files = sorted(f for f in result_paths(context).textures.glob("*") if f.is_file())
+        if not files:
+            raise ResultError("the result has no textures; export it again")
+        there = [file.name for file in files if (folder / file.name).exists()]
+        if there and not self.overwrite:
+            raise RequestError(
+                f"{folder.name} already has {', '.join(there)}; tick Overwrite or choose another"
+            )
+        for file in files:
+            copy_whole(file, folder / file.name)
+        self.report({"INFO"}, f"Copied {len(files)} textures to {folder.name}")
+
+
+class ROBIR_OT_mark_asset(ImportedOperator, bpy.types.Operator):
+    """The object in Blender's asset library."""
+
+    bl_idname = "robir.mark_asset"
+    bl_label = "Mark as Asset"
+    bl_description = (
+        "Mark the object as an asset with preview, description and tags; "
+        "it is in the library once this file is saved there"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Mark it; saving is left to the user."""
+        paths = result_paths(context)
+        asset = asset_of(paths.root)
+        if asset is None:
+            raise ResultError("the object is not in this file; import the result again")
+        make_asset(asset, paths)
+
+
+def _textures_too() -> dict[str, str | bool]:
+    """The export's choice to write textures; Blender 4.2 has other words for it."""
+    known = bpy.ops.wm.usd_export.get_rna_type().properties
+    if "export_textures_mode" in known:
+        return {"export_textures_mode": "NEW"}
+    return {"export_textures": True}
+
+
+def copy_whole(source: Path, target: Path) -> None:
+    """Copy a file; the target appears whole or not at all."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.exists() and target.samefile(source):
+        return
+    temporary = target.with_name(f".{target.name}-{os.getpid()}")
+    try:
+        shutil.copyfile(source, temporary)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+CLASSES = (
+    ROBIR_OT_export_glb,
+    ROBIR_OT_export_usd,
+    ROBIR_OT_export_textures,
+    ROBIR_OT_mark_asset,
+)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bring a result into the file, and look at it beside what went in."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..arrival import bring_in
+from ..comparison import compare
+from ..errors import ResultError
+from ..importer import mark_of, read_json, remove_result
+from ..pictures import put_image, read_codes, show_image
+from ..support import support_report
+from ..view_transform import match_view_transform
+from .shared import ImportedOperator, ResultOperator, result_paths, result_root
+
+COMPARISON = "RobIR comparison"
+TONE_CURVE = "RobIR tone curve"
+
+
+class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
+    """Object, light and cameras of a result folder into the scene."""
+
+    bl_idname = "robir.import_result"
+    bl_label = "Import Result"
+    bl_description = "Bring a finished result into the scene; importing it again replaces it"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(
+        name="Result",
+        description="Result folder; empty takes the one that is shown",
+        subtype="DIR_PATH",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Always but in edit mode, where objects cannot be replaced."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave the present mode for Object Mode first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder, beginning with the one that is shown."""
+        if not self.directory:
+            self.directory = context.scene.robir.result
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Import, select and show the object."""
+        folder = self.directory or context.scene.robir.result
+        if not folder:
+            raise ResultError("no folder was given; choose one that `robir reconstruct` finished")
+        root = Path(bpy.path.abspath(folder)).absolute()
+        for note in bring_in(context, root):
+            self.report({"INFO"}, note)
+
+
+class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
+    """Take a result out again."""
+
+    bl_idname = "robir.remove_result"
+    bl_label = "Remove Result"
+    bl_description = (
+        "Take the object, its light and its cameras out of the file and give the scene its own "
+        "World back; the result folder stays"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Remove it and show none."""
+        remove_result(result_root(context))
+        context.scene.robir.result = ""
+
+
+class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
+    """Photograph, re-render, albedo and roughness side by side."""
+
+    bl_idname = "robir.compare"
+    bl_label = "Compare"
+    bl_description = "Show a photograph, its re-render, albedo and roughness side by side"
+    bl_options = {"REGISTER", "UNDO"}
+
+    view: StringProperty(
+        name="View",
+        description="Name of the photograph; empty takes one that was kept aside",
+        options={"SKIP_SAVE"},
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Make one image of the four."""
+        paths = result_paths(context)
+        found = compare(paths, read_json(paths.cameras), self.view)
+        image = put_image(COMPARISON, found.codes, mark_of(paths.root))
+        show_image(context, image)
+        self.report(
+            {"INFO"},
+            f"View {found.view}: photograph, re-render by {found.rendered_by}, albedo, roughness",
+        )
+
+
+class ROBIR_OT_show_tone_curve(ResultOperator, bpy.types.Operator):
+    """The plot of the recovered tone curve."""
+
+    bl_idname = "robir.show_tone_curve"
+    bl_label = "Tone Curve"
+    bl_description = "Show the recovered tone curve beside the others that were tried"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Show the plot that the export made."""
+        paths = result_paths(context)
+        image = put_image(TONE_CURVE, read_codes(paths.tone_plot), mark_of(paths.root))
+        show_image(context, image)
+
+
+class ROBIR_OT_match_view_transform(ResultOperator, bpy.types.Operator):
+    """The photographs' tone curve as the scene's view transform."""
+
+    bl_idname = "robir.match_view_transform"
+    bl_label = "Match View Transform"
+    bl_description = "Show the scene through the tone curve that was recovered, as the photographs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Set the scene's colour management."""
+        curve = read_json(result_paths(context).tone_curve)
+        for note in match_view_transform(context.scene, curve):
+            self.report({"WARNING"}, note)
+
+
+class ROBIR_OT_open_report(ResultOperator, bpy.types.Operator):
+    """The result's report in the web browser."""
+
+    bl_idname = "robir.open_report"
+    bl_label = "Open Report"
+    bl_description = "Open the result's report, a file of your own, in the web browser"
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Hand the local file to the browser; without a window its path is said."""
+        report = result_paths(context).report
+        if not report.is_file():
+            raise ResultError(f"{report.name} is missing; export the result again")
+        if bpy.app.background:
+            self.report({"INFO"}, str(report))
+        else:
+            bpy.ops.wm.url_open(url=report.as_uri())
+
+
+class ROBIR_OT_copy_report(bpy.types.Operator):
+    """What helps whoever is asked for help, on the clipboard."""
+
+    bl_idname = "robir.copy_report"
+    bl_label = "Copy Report"
+    bl_description = (
+        "Copy versions, settings and the end of the log for a request for help; "
+        "it holds no path of yours and not your name"
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Fill the clipboard."""
+        context.window_manager.clipboard = support_report(context)
+        self.report({"INFO"}, "The report is on the clipboard")
+        return {"FINISHED"}
+
+
+CLASSES = (
+    ROBIR_OT_import_result,
+    ROBIR_OT_remove_result,
+    ROBIR_OT_compare,
+    ROBIR_OT_show_tone_curve,
+    ROBIR_OT_match_view_transform,
+    ROBIR_OT_open_report,
+    ROBIR_OT_copy_report,
+)

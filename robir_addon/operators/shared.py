@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the operators on a finished result have in common."""
+
+from pathlib import Path
+
+import bpy
+
+from ..errors import AddonError
+from ..gateway import JobPaths
+from ..importer import mark_of
+from ..lights import world_of
+
+
+def result_root(context: bpy.types.Context) -> Path:
+    """The result folder that the panels show, absolute."""
+    return Path(bpy.path.abspath(context.scene.robir.result)).absolute()
+
+
+def result_paths(context: bpy.types.Context) -> JobPaths:
+    """File names of the result that the panels show."""
+    return JobPaths(result_root(context))
+
+
+class ResultOperator:
+    """Runs `work`, and turns what it raises into one sentence for the user."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a result is shown."""
+        if not context.scene.robir.result:
+            cls.poll_message_set("Import a result first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do the work at once."""
+        state = context.window_manager.robir
+        state.error = state.error_cure = ""
+        try:
+            self.work(context)
+        except (AddonError, OSError) as error:
+            return self.refuse(context, str(error))
+        return {"FINISHED"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """What the operator is for.
+
+        Raises:
+            AddonError: With a sentence for the user.
+        """
+        raise NotImplementedError
+
+    def refuse(self, context: bpy.types.Context, sentence: str) -> set[str]:
+        """Say why nothing was done, here and in the panel."""
+        state = context.window_manager.robir
+        state.error, _, state.error_cure = sentence.partition("; ")
+        self.report({"ERROR"}, sentence)
+        return {"CANCELLED"}
+
+
+class ImportedOperator(ResultOperator):
+    """Works on a result that is in the file."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once the shown result was imported."""
+        if not super().poll(context):
+            return False
+        if world_of(mark_of(result_root(context))) is None:
+            cls.poll_message_set("The result is not in this file: import it again")
+            return False
+        return True
