@@ -21,6 +21,9 @@ STEP = 9
 COLUMNS = (0.55, 0.3, 0.93, 0.85, 0.77)
 """Where across the sidebar it is probed: fields, names of fields, the small buttons of a row."""
 
+SCROLL = 40
+"""Notches of the wheel that bring the sidebar from one end to the other."""
+
 PROBE = """
 manager = bpy.context.window_manager
 area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
@@ -153,23 +156,30 @@ class BlenderWindow:
                 a property's path, `robir.preset`.
 
         Returns:
-            Its middle from top to bottom.
+            Its middle from top to bottom; the sidebar is scrolled until it is seen.
         """
         left, top, right, bottom = self.sidebar()
-        seen = set()
-        for share in COLUMNS:
-            x = left + int(share * (right - left))
-            rows = []
-            for y in range(top + STEP, bottom - 2, STEP):
-                name = self._under(Place(x, y))
-                seen.add(name)
-                if name.startswith(wanted) or name.endswith(wanted):
-                    rows.append(y)
-                elif rows:
-                    break
-            if rows:
-                return Place(x, rows[len(rows) // 2])
+        seen: set[str] = set()
+        for notches in (0, -SCROLL, SCROLL // 2, SCROLL // 2):
+            if notches:
+                self.screen.scroll(left + 40, (top + bottom) // 2, notches=notches)
+            for share in COLUMNS:
+                x = left + int(share * (right - left))
+                place = self._find_in_column(wanted, x, range(top + STEP, bottom - 2, STEP), seen)
+                if place is not None:
+                    return place
         raise LookupError(f"no {wanted} in the sidebar, but {sorted(seen)}")
+
+    def _find_in_column(self, wanted: str, x: int, ys: range, seen: set[str]) -> Place | None:
+        rows = []
+        for y in ys:
+            name = self._under(Place(x, y))
+            seen.add(name)
+            if name.startswith(wanted) or name.endswith(wanted):
+                rows.append(y)
+            elif rows:
+                break
+        return Place(x, rows[len(rows) // 2]) if rows else None
 
     def press(self, wanted: str) -> float:
         """Click a control of the sidebar; returns the time (`time.monotonic`) of the click."""
@@ -196,6 +206,14 @@ class BlenderWindow:
         self._taken += 1
         time.sleep(0.4)
         return self.screen.save(self.pictures / f"{self._taken:02d}_{name}.png")
+
+    def leave_other_windows(self) -> None:
+        """Close all windows but the first, as there is no window manager with a button for it."""
+        self.run(
+            "for other in list(bpy.context.window_manager.windows)[1:]:\n"
+            "    with bpy.context.temp_override(window=other):\n"
+            "        bpy.ops.wm.window_close()"
+        )
 
     def log(self) -> str:
         """The end of what Blender wrote to its console."""

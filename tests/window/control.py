@@ -8,6 +8,7 @@ ROBIR_WINDOW_CONTROL. A request is `request.py`; its answer is `answer.json` wit
 
 import json
 import os
+import sys
 import time
 import traceback
 from pathlib import Path
@@ -32,7 +33,7 @@ def _serve() -> float:
 
 def _run(source: str) -> dict[str, object]:
     window = bpy.context.window_manager.windows[0]
-    names: dict[str, object] = {"bpy": bpy, "window": window, "answer": None}
+    names: dict[str, object] = {"bpy": bpy, "sys": sys, "window": window, "answer": None}
     try:
         with bpy.context.temp_override(window=window):
             exec(compile(source, "request", "exec"), names)
@@ -51,7 +52,8 @@ class RedrawClock:
 
     def start(self) -> None:
         """Forget the past and record from now on."""
-        self._drawn = [(time.perf_counter(), "before the first drawing")]
+        self._drawn = []
+        self._record()
         if self._handler is None:
             self._handler = bpy.types.SpaceView3D.draw_handler_add(
                 self._record, (), "WINDOW", "POST_PIXEL"
@@ -59,17 +61,19 @@ class RedrawClock:
             bpy.app.timers.register(self._ask, first_interval=REDRAW_PERIOD)
 
     def stop(self) -> list[tuple[float, str]]:
-        """Stop recording; returns seconds between drawings and what was at work before each."""
+        """Stop recording; returns seconds between drawings and what was at work meanwhile."""
         if self._handler is not None:
             bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
             self._handler = None
         self._record()
-        pairs = zip(self._drawn, self._drawn[1:], strict=False)
-        return [(end - start, work) for (start, work), (end, _) in pairs]
+        return [
+            (end - start, before if before == after else f"{before} -> {after}")
+            for (start, before), (end, after) in zip(self._drawn, self._drawn[1:], strict=False)
+        ]
 
     def _record(self) -> None:
         state = bpy.context.window_manager.robir
-        self._drawn.append((time.perf_counter(), f"{state.task} {state.stage} {state.message}"))
+        self._drawn.append((time.perf_counter(), f"{state.task} {state.stage}".strip()))
 
     def _ask(self) -> float | None:
         if self._handler is None:
@@ -84,5 +88,7 @@ class RedrawClock:
 bpy.context.preferences.view.show_splash = False
 # Smooth lines are eight times the work for a processor that draws; measured gaps would show it.
 bpy.context.preferences.system.viewport_aa = "OFF"
+for scene in bpy.data.scenes:
+    scene.eevee.taa_samples = 1
 bpy.app.driver_namespace["redraws"] = RedrawClock()
 bpy.app.timers.register(_serve, first_interval=0.5, persistent=True)

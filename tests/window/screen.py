@@ -12,10 +12,16 @@ WIDTH, HEIGHT = 1440, 1000
 
 
 class Screen:
-    """An X server without hardware; mouse and keyboard events come from xdotool."""
+    """An X server without hardware; mouse and keyboard events come from xdotool.
+
+    Attributes:
+        display: The server's name, :78 for example.
+        clicks: How often something was clicked or dropped.
+    """
 
     def __init__(self, display: str) -> None:
         self.display = display
+        self.clicks = 0
         size = f"{WIDTH}x{HEIGHT}x24"
         command = ["Xvfb", display, "-screen", "0", size, "-nolisten", "tcp"]
         self._server = subprocess.Popen(
@@ -31,22 +37,27 @@ class Screen:
         """Put the mouse at a pixel, from the left and the top of the screen."""
         self._xdotool("mousemove", str(x), str(y))
 
-    def click(self, x: int, y: int, *, button: int = 1, repeat: int = 1) -> None:
+    def click(self, x: int, y: int) -> None:
         """Move there, give Blender time to see what is under the mouse, and click."""
         self.move(x, y)
         time.sleep(0.4)
-        self._xdotool("click", "--repeat", str(repeat), "--delay", "80", str(button))
+        self.clicks += 1
+        self._xdotool("click", "1")
+
+    def scroll(self, x: int, y: int, *, notches: int) -> None:
+        """Turn the wheel at a pixel, downwards if positive."""
+        self.move(x, y)
+        wheel = "5" if notches > 0 else "4"
+        self._xdotool("click", "--repeat", str(abs(notches)), "--delay", "60", wheel)
+        time.sleep(0.5)
 
     def key(self, name: str) -> None:
-        """Press and release one key, by its X name: Return, Escape, ctrl+v."""
+        """Press and release one key, by its X name: Return, Escape, ctrl+z."""
         self._xdotool("key", name)
-
-    def type(self, text: str) -> None:
-        """Type text; only what a plain keyboard has."""
-        self._xdotool("type", "--delay", "60", text)
 
     def drop(self, path: Path, x: int, y: int) -> None:
         """Drag a file from another program and let go of it at a pixel."""
+        self.clicks += 1
         source = Path(__file__).with_name("drag.py")
         self._run("/usr/bin/python3", str(source), path.as_uri(), str(x), str(y))
 

@@ -31,6 +31,11 @@ SLOWEST_IDLE = 3.0
 
 STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
+WORLD_FILE = (
+    "next((n.image.filepath for n in bpy.context.scene.world.node_tree.nodes "
+    "if n.type == 'TEX_ENVIRONMENT' and n.image), '')"
+)
+SUNS = "o.visible_get() for o in bpy.data.objects if o.type == 'LIGHT' and o.data.type == 'SUN'"
 OBJECT = "next((o for o in bpy.data.objects if o.type == 'MESH' and o.name != 'Cube'), None)"
 
 
@@ -156,17 +161,77 @@ def test_the_result_comes_by_itself(
     window.press("bpy.ops.robir.reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
     start_redraw_clock(window)
-    window.wait_until(f"{STATE}.stage == 'appearance'", 600.0)
+    window.wait_until(f"{STATE}.stage == 'appearance' and {STATE}.fraction > 0.7", 600.0)
     window.picture("light_and_materials")
-    window.wait_until(f"{STATE}.fraction > 0.98 or not {STATE}.task", 600.0)
+    window.wait_until(f"not {STATE}.task", 600.0)
     check_gaps(window, "light and materials", longest_allowed)
-    start_redraw_clock(window)
-    window.wait_until(f"not {STATE}.task", 60.0)
-    note("longest gap at import, s", max(redraw_gaps(window))[0])
     assert window.get(f"{STATE}.error") == ""
     assert Path(window.get(f"{SETTINGS}.result")) == out
-    assert window.get(OBJECT + " is not None")
+    assert window.get(f"{OBJECT} is not None")
+    time.sleep(20.0)  # a processor that draws takes its time with the first shaded picture
     window.picture("imported")
+    show_plainly(window)
+
+
+def test_pictures_beside_each_other(window: BlenderWindow) -> None:
+    for name in ("compare", "show_tone_curve"):
+        window.press(f"bpy.ops.robir.{name}")
+        window.wait_until("len(bpy.context.window_manager.windows) == 2", 10.0)
+        time.sleep(2.0)
+        window.picture(name)
+        window.leave_other_windows()
+
+
+def test_the_view_transform_is_matched_when_asked_for(window: BlenderWindow) -> None:
+    assert window.get("bpy.context.scene.view_settings.view_transform") == "AgX"
+    window.press("bpy.ops.robir.match_view_transform")
+    window.wait_until("bpy.context.scene.view_settings.view_transform == 'Filmic'", 5.0)
+
+
+def test_relit_in_five_clicks_from_the_drop(window: BlenderWindow) -> None:
+    before = window.screen.clicks
+    window.press("bpy.ops.robir.use_studio_light")
+    time.sleep(1.0)
+    window.picture("studio_lights")
+    for key in ("Down", "Down", "Return"):
+        window.screen.key(key)
+        time.sleep(0.3)
+    window.wait_until(f"'studiolights' in {WORLD_FILE}", 5.0)
+    dropped_and_started = 2
+    assert window.screen.clicks - before + dropped_and_started <= 5
+    assert not window.get(f"any({SUNS})")
+    window.picture("relit")
+
+
+def test_what_was_done_is_undone(window: BlenderWindow) -> None:
+    place = window.view_centre()
+    window.screen.move(place.x, place.y)
+    time.sleep(0.4)
+    window.screen.key("ctrl+z")
+    window.wait_until(f"'studiolights' not in {WORLD_FILE}", 5.0)
+    window.screen.key("ctrl+shift+z")
+    window.wait_until(f"'studiolights' in {WORLD_FILE}", 5.0)
+    window.press("bpy.ops.robir.use_recovered_light")
+    window.wait_until(f"'studiolights' not in {WORLD_FILE}", 5.0)
+
+
+def test_blender_has_nothing_to_complain_about(window: BlenderWindow) -> None:
+    complaints = [
+        line
+        for line in window.log().splitlines()
+        if "Traceback" in line or "unknown" in line or "rna_uiItemR" in line
+    ]
+    assert complaints == []
+    heavy = window.get("[name for name in ('torch', 'robir.geometry') if name in sys.modules]")
+    assert heavy == []
+
+
+def show_plainly(window: BlenderWindow) -> None:
+    """Solid shading, which a processor draws fast enough to click on."""
+    window.run(
+        "for area in window.screen.areas:\n"
+        "    if area.type == 'VIEW_3D': area.spaces.active.shading.type = 'SOLID'"
+    )
 
 
 def note(what: str, value: float) -> None:
@@ -187,10 +252,14 @@ def redraw_gaps(window: BlenderWindow) -> list[tuple[float, str]]:
 
 
 def check_gaps(window: BlenderWindow, name: str, longest_allowed: float) -> None:
-    """Note the longest gap, and hold it to the bar."""
-    longest, work = max(redraw_gaps(window))
-    note(f"longest gap, {name}, s", longest)
-    assert longest < longest_allowed, work
+    """Note the longest gaps, and hold those to the bar that lie wholly within one task."""
+    during, between = [(0.0, "")], [(0.0, "")]
+    for seconds, work in redraw_gaps(window):
+        tasks = {part.partition(" ")[0] for part in work.split(" -> ")}
+        (during if len(tasks) == 1 else between).append((seconds, work))
+    note(f"longest gap, {name}, s", max(during)[0])
+    note(f"longest gap, {name} begins or ends, s", max(between)[0])
+    assert max(during)[0] < longest_allowed, max(during)
 
 
 def worker(out: Path) -> int:
