@@ -4,6 +4,7 @@
 Importing this package has no side effects and needs no Blender; `register` does.
 """
 
+import atexit
 import importlib
 
 _MODULES = (
@@ -30,27 +31,33 @@ A part has `CLASSES`, or `register` and `unregister`, or both.
 """
 
 
+_registered: list[str] = []
+
+
 def register() -> None:
     """Make the extension known to Blender; if a part fails, those before it are taken back."""
-    done: list[str] = []
+    import bpy  # the package is imported without Blender too
+
     try:
         for name in _MODULES:
             _register_part(name)
-            done.append(name)
+            _registered.append(name)
     except Exception:
-        for name in reversed(done):
-            _unregister_part(name)
+        unregister()
         raise
+    if bpy.app.module:  # the wheel crashes at its end over properties that are still there
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Take everything back, in the opposite order."""
-    for name in reversed(_MODULES):
-        _unregister_part(name)
+    atexit.unregister(unregister)
+    while _registered:
+        _unregister_part(_registered.pop())
 
 
 def _register_part(name: str) -> None:
-    import bpy  # the package is imported without Blender too
+    import bpy
 
     part = importlib.import_module(f".{name}", __package__)
     for cls in getattr(part, "CLASSES", ()):
