@@ -383,7 +383,7 @@ def register() -> None:
     bpy.app.handlers.load_post.append(_attach_after_load)
     atexit.register(_sleep)
     if not bpy.app.background:
-        bpy.app.timers.register(_attach_at_start, first_interval=_JOB_PERIOD)
+        bpy.app.timers.register(_attach_at_start, first_interval=_JOB_PERIOD, persistent=True)
 
 
 def unregister() -> None:

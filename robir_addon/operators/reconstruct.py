@@ -37,7 +37,7 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
             cls.poll_message_set("Choose a capture first")
             return False
         if is_refused(capture):
-            cls.poll_message_set("The capture has faults that must be mended first: see Check")
+            cls.poll_message_set("The capture has faults: mend what Check names and look again")
             return False
         status = engine_status(context)
         if status.state != "ready":

@@ -146,9 +146,6 @@ def reconstruct(capture, other, out):
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
-    settings().capture = capture + " deleted"
-    answer["deleted"] = attempt(bpy.ops.robir.reconstruct)
-    answer["deleted_told"] = told()
     return answer
 
 

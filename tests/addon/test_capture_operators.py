@@ -141,8 +141,6 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert refused(answer["nothing_at_work"], "No reconstruction is at work")
     assert refused(answer["other"], "holds the result of", "choose another result folder")
     assert answer["other_told"]["error_cure"] == "Choose another result folder"
-    assert refused(answer["deleted"], "does not exist")
-    assert answer["deleted_told"]["error_cure"] == "Check the path"
     assert read_json(JobPaths(out).run)["state"] == "done"
 
 

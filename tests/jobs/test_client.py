@@ -113,6 +113,8 @@ def test_a_worker_outlives_its_starter_and_is_found_by_its_folder(request_, out)
     words = [sys.executable, "-c", script, str(request_.capture), str(out), *program(0.1)]
     starter = subprocess.Popen(words, env=ENVIRONMENT, start_new_session=True)
     until(out, running)
+    if hasattr(os, "getpriority"):
+        assert os.getpriority(os.PRIO_PROCESS, worker_of(out)) > os.getpriority(os.PRIO_PROCESS, 0)
     os.killpg(starter.pid, signal.SIGKILL)
     starter.wait()
     time.sleep(0.2)

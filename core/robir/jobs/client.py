@@ -36,6 +36,7 @@ _STARTING_SECONDS = 120.0
 """Longest time between the start of a worker and its lock, unless it is a child of this process."""
 
 _LOG_LINES = 30
+_NICENESS = 10
 _FULL_BELOW_BYTES = 1 << 20
 
 _children: dict[Path, subprocess.Popen[Any]] = {}
@@ -103,7 +104,7 @@ class Snapshot:
 
 
 def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
-    """Start a worker that goes on when this process ends.
+    """Start a worker that goes on when this process ends, and gives way to other work.
 
     Args:
         program: Words before those of the request, such as PYTHON -P -m robir.
@@ -146,6 +147,7 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
             "choose another result folder"
         ) from error
     _children[request.out] = process
+    _give_way(process.pid)
     with suppress(OSError):  # the number only helps others to tell a slow start from a death
         write_json(paths.worker, begun | {"pid": process.pid})
 
@@ -220,8 +222,15 @@ def _detached() -> dict[str, Any]:
     """What keeps a worker alive when its starter ends."""
     if sys.platform == "win32":
         flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
-        return {"creationflags": flags}
+        return {"creationflags": flags | subprocess.BELOW_NORMAL_PRIORITY_CLASS}
     return {"start_new_session": True}
+
+
+def _give_way(pid: int) -> None:
+    """Let the programs in front of the user go first; threads begun later do so too."""
+    if sys.platform != "win32":
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, pid, _NICENESS)
 
 
 def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
