@@ -45,7 +45,7 @@ def register() -> None:
     except Exception:
         unregister()
         raise
-    if bpy.app.module:  # the wheel crashes at its end over properties that are still there
+    if not bpy.app.binary_path:  # the wheel crashes at its end over properties still there
         atexit.register(unregister)
 
 
