@@ -15,6 +15,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from . import engine, gateway
 from .engine import EngineError, Place, Status
+from .paragraphs import paragraph
 
 _CHOOSE = "choose one in the add-on's preferences"
 
@@ -48,7 +49,7 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         description="Which torch is downloaded",
         items=(
             ("CPU", "Processor", "Works everywhere; 0.4 GB to download"),
-            ("CUDA", "NVIDIA graphics card", "Many times faster; 3 GB to download"),
+            ("CUDA", "NVIDIA graphics card", "Many times faster; 1.5 GB to download"),
         ),
         default="CPU",
     )
@@ -69,19 +70,16 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         else:
             layout.prop(self, "torch_build")
             layout.prop(self, "wheels")
-        status = engine_status(context)
-        box = layout.box()
-        box.label(
-            text=status.text, icon="CHECKMARK" if status.state == "ready" else "INFO",
-            translate=False,
-        )  # fmt: skip
+        status, box = engine_status(context), layout.box()
+        icon = "CHECKMARK" if status.state == "ready" else "INFO"
+        paragraph(box, context, status.text, icon)
         if status.cure:
-            box.label(text=status.cure[:1].upper() + status.cure[1:], icon="BLANK1")
+            paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
         state = context.window_manager.robir
         if state.task in ("install", "check_engine"):
             box.progress(factor=state.fraction, type="BAR", text=state.message)
         elif state.engine_text:
-            box.label(text=state.engine_text, icon="CHECKMARK" if state.engine_ok else "ERROR")
+            paragraph(box, context, state.engine_text, "CHECKMARK" if state.engine_ok else "ERROR")
         row = box.row(align=True)
         if state.task == "install":
             row.operator("robir.cancel_install", icon="CANCEL")

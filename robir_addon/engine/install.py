@@ -12,6 +12,7 @@ import argparse
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -35,9 +36,9 @@ CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 STEPS = {"environment": 0.04, "pip": 0.02, "torch": 0.64, "robir": 0.27, "check": 0.03}
 """Share of each step in the time."""
 
-TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 2800 * MEBIBYTE}
+TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 1300 * MEBIBYTE}
 OTHER_BYTES = 190 * MEBIBYTE
-NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 11 << 30}
+NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 8 << 30}
 """Room for the downloads and what they unpack to."""
 
 _MARK = "RobIR's engine: made by the Blender add-on, removed by its preferences.\n"
@@ -98,7 +99,7 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
     if before is not None and before.torch_build != options.torch:
         pip.uninstall("torch")
     pip.install(
-        ["torch", "--constraint", str(options.constraints), *_torch_index(options)],
+        [*_torch_words(options), "--constraint", str(options.constraints)],
         TORCH_BYTES[options.torch],
         steps.of("torch"),
         "torch",
@@ -153,16 +154,21 @@ def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress)
     return Pip(place, wheels)
 
 
-def _torch_index(options: argparse.Namespace) -> list[str]:
-    """Where torch for the wanted device lies, besides the usual index.
+def _torch_words(options: argparse.Namespace) -> list[str]:
+    """The requirement of torch for the wanted device, and where that lies.
 
-    The usual index has torch with CUDA for Linux and without it for Windows and macOS.
+    The usual index has torch with CUDA for Linux and without it for Windows and macOS. The others
+    lie in indexes of torch's own, under versions with a label; without the label pip would take the
+    usual one, several times as large or unable to use the card, where such an index is out of
+    reach. What torch needs besides comes from the usual index with the rest.
     """
-    if options.wheels is not None or sys.platform == "darwin":
-        return []
-    if options.torch == "CPU":
-        return ["--extra-index-url", CPU_INDEX]
-    return ["--extra-index-url", CUDA_INDEX] if sys.platform == "win32" else []
+    is_usual = {"linux": "CUDA", "win32": "CPU", "darwin": "CPU"}.get(sys.platform)
+    if options.wheels is not None or options.torch == is_usual:
+        return ["torch"]
+    label, index = ("cpu", CPU_INDEX) if options.torch == "CPU" else ("cu130", CUDA_INDEX)
+    text = options.constraints.read_text(encoding="utf-8")
+    version = re.search(r"^torch==([\w.]+)", text, re.MULTILINE)
+    return [f"torch=={version[1]}+{label}", "--no-deps", "--index-url", index]
 
 
 def _refuse_little_room(place: Place, build: str) -> None:

@@ -21,6 +21,7 @@ from ..preferences import (
     managed_wheel,
     preferences_of,
 )
+from ..worker import in_panel_words
 
 _BUSY = "Wait until the work at hand is done, or cancel it"
 _OFFLINE = "Blender is not allowed to go online"
@@ -99,7 +100,7 @@ class _Check(_Task):
         state.engine_ok = outcome["ok"]
         state.engine_text = describe(outcome)
         if not outcome["ok"]:
-            _tell(_sentence(outcome["message"]), outcome["cure"])
+            _tell(outcome["message"], outcome["cure"])
 
 
 class ROBIR_OT_install_engine(bpy.types.Operator):
@@ -227,7 +228,7 @@ def describe(verdict: dict[str, Any]) -> str:
     names = {"robir": "RobIR", "torch": "torch", "numpy": "numpy", "python": "Python"}
     versions = [f"{text} {verdict[name]}" for name, text in names.items() if verdict[name]]
     facts += [", ".join(versions), f"Cycles: {verdict['blender']}"]
-    return _sentence("; ".join(facts))
+    return _sentence(in_panel_words("; ".join(facts)))
 
 
 def _install_command(context: bpy.types.Context) -> list[str]:
@@ -295,7 +296,7 @@ def _allowed(operator: type[bpy.types.Operator], problem: str) -> bool:
 
 def _tell(error: str, cure: str) -> None:
     state = bpy.context.window_manager.robir
-    state.error, state.error_cure = _sentence(error), _sentence(cure)
+    state.error, state.error_cure = (_sentence(in_panel_words(text)) for text in (error, cure))
 
 
 def _outcome(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:

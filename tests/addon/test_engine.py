@@ -87,9 +87,9 @@ def made(source, tmp_path_factory):
 
 @pytest.fixture
 def copy(made, tmp_path):
-    """A copy of the engine to be spoilt; a virtual environment runs where it is put."""
+    """A copy of the engine to be spoilt; its files are the same until they are replaced."""
     place = Place(tmp_path / "engine")
-    shutil.copytree(made[0].root, place.root, symlinks=True)
+    shutil.copytree(made[0].root, place.root, symlinks=True, copy_function=os.link)
     return place
 
 
@@ -181,6 +181,18 @@ def test_killed_before_the_last_step_it_goes_on_there(copy, source):
     assert "Collecting torch" not in log
 
 
+def test_blender_may_be_gone_before_it_is_done(copy, source):
+    """Nobody reads what it says any more."""
+    forget(copy, "robir")
+    process = subprocess.Popen(
+        command(copy, source), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=variables()
+    )
+    process.stdout.close()
+    process.stderr.close()
+    assert process.wait(timeout=120) == 0
+    assert status(copy, source.robir, "CPU").state == "ready"
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_cancelled_it_says_so_and_takes_pip_along(copy, source):
     forget(copy, "torch")
@@ -251,6 +263,7 @@ def test_another_build_of_the_same_version_is_installed_anew(copy, source, tmp_p
     assert found.state == "outdated"
     assert "another build" in found.text
     file = copy.site_packages / "robir/cli.py"
+    file.unlink()
     file.write_text("spoilt")
     assert run(command(copy, Source(newer, source.wheels, source.wheels)))[0] == 0
     assert status(copy, newer, "CPU").state == "ready"

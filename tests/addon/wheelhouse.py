@@ -7,7 +7,6 @@ hold next to nothing: that is all pip's resolver looks at.
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 import tomllib
@@ -18,6 +17,8 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
+
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 CONSTRAINTS = ROOT / "constraints.txt"
@@ -41,10 +42,14 @@ def stand_ins(folder: Path, label: str = "cpu", leave_out: tuple[str, ...] = ())
     """
     folder.mkdir(parents=True, exist_ok=True)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    pins = dict(re.findall(r"^([\w-]+)==([\w.+]+)", CONSTRAINTS.read_text(), re.MULTILINE))
-    pins = {plain(name): version for name, version in pins.items()}
+    pins = {}
+    for line in CONSTRAINTS.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            pin = Requirement(line)
+            if pin.marker is None or pin.marker.evaluate():
+                pins[plain(pin.name)] = str(pin.specifier).removeprefix("==")
     for requirement in project["dependencies"]:
-        name = re.match(r"[\w-]+", requirement)[0]
+        name = Requirement(requirement).name
         if plain(name) in leave_out:
             continue
         version = pins[plain(name)] + (f"+{label}" if name == "torch" else "")

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the engine says when something is wrong, each with the cure; nothing is installed here."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from argparse import Namespace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from addon.wheelhouse import CONSTRAINTS
+
+import robir
+from robir_addon.engine import EngineError, Place, inspect, interpreter
+from robir_addon.engine import install as installer
+from robir_addon.engine.pip import Pip, _Meter
+from robir_addon.engine.places import clean_environment, worker_command
+
+
+@pytest.fixture
+def words(tmp_path):
+    """An installation from the network."""
+    wheel = tmp_path / "robir-1.2.3-py3-none-any.whl"
+    wheel.write_bytes(b"wheel")
+    return [
+        *("--root", str(tmp_path / "engine"), "--wheel", str(wheel), "--torch", "CPU"),
+        *("--constraints", str(CONSTRAINTS), "--online"),
+    ]
+
+
+def refused(words, capsys):
+    """The error and the cure of an installation that does not start."""
+    assert installer.main(words) == 4
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return last["error"], last["cure"]
+
+
+def test_little_room_is_noticed_before_anything_is_made(words, capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1 << 30))
+    error, cure = refused(words, capsys)
+    assert "has 1.0 GB free, the engine needs about 3 GB" in error
+    assert "make room" in cure
+    assert not (tmp_path / "engine/env").exists()
+
+
+def test_a_disk_that_fills_up(words, capsys, monkeypatch):
+    def fill(*_):
+        raise OSError(28, "No space left on device", "/engine/env/torch.so")
+
+    monkeypatch.setattr(installer, "_install", fill)
+    error, cure = refused(words, capsys)
+    assert error == "/engine/env/torch.so cannot be written (No space left on device)"
+    assert "goes on where it stopped" in cure
+
+
+def test_a_python_without_ensurepip(words, capsys, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    error, cure = refused(words, capsys)
+    assert "has no ensurepip" in error
+    assert "choose an existing environment" in cure
+
+
+def test_cuda_on_macos(words, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    words[words.index("CPU")] = "CUDA"
+    error, cure = refused(words, capsys)
+    assert error == "macOS has no CUDA"
+    assert "choose CPU" in cure
+
+
+@pytest.mark.parametrize("executable", ["", None, "/opt/blender/blender"])
+def test_a_blender_without_a_python(monkeypatch, executable):
+    monkeypatch.setattr(sys, "executable", executable)
+    with pytest.raises(EngineError, match="without a Python to run; choose an existing"):
+        worker_command()
+
+
+CPU_LABEL = ["--no-deps", "--index-url", installer.CPU_INDEX]
+CUDA_LABEL = ["--no-deps", "--index-url", installer.CUDA_INDEX]
+
+
+@pytest.mark.parametrize(
+    ("platform", "build", "wheels", "expected"),
+    [
+        ("linux", "CPU", None, ["torch==2.13.0+cpu", *CPU_LABEL]),
+        ("linux", "CUDA", None, ["torch"]),
+        ("win32", "CPU", None, ["torch"]),
+        ("win32", "CUDA", None, ["torch==2.13.0+cu130", *CUDA_LABEL]),
+        ("darwin", "CPU", None, ["torch"]),
+        ("linux", "CPU", Path("wheels"), ["torch"]),
+    ],
+)
+def test_torch_for_each_system(monkeypatch, platform, build, wheels, expected):
+    """Never the larger one by chance, never one that cannot use the card."""
+    monkeypatch.setattr(sys, "platform", platform)
+    options = Namespace(torch=build, wheels=wheels, constraints=CONSTRAINTS)
+    assert installer._torch_words(options) == expected
+
+
+@pytest.mark.parametrize(
+    ("lines", "wheels", "error", "cure"),
+    [
+        (["OSError: [Errno 28] No space left on device"], None, "disk is full", "make room"),
+        (
+            ["HINT: this system does not have Windows Long Path support enabled."],
+            None,
+            "long names",
+            "LongPathsEnabled",
+        ),
+        (
+            ["WARNING: Retrying after SSLError(SSLCertVerificationError(1, 'CERTIFICATE_VERIFY_"],
+            None,
+            "not trusted",
+            "PIP_CERT",
+        ),
+        (["ERROR: THESE PACKAGES DO NOT MATCH THE HASHES"], None, "damaged", "goes on"),
+        (
+            ["WARNING: Retrying ... NewConnectionError(", "ERROR: No matching distribution found"],
+            None,
+            "broke off while torch",
+            "check the network",
+        ),
+        (["pip._vendor.urllib3.exceptions.ReadTimeoutError: timed out"], None, "broke off", "netw"),
+        (["PermissionError: [WinError 5] Access is denied"], None, "cannot be written", "close"),
+        (["/e/env/bin/python: No module named pip"], None, "is damaged", "Remove Engine"),
+        (["ERROR: No matching distribution found for xatlas==0.0.11"], None, "offers xatlas", "ex"),
+        (
+            ["ERROR: No matching distribution found for xatlas==0.0.11"],
+            Path("/wheels"),
+            "lacks xatlas==0.0.11",
+            "/wheels",
+        ),
+        (
+            ["    The user requested (constraint) numpy==1.26.4", "ERROR: ResolutionImpossible"],
+            Path("/wheels"),
+            "lacks numpy==1.26.4",
+            "/wheels",
+        ),
+        (["ERROR: something new", "more"], None, "(something new)", "install.log"),
+    ],
+)
+def test_what_pip_says_in_words(tmp_path, lines, wheels, error, cure):
+    fault = Pip(Place(tmp_path), wheels)._reason("torch", lines)
+    assert error in fault.message
+    assert cure in fault.cure
+
+
+def test_progress_is_read_from_what_pip_says():
+    told = []
+    meter = _Meter(8 << 20, lambda share, text: told.append((round(share, 3), text)), "torch")
+    for line in (
+        "Collecting torch",
+        "Downloading https://files.example/torch-2.13.0%2Bcpu-cp311-cp311-linux_x86_64.whl (6 MB)",
+        "Progress 0 of 6291456",
+        "Progress 4194304 of 6291456",
+        "Progress 6291456 of 6291456",
+        "Using cached sympy-1.14.0-py3-none-any.whl (6 MB)",
+        "Progress 6291456 of 6291456",
+        "Installing collected packages: sympy, torch",
+    ):
+        meter(line)
+    assert told == [
+        (0.0, "looking for torch"),
+        (0.0, "fetching torch 2.13.0+cpu"),
+        (0.0, "downloading torch 2.13.0+cpu, 0 of 6 MB"),
+        (0.45, "downloading torch 2.13.0+cpu, 4 of 6 MB"),
+        (0.675, "downloading torch 2.13.0+cpu, 6 of 6 MB"),
+        (0.675, "fetching sympy 1.14.0"),
+        (0.9, "downloading sympy 1.14.0, 6 of 6 MB"),
+        (0.92, "unpacking torch"),
+    ]
+
+
+def test_variables_of_blenders_python_are_not_handed_on():
+    theirs = {"PYTHONHOME": "/b", "PYTHONPATH": "/b", "PythonUtf8": "1", "PIP_TARGET": "/b"}
+    ours = {"PATH": "/bin", "PIP_INDEX_URL": "https://mirror", "SSL_CERT_FILE": "/cert"}
+    assert clean_environment(theirs | ours) == ours
+
+
+def pretender(folder: Path, facts: dict | str, code: int = 0) -> Path:
+    """A program that answers as a Python would."""
+    file = folder / "a 'python' é"
+    said = facts if isinstance(facts, str) else json.dumps(facts)
+    file.write_text(f"#!/bin/sh\ncat <<'END'\n{said}\nEND\nexit {code}\n", encoding="utf-8")
+    file.chmod(0o755)
+    return file
+
+
+WHOLE = {"python": [3, 11, 7], "robir": "0.5.0", "torch": "2.9.0", "numpy": "1.26.4"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="shell scripts")
+@pytest.mark.parametrize(
+    ("facts", "error", "cure"),
+    [
+        (WHOLE | {"python": [3, 9, 2]}, "is Python 3.9.2, RobIR needs 3.11 or newer", "another"),
+        (WHOLE | {"robir": None}, "has no robir", "pip install and the robir 0.5.0 wheel"),
+        (WHOLE | {"robir": "0.4.0"}, "has robir 0.4.0, this add-on needs 0.5.0", "0.5.0 wheel"),
+        (WHOLE | {"torch": None}, "has no torch", "-m pip install torch"),
+        (WHOLE | {"numpy": None}, "has no numpy", "-m pip install numpy"),
+        ("I am no Python", "is not a Python that works", "choose another"),
+    ],
+)
+def test_an_environment_that_lacks_something(tmp_path, facts, error, cure):
+    with pytest.raises(EngineError) as caught:
+        inspect(pretender(tmp_path, facts), "0.5.0")
+    assert error in caught.value.message
+    assert cure in caught.value.cure
+
+
+@pytest.mark.skipif(os.name == "nt", reason="shell scripts")
+def test_an_environment_that_has_everything(tmp_path):
+    assert inspect(pretender(tmp_path, WHOLE), "0.5.0").torch == "2.9.0"
+    assert inspect(Path(sys.executable), robir.__version__).robir == robir.__version__
+
+
+def test_a_file_that_cannot_be_run(tmp_path):
+    file = tmp_path / "python"
+    file.write_text("print()")
+    with pytest.raises(EngineError, match="cannot be run"):
+        inspect(file, "0.5.0")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="bin/python")
+def test_the_folder_of_an_environment_means_its_python(tmp_path):
+    assert interpreter(Path(sys.prefix)) == Path(sys.prefix) / "bin/python"
+    with pytest.raises(EngineError, match="bin/python does not exist"):
+        interpreter(tmp_path)

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine's operators in real Blenders: permission, install, check, remove, others' Pythons."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from addon.blenders import MODULE, run
+from addon.wheelhouse import stand_ins
+
+pytestmark = pytest.mark.blender
+
+COMMON = f"""
+import os
+import sys
+
+import bpy
+
+MODULE = {MODULE!r}
+
+
+def start(archive):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=archive, repo="user_default", enable_on_install=True)
+    return bpy.context.preferences.addons[MODULE].preferences, bpy.context.window_manager.robir
+
+
+def module(name):
+    return sys.modules[MODULE + "." + name]
+
+
+def press(name):
+    try:
+        return list(getattr(bpy.ops.robir, name)())
+    except RuntimeError as error:
+        return str(error)
+
+
+def files(folder):
+    return sorted(
+        (os.path.join(place, name), os.stat(os.path.join(place, name)).st_size)
+        for place, _, names in os.walk(folder) for name in names if not name.endswith(".pyc"))
+"""
+
+LIFE = """
+def main(archive, wheels, site_packages):
+    preferences, state = start(archive)
+    before = files(site_packages)
+    place, answer = module("preferences").managed_place(), {}
+    answer["states"] = [module("preferences").engine_status(bpy.context).state]
+    answer["without permission"] = press("install_engine"), state.error, state.error_cure
+    answer["made without permission"] = place.root.exists()
+    answer["nothing to check"] = press("check_engine")
+    answer["nothing to remove"] = press("remove_engine")
+    preferences.wheels = wheels + "?"
+    answer["no such folder"] = press("install_engine")
+    preferences.wheels = wheels
+    answer["install"] = press("install_engine"), state.error, state.task
+    answer["states"].append(module("preferences").engine_status(bpy.context).state)
+    answer["text"] = state.engine_text
+    answer["python"] = str(module("preferences").engine_python(bpy.context))
+    answer["again"] = press("install_engine")
+    answer["check"] = press("check_engine"), state.engine_ok, state.error_cure
+    preferences.torch_build = "CUDA"
+    answer["states"].append(module("preferences").engine_status(bpy.context).state)
+    answer["remove"] = press("remove_engine"), place.root.exists()
+    answer["states"].append(module("preferences").engine_status(bpy.context).state)
+    answer["same"] = files(site_packages) == before
+    return answer
+"""
+
+
+def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path):
+    """Of stand-ins for torch and the others: it installs, and its check says what is wrong."""
+    user, wheels = tmp_path / 'a user\'s "Blender" é', stand_ins(tmp_path / "the wheels' folder")
+    places = (str(extension_zip), str(wheels), str(own_blender.site_packages))
+    answer = run(own_blender, COMMON + LIFE, *places, user=user)
+    assert answer["states"] == ["missing", "ready", "outdated", "missing"]
+    report, error, cure = answer["without permission"]
+    assert error == "Blender is not allowed to go online"
+    assert "Allow Online Access in Preferences > System" in cure
+    assert error in report
+    assert not answer["made without permission"]
+    assert "No engine is installed" in answer["nothing to check"]
+    assert "no engine to remove" in answer["nothing to remove"]
+    assert "does not exist" in answer["no such folder"]
+    assert answer["install"] == [["FINISHED"], "", ""]
+    assert "torch 2.13.0+cpu" in answer["text"]
+    root = user / "extensions/.user/user_default/robir/engine"
+    assert Path(answer["python"]).is_relative_to(root)
+    assert "is installed" in answer["again"]
+    report, ok, cure = answer["check"]
+    assert "missing or broken" in report
+    assert not ok
+    assert "nstall the engine again" in cure
+    assert answer["remove"] == [["FINISHED"], False]
+    assert answer["same"]
+
+
+EXISTING = """
+def main(archive, python):
+    preferences, state = start(archive)
+    preferences.engine = "EXISTING"
+    answer = {"none": press("check_engine")}
+    preferences.python = os.path.dirname(python) + "/no-such-python"
+    answer["no such"] = press("check_engine")
+    answer["install"] = press("install_engine")
+    answer["remove"] = press("remove_engine")
+    preferences.python = os.path.dirname(os.path.dirname(python))
+    state.task = "reconstruct"
+    answer["busy"] = press("check_engine")
+    state.task = ""
+    bpy.context.scene.robir.device = "cuda"
+    answer["cuda"] = press("check_engine"), state.engine_ok, state.error_cure
+    bpy.context.scene.robir.device = "cpu"
+    answer["cpu"] = press("check_engine"), state.engine_ok, state.error, state.engine_text
+    answer["loaded"] = "torch" in sys.modules
+    return answer
+"""
+
+
+def test_an_existing_environment_is_checked_by_a_real_fit(own_blender, extension_zip, tmp_path):
+    answer = run(own_blender, COMMON + EXISTING, str(extension_zip), sys.executable, user=tmp_path)
+    assert "No existing environment is chosen" in answer["none"]
+    assert "no-such-python does not exist" in answer["no such"]
+    assert "An existing environment is chosen" in answer["install"]
+    assert "An existing environment is chosen" in answer["remove"]
+    assert "Wait until the work at hand is done" in answer["busy"]
+    report, ok, cure = answer["cuda"]
+    if not ok:
+        assert "CUDA" in report
+        assert "hoose the processor as Device" in cure
+    pressed, ok, error, text = answer["cpu"]
+    assert (pressed, ok, error) == (["FINISHED"], True, "")
+    assert "small fit on" in text
+    assert "torch 2." in text
+    assert "memory free" in text
+    assert not answer["loaded"]
+
+
+DRAWN = """
+class Shown:
+    # the preferences themselves to whoever asks, but with a layout that writes down what is drawn
+    __class__ = property(lambda self: type(self._preferences))
+
+    def __init__(self, preferences):
+        self._preferences, self.layout = preferences, Recorder()
+
+    def __getattr__(self, name):
+        return getattr(self._preferences, name)
+
+
+def main(archive):
+    preferences, state = start(archive)
+    said = {"pressed": press("install_engine"), "error": state.error}
+    said["made"] = module("preferences").managed_place().root.exists()
+    for engine in ("MANAGED", "EXISTING"):
+        preferences.engine = engine
+        for task in ("", "install"):
+            state.task, state.message, state.engine_text = task, "torch, 3 of 9 MB", "All is well"
+            shown = Shown(preferences)
+            type(preferences).draw(shown, bpy.context)
+            said[engine + task] = shown.layout.texts(), shown.layout.operators()
+    return said
+"""
+
+
+def test_permission_and_preferences_in_every_blender(blender, extension_zip, tmp_path):
+    recording = (Path(__file__).parent / "recording.py").read_text(encoding="utf-8")
+    said = run(blender, recording + COMMON + DRAWN, str(extension_zip), user=tmp_path)
+    assert said["error"] == "Blender is not allowed to go online"
+    assert "Allow Online Access" in said["pressed"]
+    assert not said["made"]
+    texts, buttons = said["MANAGED"]
+    assert {"No engine is installed", "Press Install Engine", "All is well"} <= set(texts)
+    assert buttons == ["robir.install_engine", "robir.check_engine", "robir.remove_engine"]
+    texts, buttons = said["MANAGEDinstall"]
+    assert "torch, 3 of 9 MB" in texts
+    assert buttons[0] == "robir.cancel_install"
+    texts, buttons = said["EXISTING"]
+    assert "No existing environment is chosen" in texts
+    assert buttons == ["robir.check_engine"]
