@@ -21,6 +21,9 @@ _FORMATS = {
     "llff": "LLFF",
 }
 
+_MOST_NAMES = 3
+"""Files that a finding names in the panel; `robir check` names more."""
+
 _faulty: set[Path] = set()
 """Captures that the last look at them refused."""
 
@@ -88,10 +91,17 @@ def _forget(state: Any) -> None:
 def _show_findings(state: Any, findings: list[dict[str, Any]]) -> None:
     for finding in findings:
         shown = state.findings.add()
-        files = f" ({', '.join(finding['files'])})" if finding["files"] else ""
         shown.level = finding["level"]
-        shown.text = in_panel_words(finding["message"]) + files
+        shown.text = in_panel_words(finding["message"]) + _named(finding["files"])
         shown.cure = in_panel_words(finding["cure"])
+
+
+def _named(files: list[str]) -> str:
+    """The first of the files concerned, in brackets."""
+    if not files:
+        return ""
+    more = len(files) - _MOST_NAMES
+    return f" ({', '.join(files[:_MOST_NAMES])}{f' and {more} more' if more > 0 else ''})"
 
 
 def _recognised(facts: dict[str, Any]) -> str:

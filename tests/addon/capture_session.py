@@ -98,12 +98,18 @@ def look(capture, bad, missing):
     answer["may_reconstruct_bad"] = bpy.ops.robir.reconstruct.poll()
     settings().capture = missing
     answer["missing"] = attempt(bpy.ops.robir.look_at_capture)
+    settings().capture = capture + os.sep
+    answer["default_folder"] = str(module("worker").result_folder(settings()))
     answer["no_folder"] = attempt(bpy.ops.robir.choose_capture, directory=missing)
     attempt(bpy.ops.robir.choose_capture, directory=capture)
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(capture).with_name("look.blend")))
+    bpy.ops.ed.undo_push(message="as a click would")
     answer["cleared"] = attempt(bpy.ops.robir.clear_capture)
     answer["is_as_before"] = counts() == before and settings().capture == ""
     answer["told"] = told()
+    bpy.ops.ed.undo_push(message="as a click would")
+    bpy.ops.ed.undo()
+    answer["is_undone"] = counts() == first and settings().capture == capture
     return answer
 
 
@@ -147,12 +153,6 @@ def reconstruct(capture, other, out):
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
     return answer
-
-
-def default_folder(capture):
-    """Where results go if nothing is chosen."""
-    settings().capture = capture + os.sep
-    return str(module("worker").result_folder(settings()))
 
 
 def killed(capture, out):
@@ -199,6 +199,7 @@ def find_again(capture, out):
     answer["cancel"] = attempt(bpy.ops.robir.cancel_reconstruct)
     answer["answer_seconds"] = time.monotonic() - began
     answer["stopping"] = told()
+    monitor._work.job.next_look = 0.0
     monitor._pulse()
     answer["still"] = state().message
     pulse(lambda: not monitor.is_busy(), 20.0)

@@ -65,7 +65,8 @@ def check_look(answer, capture, shots):
     assert "error" not in answer["levels"]
     assert answer["is_same"], "a second look made more of everything"
     assert answer["may_reconstruct"]
-    assert answer["is_as_before"]
+    assert answer["default_folder"] == str(capture.with_name(f"{capture.name}_robir"))
+    assert answer["is_as_before"] and answer["is_undone"]
     shown = {o["name"]: o for o in answer["objects"]}
     bounds = shown.pop("Bounds of the object")
     np.testing.assert_allclose(np.array(bounds["matrix"])[:3, 3], AIM, atol=0.15)
@@ -142,11 +143,6 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert refused(answer["other"], "holds the result of", "choose another result folder")
     assert answer["other_told"]["error_cure"] == "Choose another result folder"
     assert read_json(JobPaths(out).run)["state"] == "done"
-
-
-def test_the_result_goes_beside_the_capture(own_blender, session, capture):
-    folder = session(own_blender, "default_folder", capture)
-    assert folder == str(capture.with_name(f"{capture.name}_robir"))
 
 
 def test_a_killed_worker_is_told_and_the_next_goes_on(
