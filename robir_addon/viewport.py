@@ -48,6 +48,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     bounds.empty_display_type = "SPHERE"
     bounds.empty_display_size = radius
     bounds.location = centre
+    bounds.show_in_front = True
     bounds[_MARK] = True
     collection.objects.link(bounds)
     cameras = []

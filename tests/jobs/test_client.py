@@ -85,7 +85,12 @@ def test_a_run_is_followed_from_start_to_end(request_, out):
     assert (last.fraction, last.exit_code, last.log) == (1.0, 0, ())
     assert last.metrics["mean"] == read_json(JobPaths(out).manifest("export"))["metrics"]["mean"]
     client.start(program(0.02), request_, os.environ)
+    worker = client._children[out].pid
     assert "finished already" in until(out, ended).message
+    end = time.monotonic() + 5.0
+    while Path(f"/proc/{worker}").exists():
+        assert time.monotonic() < end, "nobody asked the ended worker for its exit code"
+        time.sleep(0.02)
 
 
 def test_a_killed_worker_is_noticed_and_the_next_goes_on(request_, out):

@@ -14,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -40,7 +41,7 @@ _NICENESS = 10
 _FULL_BELOW_BYTES = 1 << 20
 
 _children: dict[Path, subprocess.Popen[Any]] = {}
-"""Workers that this process started, by result folder; asking them keeps zombies away."""
+"""Workers that this process started, by result folder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +148,7 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
             "choose another result folder"
         ) from error
     _children[request.out] = process
+    threading.Thread(target=process.wait, name="RobIR worker", daemon=True).start()
     _give_way(process.pid)
     with suppress(OSError):  # the number only helps others to tell a slow start from a death
         write_json(paths.worker, begun | {"pid": process.pid})
