@@ -298,7 +298,7 @@ def _take_line(task: Task, line: str | None) -> None:
     state = _state()
     if line is None:
         _work.task = None
-        state.task = ""
+        state.task = state.message = ""  # what is said from now on is for a user who has time
         task.on_end(*task.end())
         return
     try:
@@ -355,7 +355,7 @@ def _look_at(job: _Job) -> client.Snapshot:
 def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
     state = _state()
     _work.job = None
-    state.task = state.job = ""
+    state.task = state.job = state.message = ""
     if snapshot.state == "done":
         for hook in on_done:
             hook(job.root)

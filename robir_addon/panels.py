@@ -33,21 +33,25 @@ class _Panel:
     bl_category = "RobIR"
 
 
-class ROBIR_PT_problem(_Panel, bpy.types.Panel):
-    """What went wrong last, above everything else."""
+class ROBIR_PT_notice(_Panel, bpy.types.Panel):
+    """What went wrong last, or what came of the last work, above everything else."""
 
-    bl_label = "Problem"
+    bl_label = "Notice"
     bl_options = {"HIDE_HEADER"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while there is something to say."""
-        return bool(context.window_manager.robir.error)
+        state = context.window_manager.robir
+        return bool(state.error or (state.message and not state.task))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The sentence, the cure, and what helps whoever is asked for help."""
-        state = context.window_manager.robir
-        box = self.layout.box()
+        """The sentence; for an error the cure, and what helps whoever is asked for help."""
+        state, layout = context.window_manager.robir, self.layout
+        if not state.error:
+            paragraph(layout, context, state.message, "INFO")
+            return
+        box = layout.box()
         alert = box.column()
         alert.alert = True
         paragraph(alert, context, state.error, "ERROR", is_boxed=True)
@@ -222,12 +226,13 @@ class ROBIR_PT_result(_Panel, bpy.types.Panel):
         summary = shown_summary(settings)
         if summary is None:
             return
-        facts = layout.column(align=True)
-        for fact in summary.facts:
-            paragraph(facts, context, fact, "DOT")
+        paragraph(layout, context, summary.facts[0])
         header, body = layout.panel("ROBIR_choices", default_closed=True)
         header.label(text="What the model chose")
         if body is not None:
+            facts = body.column(align=True)
+            for fact in summary.facts[1:]:
+                paragraph(facts, context, fact, "DOT")
             for chosen, why in summary.choices:
                 paragraph(body, context, chosen)
                 paragraph(body, context, why).active = False
@@ -359,7 +364,7 @@ def _duration(seconds: float) -> str:
 
 CLASSES = (
     ROBIR_PT_presets,
-    ROBIR_PT_problem,
+    ROBIR_PT_notice,
     ROBIR_PT_no_engine,
     ROBIR_PT_capture,
     ROBIR_PT_check,

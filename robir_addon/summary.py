@@ -68,8 +68,8 @@ def _facts(report: dict[str, Any]) -> list[str]:
         facts.append(f"{cycles['psnr']:.1f} dB for Cycles on {cycles['views']} of them")
     for sun in report["light"]["sharp"]:
         share, height = 100.0 * sun["power_share"], sun["elevation_degrees"]
-        facts.append(f"Sun {height:.0f} degrees high, {share:.0f} % of the light")
-    facts.append(f"{100.0 * report['seen_share']:.0f} % of the surface was photographed")
+        facts.append(f"Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light")
+    facts.append(f"{100.0 * report['seen_share']:.0f} % of the surface was seen")
     mesh, side = report["mesh"], report["texture_size"]
     facts.append(f"{mesh['faces']} triangles, textures of {side} x {side}")
     minutes = sum(stage["wall"] for stage in report["seconds"].values()) / 60.0

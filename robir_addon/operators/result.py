@@ -55,8 +55,10 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
         if not folder:
             raise ResultError("no folder was given; choose one that `robir reconstruct` finished")
         root = Path(bpy.path.abspath(folder)).absolute()
-        for note in bring_in(context, root):
+        notes = bring_in(context, root)
+        for note in notes:
             self.report({"INFO"}, note)
+        context.window_manager.robir.message = ". ".join(notes)
 
 
 class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):

@@ -211,7 +211,7 @@ def find_again(capture, out):
 
 def tasks(python):
     """A task that speaks, one that is stopped, one that fails, and one that cannot be run."""
-    monitor, lines, ends = module("monitor"), [], []
+    monitor, lines, ends, spoken = module("monitor"), [], [], []
     speak = (
         "import json, sys; print(json.dumps({'progress': 0.5, 'message': 'half'})); "
         "print('no JSON'); print(json.dumps(['a list'])); "
@@ -225,8 +225,12 @@ def tasks(python):
     def end(*how):
         ends.append([*how, state().task])
 
-    monitor.wait_task("check_engine", command(speak), lines.append, end)
-    spoken = told()
+    def hear(line):
+        lines.append(line)
+        spoken.append(told())
+
+    monitor.wait_task("check_engine", command(speak), hear, end)
+    silent = told()
     monitor.run_task("install", command(wait), lines.append, end)
     began = told()
     busy = []
@@ -245,6 +249,6 @@ def tasks(python):
     except Exception as fault:
         busy.append(f"{type(fault).__name__}: {fault}")
     return {
-        "lines": lines, "ends": ends, "spoken": spoken, "began": began, "busy": busy,
-        "stopping": stopping, "seconds": seconds, "last": told(),
+        "lines": lines, "ends": ends, "spoken": spoken[0], "silent": silent, "began": began,
+        "busy": busy, "stopping": stopping, "seconds": seconds, "last": told(),
     }  # fmt: skip

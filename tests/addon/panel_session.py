@@ -78,6 +78,11 @@ def running(settings, state, result):
     growth._refresh_icons(bpy.data.images.new("RobIR preview", 8, 4))
 
 
+def stopped(settings, state, result):
+    looked(settings, state, result)
+    state.message = "Stopped; Reconstruct goes on from the last finished stage"
+
+
 def failed(settings, state, result):
     looked(settings, state, result)
     state.error, state.error_cure = f"{SENTENCE} ({PATH})", "Reconstruct again; it goes on"
@@ -112,7 +117,7 @@ def engine_checked(settings, state, result):
 STATES = {
     function.__name__: function
     for function in (
-        nothing, chosen, looking, looked, faultless, started, running, failed, done,
+        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done,
         unreadable, filming, installing, checking, engine_checked,
     )
 }  # fmt: skip

@@ -118,6 +118,7 @@ def test_tasks_are_followed_and_stopped(own_blender, session):
     ]
     assert answer["ends"] == [[7, 'no JSON\n["a list"]', ""], [130, "", ""]]
     assert (answer["spoken"]["fraction"], answer["spoken"]["message"]) == (0.5, "half")
+    assert answer["silent"]["message"] == "", "only what comes of work is said after it"
     assert (answer["began"]["task"], answer["began"]["fraction"]) == ("install", 0.0)
     assert answer["stopping"]["message"] == "Stopping"
     assert answer["seconds"] < 2.0

@@ -53,14 +53,16 @@ def test_each_panel_appears_in_its_state(seen):
     always = {"capture", "reconstruct", "result", "engine"}
     more = {
         "looked": {"check"},
-        "failed": {"check", "problem"},
+        "failed": {"check", "notice"},
+        "stopped": {"notice"},
         "done": {"check", "relight", "export"},
     }
     for state, found in seen["states"].items():
         names = {name.removeprefix("ROBIR_PT_") for name in found["panels"]}
         assert always <= names, state
         assert names >= more.get(state, set()), state
-    assert "check" not in {n.removeprefix("ROBIR_PT_") for n in seen["states"]["nothing"]["panels"]}
+    for state, absent in (("nothing", "check"), ("nothing", "relight"), ("running", "notice")):
+        assert f"ROBIR_PT_{absent}" not in seen["states"][state]["panels"]
 
 
 def test_what_matters_is_said(seen):
@@ -79,6 +81,7 @@ def test_what_matters_is_said(seen):
     # open and closed: a photograph and what is known of it
     assert [seen["states"][state].get("pictures") for state in ("started", "running")] == [0, 4]
     assert "Reconstruct again; it goes on" in said("failed")
+    assert "goes on from the last finished stage" in said("stopped")
     for words in ("kept aside", "Tone curve:", "triangles", "über all"):
         assert words in said("done")
     assert "frame 24 of 48" in said("filming")
