@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The imported object as an asset of Blender's library."""
+"""The imported object as an asset of Blender's library, complete without its result folder."""
 
 import bpy
 import numpy as np
@@ -14,6 +14,8 @@ PREVIEW_SIDE = 256
 
 def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
     """Mark an object as an asset, with what is known of it and a picture; saves nothing.
+
+    Its textures are packed, so that the asset is whole wherever its file goes.
 
     Args:
         asset: The imported object.
@@ -42,6 +44,10 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
     asset["robir_version"] = __version__
     for name, value in facts.items():
         asset[f"robir_{name}"] = value
+    for slot in asset.material_slots:
+        for node in slot.material.node_tree.nodes if slot.material else ():
+            if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file:
+                node.image.pack()
     preview = asset.preview_ensure()
     preview.image_size = picture.shape[1::-1]
     preview.image_pixels_float.foreach_set(picture.astype(np.float32).ravel())

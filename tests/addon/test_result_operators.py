@@ -129,6 +129,28 @@ def main(archive, result):
     return answer
 """
 
+STARTUP = """
+def shown():
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    return {o.name: [o.visible_get(), not o.hide_render] for o in scene.objects if o.type != "CAMERA"
+            and "robir_result" not in o}
+
+def main(archive, result):
+    install(archive)
+    answer = {}
+    for name, touch in (("untouched", None), ("moved", "location"), ("scaled", "scale")):
+        bpy.ops.wm.read_factory_settings()
+        bpy.ops.preferences.addon_enable(module=MODULE)
+        if touch:
+            for thing in ("Cube", "Light"):
+                getattr(bpy.data.objects[thing], touch).x += 0.5
+        call("import_result", directory=result)
+        there = shown()
+        call("remove_result")
+        answer[name] = [there, shown()]
+    return answer
+"""
+
 EXPORT = """
 import os
 
@@ -164,6 +186,8 @@ def main(archive, result, out):
     data = asset.asset_data
     answer["asset"] = {"text": data.description, "tags": sorted(t.name for t in data.tags)}
     answer["facts"] = [asset[f"robir_{name}"] for name in ("version", "preset", "device", "seed")]
+    nodes = asset.data.materials[0].node_tree.nodes
+    answer["packed"] = [bool(n.image.packed_file) for n in nodes if n.type == "TEX_IMAGE"]
     pixels = list(asset.preview.image_pixels_float)
     answer["preview"] = [list(asset.preview.image_size), max(pixels), sum(pixels[3::4])]
     bpy.ops.ed.undo()
@@ -268,6 +292,14 @@ def check_comparison(file):
     assert np.mean((red[0] == red[1])[solid]) > 0.9
 
 
+def test_what_blender_starts_with_stands_aside_until_the_result_is_gone(blender, files, tmp_path):
+    answer = run(blender, COMMON + STARTUP, *files, user=tmp_path / "user")
+    hidden = {"Cube": [False, False], "Light": [False, False]}
+    shown = {"Cube": [True, True], "Light": [True, True]}
+    assert answer["untouched"] == [hidden, shown]
+    assert answer["moved"] == answer["scaled"] == [shown, shown]
+
+
 def test_the_light_is_changed_turned_and_given_back(blender, files, tmp_path):
     answer = run(blender, COMMON + LIGHTS, *files, user=tmp_path / "user")
     shining, hidden = [[False, False]], [[True, True]]
@@ -332,9 +364,82 @@ def test_results_are_handed_on(blender, files, result, tmp_path):
     asset = answer["asset"]
     assert "9 photographs" in asset["text"]
     assert asset["tags"] == sorted(["RobIR", "reconstruction", "sphere run"])
+    assert answer["packed"] == [True, True]
     assert answer["facts"][1:] == ["draft", "cpu", 0]
     size, brightest, covered = answer["preview"]
     assert size == [256, 256]
     assert 0.5 < brightest <= 1.0
     assert covered / 256**2 > 0.5
     assert answer["unmarked"]
+
+
+FILM = """
+def main(archive, result):
+    install(archive)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    call("import_result", directory=result)
+    settings, state = bpy.context.scene.robir, bpy.context.window_manager.robir
+    settings.turntable_frames = 2
+    answer = {"film": call("turntable"), "message": state.message, "task": state.task}
+    answer["nobody"] = [call("turntable", view="nobody"), state.error]
+    return answer
+"""
+
+
+@pytest.mark.slow
+def test_a_film_is_made_by_a_process_that_knows_no_checkout(own_blender, files, result, tmp_path):
+    answer = run(own_blender, COMMON + FILM, *files, user=tmp_path / "user")
+    assert answer["film"] == ["FINISHED"]
+    film = result.renders / "turntable_environment_held_out_000.mp4"
+    assert answer["message"] == f"The film is {film.name} in renders"
+    assert film.read_bytes()[4:8] == b"ftyp"
+    assert answer["task"] == ""
+    said, shown = answer["nobody"]
+    assert "no view is named 'nobody'" in said
+    assert shown == "no view is named 'nobody'"
+
+
+def test_what_cycles_rendered_comes_first(result, tmp_path):
+    import bpy  # noqa: F401 - the wheel brings mathutils
+
+    from robir_addon.comparison import rendered_view
+    from robir_addon.errors import ResultError
+    from robir_addon.importer import read_json
+
+    table = read_json(result.cameras)
+    assert rendered_view(result, table).rendered_by == "RobIR"
+    result.renders.mkdir(exist_ok=True)
+    file = result.renders / "rerender_held_out_001.png"
+    Image.fromarray(np.full((2, 3, 4), [51, 102, 204, 255], np.uint8)).save(file)
+    try:
+        chosen = rendered_view(result, table)
+        assert (chosen.entry["name"], chosen.rendered_by) == ("held_out_001", "Cycles")
+        assert chosen.picture == pytest.approx(np.full((2, 3, 4), [0.2, 0.4, 0.8, 1.0]))
+        assert rendered_view(result, table, "held_out_000").rendered_by == "RobIR"
+        with pytest.raises(ResultError, match="train_000"):
+            rendered_view(result, table, "train_000")
+    finally:
+        file.unlink()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/home/jo/pics/cap/a.png", "<capture>/a.png"),
+        ("in /home/jo/pics/cap: no", "in <capture>: no"),
+        ("/home/jo/pics/cap2/a.png", "~/pics/cap2/a.png"),
+        ("/home/jo/pics/cap_robir/log", "<result>/log"),
+        ("by jo on jo-desk, not john", "by USER on USER-desk, not john"),
+        ('{"path": "/home/jo/x"}', '{"path": "~/x"}'),
+        ("1 / 2 and a/b", "1 / 2 and a/b"),
+    ],
+)
+def test_a_report_names_nobody(monkeypatch, text, expected):
+    from robir_addon import support
+
+    monkeypatch.setattr(support.getpass, "getuser", lambda: "jo")
+    monkeypatch.setattr(support.Path, "home", classmethod(lambda cls: cls("/home/jo")))
+    folders = {"<capture>": "/home/jo/pics/cap/", "<result>": "/home/jo/pics/cap_robir"}
+    folders["<masks>"] = ""
+    assert support.without_private_paths(text, folders) == expected
