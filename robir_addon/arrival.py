@@ -8,6 +8,7 @@ import bpy
 from .blocks import MARK
 from .gateway import JobPaths
 from .importer import import_result, read_json
+from .startup import put_aside
 from .view_transform import view_transform_differs
 
 
@@ -35,6 +36,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
         selected.select_set(False)
     imported.asset.select_set(True)
     context.view_layer.objects.active = imported.asset
+    hidden = put_aside(scene, context.view_layer)
     _frame(context)
     notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
     if view_transform_differs(scene, curve):
@@ -43,6 +45,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
             f"The photographs were made through {wanted}, the scene is shown through "
             f"{scene.view_settings.view_transform}; Match View Transform makes them alike"
         )
+    if hidden:
+        notes.append(f"Hidden, as Blender put them there and not you: {', '.join(hidden)}")
     others = [
         o.name for o in scene.objects if o.type == "LIGHT" and MARK not in o and not o.hide_render
     ]

@@ -11,6 +11,7 @@ from ..comparison import compare
 from ..errors import ResultError
 from ..importer import mark_of, read_json, remove_result
 from ..pictures import put_image, read_codes, show_image
+from ..startup import bring_back
 from ..support import support_report
 from ..view_transform import match_view_transform
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
@@ -75,6 +76,7 @@ class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Remove it and show none."""
         remove_result(result_root(context))
+        bring_back(context.scene, context.view_layer)
         context.scene.robir.result = ""
 
 
