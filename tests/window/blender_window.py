@@ -69,6 +69,7 @@ class BlenderWindow:
         self._control.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
         self._taken = 0
+        self._found: dict[str, Place] = {}
 
     def install(self, package: Path) -> None:
         """Install the add-on's zip through Blender's own command line, and enable it."""
@@ -149,14 +150,14 @@ class BlenderWindow:
         return x, window_height - y - height, x + width - 22, window_height - y
 
     def find(self, wanted: str) -> Place:
-        """Where in the sidebar a control is, found by moving the mouse over it.
+        """A pixel of a control in the sidebar, found by moving the mouse over it.
 
         Args:
             wanted: How its Python begins: `bpy.ops.robir.reconstruct` for a button, or the end of
                 a property's path, `robir.preset`.
 
         Returns:
-            Its middle from top to bottom; the sidebar is scrolled until it is seen.
+            Where it lies; the sidebar is scrolled until it is seen.
         """
         left, top, right, bottom = self.sidebar()
         seen: set[str] = set()
@@ -165,21 +166,15 @@ class BlenderWindow:
                 self.screen.scroll(left + 40, (top + bottom) // 2, notches=notches)
             for share in COLUMNS:
                 x = left + int(share * (right - left))
-                place = self._find_in_column(wanted, x, range(top + STEP, bottom - 2, STEP), seen)
-                if place is not None:
-                    return place
+                near = self._found.get(wanted, Place(x, top)).y
+                ys = range(top + STEP, bottom - 2, STEP)
+                for y in sorted(ys, key=lambda y: abs(y - near)):
+                    name = self._under(Place(x, y))
+                    if name.startswith(wanted) or name.endswith(wanted):
+                        self._found[wanted] = Place(x, y)
+                        return self._found[wanted]
+                    seen.add(name)
         raise LookupError(f"no {wanted} in the sidebar, but {sorted(seen)}")
-
-    def _find_in_column(self, wanted: str, x: int, ys: range, seen: set[str]) -> Place | None:
-        rows = []
-        for y in ys:
-            name = self._under(Place(x, y))
-            seen.add(name)
-            if name.startswith(wanted) or name.endswith(wanted):
-                rows.append(y)
-            elif rows:
-                break
-        return Place(x, rows[len(rows) // 2]) if rows else None
 
     def press(self, wanted: str) -> float:
         """Click a control of the sidebar; returns the time (`time.monotonic`) of the click."""
