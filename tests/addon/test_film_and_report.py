@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A film by a Blender of its own, the choice of what is compared, and reports that name nobody."""
+
+import numpy as np
+import pytest
+from addon.blenders import run
+from addon.finished import make_result
+from addon.test_result_operators import COMMON
+from PIL import Image
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    return make_result(tmp_path_factory.mktemp("run") / "sphere run")
+
+
+FILM = """
+def main(archive, result):
+    install(archive)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    call("import_result", directory=result)
+    settings, state = bpy.context.scene.robir, bpy.context.window_manager.robir
+    settings.turntable_frames = 2
+    answer = {"film": call("turntable"), "message": state.message, "task": state.task}
+    answer["nobody"] = [call("turntable", view="nobody"), state.error]
+    return answer
+"""
+
+
+@pytest.mark.slow
+def test_a_film_is_made_by_a_process_that_knows_no_checkout(
+    own_blender, extension_zip, result, tmp_path
+):
+    files = (str(extension_zip), str(result.root))
+    answer = run(own_blender, COMMON + FILM, *files, user=tmp_path / "user")
+    assert answer["film"] == ["FINISHED"]
+    film = result.renders / "turntable_environment_held_out_000.mp4"
+    assert answer["message"] == f"The film is {film.name} in renders"
+    assert film.read_bytes()[4:8] == b"ftyp"
+    assert answer["task"] == ""
+    said, shown = answer["nobody"]
+    assert "no view is named 'nobody'" in said
+    assert shown == "no view is named 'nobody'"
+
+
+def test_what_cycles_rendered_comes_first(result, tmp_path):
+    import bpy  # noqa: F401 - the wheel brings mathutils
+
+    from robir_addon.comparison import rendered_view
+    from robir_addon.errors import ResultError
+    from robir_addon.importer import read_json
+
+    table = read_json(result.cameras)
+    assert rendered_view(result, table).rendered_by == "RobIR"
+    result.renders.mkdir(exist_ok=True)
+    file = result.renders / "rerender_held_out_001.png"
+    Image.fromarray(np.full((2, 3, 4), [51, 102, 204, 255], np.uint8)).save(file)
+    try:
+        chosen = rendered_view(result, table)
+        assert (chosen.entry["name"], chosen.rendered_by) == ("held_out_001", "Cycles")
+        assert chosen.picture == pytest.approx(np.full((2, 3, 4), [0.2, 0.4, 0.8, 1.0]))
+        assert rendered_view(result, table, "held_out_000").rendered_by == "RobIR"
+        with pytest.raises(ResultError, match="train_000"):
+            rendered_view(result, table, "train_000")
+    finally:
+        file.unlink()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/home/jo/pics/cap/a.png", "<capture>/a.png"),
+        ("in /home/jo/pics/cap: no", "in <capture>: no"),
+        ("/home/jo/pics/cap2/a.png", "~/pics/cap2/a.png"),
+        ("/home/jo/pics/cap_robir/log", "<result>/log"),
+        ("by jo on jo-desk, not john", "by USER on USER-desk, not john"),
+        ('{"path": "/home/jo/x"}', '{"path": "~/x"}'),
+        ("1 / 2 and a/b", "1 / 2 and a/b"),
+    ],
+)
+def test_a_report_names_nobody(monkeypatch, text, expected):
+    from robir_addon import support
+
+    monkeypatch.setattr(support.getpass, "getuser", lambda: "jo")
+    monkeypatch.setattr(support.Path, "home", classmethod(lambda cls: cls("/home/jo")))
+    folders = {"<capture>": "/home/jo/pics/cap/", "<result>": "/home/jo/pics/cap_robir"}
+    folders["<masks>"] = ""
+    assert support.without_private_paths(text, folders) == expected
