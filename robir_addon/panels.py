@@ -109,13 +109,8 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
         cameras = bpy.data.collections.get(COLLECTION)
         if cameras is not None:
-            row.prop(
-                cameras,
-                "hide_viewport",
-                text="",
-                icon="OUTLINER_OB_CAMERA",
-                invert_checkbox=True,
-            )
+            # the icon that Blender has one before this stands for the other state
+            row.prop(cameras, "hide_viewport", text="", icon="HIDE_OFF")
         row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
         row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
         row.operator("robir.clear_capture", text="", icon="X")
@@ -145,8 +140,12 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
         notes = [f for f in findings if f.level == "note"]
         if not faults:
             layout.label(text="No faults found", icon="CHECKMARK")
-        for fault in faults:
-            box = layout.box()
+        place = layout
+        if faults and context.scene.robir.result:  # out of the way of what comes next
+            header, place = layout.panel("ROBIR_faults", default_closed=True)
+            header.label(text=f"Faults ({len(faults)})", icon=_FAULT_ICONS[faults[0].level])
+        for fault in faults if place is not None else ():
+            box = place.box()
             paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
             if fault.cure:
                 paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
