@@ -26,6 +26,7 @@ def main(archive, engine, capture, model):
         "foreign": foreign(capture),
         "busy": busy(),
         "preset": preset(),
+        "reopened": reopened(),
         "there": traces(),
     }
     for enable in (False, True, False):
@@ -105,6 +106,19 @@ def preset():
     answer.append([path.name for path in Path(folder).iterdir()])
     settings.preset, settings.device, settings.use_sun_lamp = "draft", "auto", True
     return answer
+
+
+def reopened():
+    """What a file that was saved in the middle of a job says when it is opened."""
+    state = bpy.context.window_manager.robir
+    state.task, state.message = "reconstruct", "fitting the surface"
+    state.findings.add().text = "clipped"
+    bpy.context.scene.robir.preset = "standard"
+    file = str(Path(bpy.app.tempdir) / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=file)
+    bpy.ops.wm.open_mainfile(filepath=file)
+    state = bpy.context.window_manager.robir
+    return [state.task, state.message, len(state.findings), bpy.context.scene.robir.preset]
 
 
 def traces():

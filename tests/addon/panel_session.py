@@ -6,8 +6,10 @@ Runs inside Blender after the text of recording.py, whose names it uses.
 
 import os
 import sys
+import tempfile
 import time
 from importlib import import_module
+from pathlib import Path
 
 import bpy
 from recording import Drawn, Fault, Recorder, classes_of  # taken out before it runs
@@ -97,6 +99,14 @@ def unreadable(settings, state, result):
     settings.result = f"{result}/nothing here"
 
 
+def damaged(settings, state, result):
+    folder = tempfile.mkdtemp()
+    report = Path(folder) / "report" / "report.json"
+    report.parent.mkdir()
+    report.write_text('{"choices": {"tone curve": 3}}')
+    settings.result = folder
+
+
 def filming(settings, state, result):
     done(settings, state, result)
     state.task, state.fraction, state.message = "turntable", 0.5, "frame 24 of 48"
@@ -118,7 +128,7 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done,
-        unreadable, filming, installing, checking, engine_checked,
+        unreadable, damaged, filming, installing, checking, engine_checked,
     )
 }  # fmt: skip
 
