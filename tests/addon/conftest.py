@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from addon import blenders
+from addon.finished import make_result
+
+from robir.jobs.paths import JobPaths
 
 
 @pytest.fixture(scope="session")
@@ -38,3 +42,17 @@ def own_blender() -> blenders.Blender:
     """The Blender of the environment that runs the tests."""
     everyone = filter(None, map(blenders.find_blender, blenders.VERSIONS))
     return next(found for found in everyone if found.python == Path(sys.executable))
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> JobPaths:
+    """The sphere's result; made once, and not to be written to."""
+    return make_result(tmp_path_factory.mktemp("exported") / "sphere run")
+
+
+@pytest.fixture(scope="module")
+def result(exported: JobPaths, tmp_path_factory: pytest.TempPathFactory) -> JobPaths:
+    """The sphere's result for one file of tests, which may add to it."""
+    paths = JobPaths(tmp_path_factory.mktemp("run") / exported.root.name)
+    shutil.copytree(exported.root, paths.root)
+    return paths

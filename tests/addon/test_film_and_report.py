@@ -4,16 +4,10 @@
 import numpy as np
 import pytest
 from addon.blenders import run
-from addon.finished import make_result
 from addon.test_result_operators import COMMON
 from PIL import Image
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    return make_result(tmp_path_factory.mktemp("run") / "sphere run")
 
 
 FILM = """
@@ -40,6 +34,11 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     film = result.renders / "turntable_environment_held_out_000.mp4"
     assert answer["message"] == f"The film is {film.name} in renders"
     assert film.read_bytes()[4:8] == b"ftyp"
+    frames = [
+        np.array(Image.open(result.renders / film.stem / f"000{k}.png").convert("RGB"))
+        for k in (1, 2)
+    ]
+    assert not np.array_equal(*frames)
     assert answer["task"] == ""
     said, shown = answer["nobody"]
     assert "no view is named 'nobody'" in said

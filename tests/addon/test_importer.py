@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from addon.finished import make_result
 from evaluation import sphere_run
 
 from robir.capture.camera import Camera
@@ -16,11 +15,6 @@ from robir.capture.store import load_capture
 from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    return make_result(tmp_path_factory.mktemp("run") / "sphere run")
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import numpy as np
 import OpenEXR
 import pytest
 from addon.blenders import MODULE, find_blender, run
-from addon.finished import make_result
 from evaluation import sphere_run
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
@@ -74,11 +73,6 @@ def main(archive, result, out):
         bpy.ops.render.render(write_still=True)
     return [[o.hide_render for o in imported.lamps], bpy.app.version_string]
 """
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    return make_result(tmp_path_factory.mktemp("run") / "sphere run")
 
 
 @pytest.mark.parametrize("series", ["4.5", "5.0"])

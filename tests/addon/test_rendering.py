@@ -5,12 +5,10 @@ import json
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from addon.finished import make_result
 from PIL import Image
 
 from robir.capture.store import load_capture
@@ -18,11 +16,6 @@ from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths import tone
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    return make_result(tmp_path_factory.mktemp("run") / "sphere run")
 
 
 def headless(*arguments):
@@ -153,21 +146,6 @@ def test_rotation_turns_the_light_counter_clockwise(built, tmp_path):
     )
     assert still.shape[:2] == (32, 32)
     assert psnr(still, turned, np.ones((32, 32), bool)) > 35.0
-
-
-@pytest.mark.slow
-def test_turntable_writes_frames_and_a_film(built):
-    run = headless(
-        *("relight", built.root, "--environment", "city", "--views", "held_out_000"),
-        *("--turntable", 3, "--samples", 1, "--max-side", 33),
-    )
-    assert run.returncode == 0, run.stderr
-    *frames, film = [Path(f) for f in json.loads(run.stdout.splitlines()[-1])["files"]]
-    assert [f.name for f in frames] == ["0001.png", "0002.png", "0003.png"]
-    assert not np.array_equal(picture(frames[0]), picture(frames[1]))
-    content = film.read_bytes()
-    assert content[4:8] == b"ftyp"
-    assert len(content) > 1000
 
 
 def test_wrong_requests_end_in_one_sentence(built, tmp_path):

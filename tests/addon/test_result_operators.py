@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 from addon.blenders import MODULE, run
-from addon.finished import make_result
 from evaluation import sphere_run
 from PIL import Image
 
@@ -211,16 +210,10 @@ def main(archive, result, out):
 """
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    paths = make_result(tmp_path_factory.mktemp("run") / "sphere run")
-    paths.log.write_text(f"INFO reading {paths.root}/photographs\nINFO the end\n")
-    (paths.export / "damaged.exr").write_bytes(b"no picture")
-    return paths
-
-
 @pytest.fixture
 def files(extension_zip, result):
+    result.log.write_text(f"INFO reading {result.root}/photographs\nINFO the end\n")
+    (result.export / "damaged.exr").write_bytes(b"no picture")
     return str(extension_zip), str(result.root)
 
 
