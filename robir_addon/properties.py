@@ -2,7 +2,7 @@
 """What the panels show and ask: settings saved with the file, and the state of the work at hand.
 
 `Scene.robir` holds what the user chose and is saved. `WindowManager.robir` holds what goes on at
-this moment; a .blend file may carry it along, so it is emptied whenever a file is opened.
+this moment; Blender keeps it when it opens a file without its windows, so it is emptied then.
 """
 
 import bpy
@@ -155,18 +155,18 @@ def register() -> None:
     bpy.types.WindowManager.robir = PointerProperty(
         type=ROBIR_PG_state, options={"HIDDEN", "SKIP_SAVE"}
     )
-    bpy.app.handlers.load_post.append(_forget_saved_state)
+    bpy.app.handlers.load_post.append(_forget_state)
 
 
 def unregister() -> None:
     """Detach the groups; what files have saved stays in them."""
-    bpy.app.handlers.load_post.remove(_forget_saved_state)
+    bpy.app.handlers.load_post.remove(_forget_state)
     del bpy.types.WindowManager.robir
     del bpy.types.Scene.robir
 
 
 @persistent
-def _forget_saved_state(*_: object) -> None:
-    """Empty the state: a file saved in the middle of a job says nothing about this session."""
+def _forget_state(*_: object) -> None:
+    """Empty the state: it speaks of the capture of the file that was open before."""
     for manager in bpy.data.window_managers:
         manager.property_unset("robir")

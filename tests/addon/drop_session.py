@@ -109,16 +109,20 @@ def preset():
 
 
 def reopened():
-    """What a file that was saved in the middle of a job says when it is opened."""
+    """What is known of another file's capture, and of a job that was at work when it was saved."""
     state = bpy.context.window_manager.robir
     state.task, state.message = "reconstruct", "fitting the surface"
     state.findings.add().text = "clipped"
     bpy.context.scene.robir.preset = "standard"
     file = str(Path(bpy.app.tempdir) / "saved.blend")
     bpy.ops.wm.save_as_mainfile(filepath=file)
-    bpy.ops.wm.open_mainfile(filepath=file)
-    state = bpy.context.window_manager.robir
-    return [state.task, state.message, len(state.findings), bpy.context.scene.robir.preset]
+    answer = []
+    for load_ui in (False, True):
+        bpy.ops.wm.open_mainfile(filepath=file, load_ui=load_ui)
+        state = bpy.context.window_manager.robir
+        answer.append([state.task, state.message, len(state.findings)])
+        state.message = "of the file before"
+    return [*answer, bpy.context.scene.robir.preset]
 
 
 def traces():

@@ -105,6 +105,8 @@ def damaged(settings, state, result):
     report.parent.mkdir()
     report.write_text('{"choices": {"tone curve": 3}}')
     settings.result = folder
+    # what fails in an update of a property is only printed
+    import_module(f"{MODULE}.summary").read_shown()
 
 
 def filming(settings, state, result):

@@ -71,7 +71,7 @@ def test_dropped_kept_and_gone(blender, extension_zip, captures, tmp_path):
     assert not answer["busy"]
     kept, taken, left = answer["preset"]
     assert (kept, taken, left) == (["FINISHED"], ["high", "cpu", False], [])
-    assert answer["reopened"] == ["", "", 0, "standard"], "settings are saved, the state is not"
+    assert answer["reopened"] == [["", "", 0]] * 2 + ["standard"], "only settings are saved"
     there = answer["there"]
     assert there["scene"] and there["state"] and there["handlers"] and there["menus"]
     assert answer["disabled"] == answer["untouched"]
