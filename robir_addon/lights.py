@@ -6,6 +6,7 @@ part of the whole environment. Any other environment hides the lamps. The World 
 before is remembered in the scene, so that it can be given back.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,7 @@ def shows_recovered_light(world: bpy.types.World) -> bool:
 
 def environment_file(world: bpy.types.World) -> Path:
     """File of the environment that the World shows."""
-    return Path(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath))
+    return Path(os.path.normpath(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath)))
 
 
 def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:

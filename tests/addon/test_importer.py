@@ -154,6 +154,44 @@ def test_what_the_user_made_is_left_alone_and_the_world_comes_back(result):
     assert census() == before
 
 
+def test_a_saved_file_keeps_every_light(result, tmp_path):
+    """The light that is not shown, and the World the scene had before, survive saving."""
+    import bpy
+
+    from robir_addon import lights
+    from robir_addon.importer import import_result, mark_of, remove_result
+
+    bpy.ops.wm.read_factory_settings()
+    scene, before = bpy.context.scene, bpy.context.scene.world.name
+    world = import_result(result.root, scene).world
+    lights.show_environment(scene, world, result.environment)
+    file = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=file)
+    bpy.ops.wm.open_mainfile(filepath=file)
+    scene, world = bpy.context.scene, lights.world_of(mark_of(result.root))
+    assert not lights.shows_recovered_light(world)
+    lights.show_recovered_light(scene, world, use_sun_lamp=True)
+    assert lights.environment_file(world) == result.environment_without_sun
+    assert [lamp.hide_render for lamp in lights.lamps_of(mark_of(result.root))] == [False]
+    remove_result(result.root)
+    assert scene.world.name == before
+
+
+def test_of_two_results_one_shines(result, scene, tmp_path):
+    from robir_addon import lights
+    from robir_addon.importer import import_result, remove_result
+
+    other = JobPaths(tmp_path / "other")
+    shutil.copytree(result.root, other.root)
+    first, second = import_result(result.root, scene), import_result(other.root, scene)
+    assert [i.lamps[0].hide_render for i in (first, second)] == [True, False]
+    assert scene.world == second.world
+    lights.show_recovered_light(scene, first.world, use_sun_lamp=True)
+    assert [i.lamps[0].hide_render for i in (first, second)] == [False, True]
+    remove_result(result.root)
+    assert list(scene.collection.children) == [second.collection]
+
+
 def test_a_broken_folder_changes_nothing(result, scene, tmp_path):
     from robir_addon.errors import ResultError
     from robir_addon.importer import import_result
