@@ -46,7 +46,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
             f"{scene.view_settings.view_transform}; Match View Transform makes them alike"
         )
     if hidden:
-        notes.append(f"Hidden, as Blender put them there and not you: {', '.join(hidden)}")
+        are = "is" if len(hidden) == 1 else "are"
+        notes.append(f"Blender's own {' and '.join(hidden)} {are} hidden")
     others = [
         o.name for o in scene.objects if o.type == "LIGHT" and MARK not in o and not o.hide_render
     ]

@@ -36,6 +36,8 @@ class ResultOperator:
         """Do the work at once."""
         state = context.window_manager.robir
         state.error = state.error_cure = ""
+        if not state.task:
+            state.message = ""  # what was said of the last click
         try:
             self.work(context)
         except (AddonError, OSError) as error:
