@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def screen() -> Iterator[Screen]:
     """An empty screen."""
-    screen = Screen(":78")
+    screen = Screen()
     yield screen
     screen.close()
 

@@ -15,23 +15,19 @@ class Screen:
     """An X server without hardware; mouse and keyboard events come from xdotool.
 
     Attributes:
-        display: The server's name, :78 for example.
+        display: The server's name, :1 for example.
         clicks: How often something was clicked or dropped.
     """
 
-    def __init__(self, display: str) -> None:
-        self.display = display
+    def __init__(self) -> None:
         self.clicks = 0
-        size = f"{WIDTH}x{HEIGHT}x24"
-        command = ["Xvfb", display, "-screen", "0", size, "-nolisten", "tcp"]
+        command = ["Xvfb", "-displayfd", "1", "-screen", "0", f"{WIDTH}x{HEIGHT}x24"]
         self._server = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [*command, "-nolisten", "tcp"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
-        for _ in range(100):
-            if self._run("xdpyinfo", check=False).returncode == 0:
-                return
-            time.sleep(0.1)
-        raise RuntimeError("the virtual screen does not answer")
+        assert self._server.stdout is not None
+        with self._server.stdout as answer:  # comes when the screen is ready
+            self.display = f":{int(answer.readline())}"
 
     def move(self, x: int, y: int) -> None:
         """Put the mouse at a pixel, from the left and the top of the screen."""
@@ -68,7 +64,7 @@ class Screen:
         return picture
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch it off, and everything on it."""
         self._server.terminate()
         self._server.wait()
 
