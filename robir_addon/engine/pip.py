@@ -163,8 +163,8 @@ class Pip:
                 return process.wait(), tail
             except BaseException:
                 if process is not None:
-                    process.kill()
-                    process.wait()
+                    with process:  # waits for it and closes its pipe
+                        process.kill()
                 raise
 
     def _reason(self, name: str, tail: Sequence[str]) -> EngineError:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
+import subprocess
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -173,6 +175,21 @@ def test_progress_is_read_from_what_pip_says():
         (0.9, "downloading sympy 1.14.0, 6 of 6 MB"),
         (0.92, "unpacking torch"),
     ]
+
+
+def test_a_stop_while_pip_starts_leaves_no_pip_behind(tmp_path, monkeypatch):
+    started, real = [], subprocess.Popen
+
+    def start(*_, **__):
+        words = [sys.executable, "-c", "import time; time.sleep(60)"]
+        started.append(real(words, stdout=subprocess.PIPE, text=True))
+        signal.raise_signal(signal.SIGTERM)
+        return started[0]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    with installer._stopped_by_signals(), pytest.raises(KeyboardInterrupt):
+        Pip(Place(tmp_path), None)._run(["list"])
+    assert started[0].poll() not in (None, 0)
 
 
 def test_variables_of_blenders_python_are_not_handed_on():

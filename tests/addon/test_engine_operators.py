@@ -7,8 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from addon.blenders import MODULE, run
 from addon.wheelhouse import stand_ins
+
+import robir
 
 pytestmark = pytest.mark.blender
 
@@ -100,8 +103,57 @@ def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path
     assert answer["same"]
 
 
+CLICKED = """
+def pulses(until):
+    monitor, said = module("monitor"), []
+    end = time.monotonic() + 120
+    while monitor.is_busy() and time.monotonic() < end:
+        monitor._pulse()
+        state = bpy.context.window_manager.robir
+        if state.message and state.message not in said:
+            said.append(state.message)
+        if until and state.message.startswith(until):
+            pressed = press("cancel_install")
+            assert pressed == ["FINISHED"], pressed
+            until = ""
+        time.sleep(0.02)
+    return said
+
+
+def main(archive, wheels):
+    preferences, state = start(archive)
+    operators, preferences.wheels = module("operators.engine"), wheels
+    answer = {"no installation": press("cancel_install")}
+    for name, until in (("cancelled", "fetching"), ("whole", "")):
+        task = operators._Installation("The installation")
+        command = operators._install_command(bpy.context)
+        module("monitor").run_task("install", command, task.on_line, task.on_end)
+        answer["busy"] = state.task, press("install_engine")
+        answer[name] = pulses(until), state.error, state.engine_text, state.task
+    return answer
+"""
+
+
+def test_a_click_returns_at_once_and_can_be_cancelled(own_blender, extension_zip, tmp_path):
+    wheels = stand_ins(tmp_path / "wheels")
+    script = "import time\n" + COMMON + CLICKED
+    answer = run(own_blender, script, str(extension_zip), str(wheels), user=tmp_path / "user")
+    assert "No installation is at work" in answer["no installation"]
+    task, pressed = answer["busy"]
+    assert task == "install"
+    assert "Wait until the work at hand is done" in pressed
+    said, error, text, task = answer["cancelled"]
+    assert "Stopping" in said
+    assert (error, task) == ("", "")
+    assert "not finished; press Install Engine again" in text
+    said, error, text, task = answer["whole"]
+    assert (error, task) == ("", "")
+    assert {"checking the engine", "unpacking RobIR"} & set(said)
+    assert text.startswith("Engine ready")
+
+
 EXISTING = """
-def main(archive, python):
+def main(archive, python, other):
     preferences, state = start(archive)
     preferences.engine = "EXISTING"
     answer = {"none": press("check_engine")}
@@ -109,6 +161,8 @@ def main(archive, python):
     answer["no such"] = press("check_engine")
     answer["install"] = press("install_engine")
     answer["remove"] = press("remove_engine")
+    preferences.python = other
+    answer["other version"] = press("check_engine"), state.error, state.error_cure
     preferences.python = os.path.dirname(os.path.dirname(python))
     state.task = "reconstruct"
     answer["busy"] = press("check_engine")
@@ -122,14 +176,24 @@ def main(archive, python):
 """
 
 
+@pytest.mark.slow
 def test_an_existing_environment_is_checked_by_a_real_fit(own_blender, extension_zip, tmp_path):
-    answer = run(own_blender, COMMON + EXISTING, str(extension_zip), sys.executable, user=tmp_path)
+    other = tmp_path / "an other's python"
+    facts = '{"python": [3, 11, 7], "robir": "0.0.1", "torch": "2.9.0", "numpy": "1.26.4"}'
+    other.write_text(f"#!/bin/sh\necho '{facts}'\n")
+    other.chmod(0o755)
+    places = (str(extension_zip), sys.executable, str(other))
+    answer = run(own_blender, COMMON + EXISTING, *places, user=tmp_path / "user")
+    _, error, cure = answer["other version"]
+    assert f"has robir 0.0.1, this add-on needs {robir.__version__}" in error
+    assert "nstall the same version there" in cure
     assert "No existing environment is chosen" in answer["none"]
     assert "no-such-python does not exist" in answer["no such"]
     assert "An existing environment is chosen" in answer["install"]
     assert "An existing environment is chosen" in answer["remove"]
     assert "Wait until the work at hand is done" in answer["busy"]
     report, ok, cure = answer["cuda"]
+    assert ok == torch.cuda.is_available()
     if not ok:
         assert "CUDA" in report
         assert "hoose the processor as Device" in cure
