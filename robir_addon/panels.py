@@ -47,11 +47,10 @@ class ROBIR_PT_notice(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """The sentence; for an error the cure, and what helps whoever is asked for help."""
-        state, layout = context.window_manager.robir, self.layout
+        state, box = context.window_manager.robir, self.layout.box()
         if not state.error:
-            paragraph(layout, context, state.message, "INFO")
+            paragraph(box, context, state.message, "INFO", is_boxed=True)
             return
-        box = layout.box()
         alert = box.column()
         alert.alert = True
         paragraph(alert, context, state.error, "ERROR", is_boxed=True)
