@@ -16,10 +16,9 @@ from typing import Any, TextIO
 
 import bpy
 
-from robir.jobs.paths import JobPaths
-
 from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
+from .gateway import JobPaths
 from .importer import import_result, read_json, set_environment
 from .lut import ToneTable, read_tone_table
 from .rendering import prepare_scene, render_still, set_threads, write_film

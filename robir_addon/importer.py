@@ -14,10 +14,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from robir.jobs.paths import JobPaths
-
 from .cameras import add_camera, use_camera
 from .errors import ResultError
+from .gateway import JobPaths
 from .glb import GlbMesh, read_glb
 
 MARK = "robir_result"

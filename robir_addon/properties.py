@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels show and ask: settings saved with the file, and the state of the work at hand.
+
+`Scene.robir` holds what the user chose and is saved. `WindowManager.robir` holds what goes on at
+this moment; a .blend file may carry it along, so it is emptied whenever a file is opened.
+"""
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+STUDIO_LIGHTS = (
+    ("city", "City", "Street between buildings under an open sky"),
+    ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
+    ("forest", "Forest", "Sky through trees, green from below"),
+    ("interior", "Interior", "Room lit by its windows"),
+    ("night", "Night", "Few small lamps in the dark"),
+    ("studio", "Studio", "Two large soft boxes"),
+    ("sunrise", "Sunrise", "Low sun and a clear sky; long shadows"),
+    ("sunset", "Sunset", "Warm light from the horizon"),
+)
+"""Environment maps that Blender ships: file stem, name, tool-tip."""
+
+
+class ROBIR_PG_finding(bpy.types.PropertyGroup):
+    """One finding of the check of a capture."""
+
+    level: EnumProperty(
+        name="Level",
+        description="How much the finding matters",
+        items=(
+            ("error", "Error", "The capture cannot be used as it is"),
+            ("warning", "Warning", "The result will be worse than it could be"),
+            ("note", "Note", "Good to know"),
+        ),
+        default="note",
+    )
+    text: StringProperty(name="Finding", description="What was found and where")
+    cure: StringProperty(name="Cure", description="What to do about it")
+
+
+class ROBIR_PG_settings(bpy.types.PropertyGroup):
+    """What the user chose; saved with the Blender file."""
+
+    capture: StringProperty(
+        name="Capture",
+        description="Folder with the photographs and their cameras",
+        subtype="DIR_PATH",
+    )
+    masks: StringProperty(
+        name="Masks",
+        description="Folder with one mask a photograph; empty takes the capture's own masks",
+        subtype="DIR_PATH",
+    )
+    out: StringProperty(
+        name="Result",
+        description="Folder for the result; empty makes one beside the capture",
+        subtype="DIR_PATH",
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="How much work is put into the result",
+        items=(
+            ("draft", "Draft", "Minutes on two processor cores"),
+            ("standard", "Standard", "Finer mesh and textures; about four times the work of Draft"),
+            ("high", "High", "As fine as the photographs allow; wants a CUDA device"),
+        ),
+        default="draft",
+    )
+    device: EnumProperty(
+        name="Device",
+        description="What computes",
+        items=(
+            ("auto", "Automatic", "CUDA where there is one, otherwise the processor"),
+            ("cpu", "Processor", "Works everywhere"),
+            ("cuda", "CUDA", "A graphics card made by NVIDIA"),
+        ),
+        default="auto",
+    )
+    result: StringProperty(
+        name="Shown result",
+        description="Result folder that the panels Result, Relight and Export work with",
+        subtype="DIR_PATH",
+    )
+    studio_light: EnumProperty(
+        name="Studio light",
+        description="Light that Blender ships",
+        items=STUDIO_LIGHTS,
+        default="studio",
+    )
+    rotation: FloatProperty(
+        name="Rotation",
+        description="Turn of the light about the up axis, counter-clockwise seen from above",
+        subtype="ANGLE",
+        soft_min=-3.141592653589793,
+        soft_max=3.141592653589793,
+    )
+    turntable_frames: IntProperty(
+        name="Frames",
+        description="Frames of a full turn of the light",
+        default=48,
+        min=2,
+        soft_max=240,
+    )
+    use_sun_lamp: BoolProperty(
+        name="Sun as a lamp",
+        description="Give a recovered sun as a Sun lamp, so that its shadows stay crisp",
+        default=True,
+    )
+
+
+class ROBIR_PG_state(bpy.types.PropertyGroup):
+    """What goes on at this moment; emptied when a file is opened."""
+
+    task: StringProperty(
+        description='"" idle, "look", "reconstruct", "install", "check_engine" or "turntable"'
+    )
+    fraction: FloatProperty(description="Share of the task that is done", min=0.0, max=1.0)
+    stage: StringProperty(description="Stage of the reconstruction at work")
+    message: StringProperty(description="What is being done")
+    seconds_left: FloatProperty(description="Estimated seconds to the end; -1 unknown", default=-1)
+    held_out_psnr: FloatProperty(
+        description="Agreement with photographs kept aside, dB; -1 unknown", default=-1
+    )
+    job: StringProperty(description="Result folder of the reconstruction at work")
+    error: StringProperty(description="What went wrong, one sentence")
+    error_cure: StringProperty(description="What to do about it")
+    recognised: StringProperty(description="What the capture was recognised as")
+    findings: CollectionProperty(type=ROBIR_PG_finding, description="Findings of the check")
+    engine_text: StringProperty(description="What the last check of the engine said")
+    engine_ok: BoolProperty(description="The engine was checked and works")
+    preview_serial: IntProperty(description="Goes up when the preview picture was read again")
+
+
+CLASSES = (ROBIR_PG_finding, ROBIR_PG_settings, ROBIR_PG_state)
+
+
+def register() -> None:
+    """Attach the groups to scenes and to the window manager."""
+    bpy.types.Scene.robir = PointerProperty(type=ROBIR_PG_settings)
+    bpy.types.WindowManager.robir = PointerProperty(
+        type=ROBIR_PG_state, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    bpy.app.handlers.load_post.append(_forget_saved_state)
+
+
+def unregister() -> None:
+    """Detach the groups; what files have saved stays in them."""
+    bpy.app.handlers.load_post.remove(_forget_saved_state)
+    del bpy.types.WindowManager.robir
+    del bpy.types.Scene.robir
+
+
+@persistent
+def _forget_saved_state(*_: object) -> None:
+    """Empty the state: a file saved in the middle of a job says nothing about this session."""
+    for manager in bpy.data.window_managers:
+        manager.property_unset("robir")
