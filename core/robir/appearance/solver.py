@@ -187,8 +187,8 @@ def balance(problem: Problem, light: Light) -> Light:
     """Sky against suns by the shadows alone.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
-    what a sky does. Across a shadow, at equal normals, they cancel. Sought is the sky under which most
-    pairs of a lit and a shaded sample have one albedo; pairs of two materials do not vote.
+    what a sky does. Across a shadow, at equal normals, they cancel. Sought is the sky under which
+    most pairs of a lit and a shaded sample have one albedo; pairs of two materials do not vote.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
