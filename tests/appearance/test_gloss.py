@@ -103,8 +103,10 @@ def test_metal_and_plastic_are_told_apart(ball):
     gloss, diffuse = estimate_gloss(problem, light, 4, 0)
     seen = problem.radiance.seen.numpy()
     metallic = gloss.metallic > 0.5
-    assert (metallic == is_gold)[seen].mean() > 0.97
+    # along the border neighbours of both kinds judge together
+    assert (metallic == is_gold)[seen].mean() > 0.95
     assert np.median(gloss.roughness[seen & is_gold]) == pytest.approx(GOLD_ROUGHNESS, abs=0.08)
+    np.testing.assert_allclose(np.median(gloss.metal[seen & is_gold], 0), GOLD, atol=0.08)
     plastic = seen & ~is_gold
     assert np.median(gloss.roughness[plastic]) == pytest.approx(PLASTIC_ROUGHNESS, abs=0.08)
     # What is left of plastic without its highlights is Lambert's share, the same from everywhere.

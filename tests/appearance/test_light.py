@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light import PairWeights, log_ratio, soft_transfer
+from robir.appearance.light import Amplitudes, PairWeights, log_ratio, soft_transfer
 from robir.appearance.problem import make_problem
-from robir.appearance.solver import find_suns, fit
+from robir.appearance.solver import balance, find_suns, fit
 from robir.appearance.statistics import Pairs, neighbour_pairs
 from robir.appearance.sun import SunProblem, refine, scan
 from robir.maths.tone import curve_from_name
@@ -44,6 +46,15 @@ def test_elimination_gives_the_albedo_under_the_true_light(stage, problem):
     error = log_albedo.exp().numpy() / stage.albedo[rows] - 1
     assert np.abs(error[bright]).mean() < 0.006
     assert np.abs(error[bright]).max() < 0.05
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_shadows_give_the_sky_its_strength_back(problem, factor):
+    true = synthetic.true_light(SUN, SKY)
+    wrong = Amplitudes(soft=factor * true.amplitudes.soft, sharp=true.amplitudes.sharp)
+    mended = balance(problem, replace(true, amplitudes=wrong)).amplitudes
+    share = (mended.soft.mean() / mended.sharp.mean()) / (SKY * synthetic.COOL.mean())
+    assert float(share * SUN * synthetic.WARM.mean()) == pytest.approx(1, abs=0.06)
 
 
 def test_log_ratio_is_exact_in_the_light_and_finite_in_the_dark():

@@ -132,7 +132,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
         roughness=np.full(count, 0.5, np.float32),
         metallic=np.zeros(count, np.float32),
         floor=np.zeros((count, 3), np.float32),
-        gain=np.ones((count, 3), np.float32),
+        metal=np.ones((count, 3), np.float32),
         kept=np.ones((count, 1), np.float32),
         table=(),
     )

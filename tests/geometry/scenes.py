@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,11 @@ def checker(points: np.ndarray) -> np.ndarray:
 
 
 def capture_of(
-    solid: trimesh.Trimesh, views: int = 16, side: int = 64, low: float = 0.2
+    solid: trimesh.Trimesh,
+    views: int = 16,
+    side: int = 64,
+    low: float = 0.2,
+    paint: Callable[[np.ndarray], np.ndarray] = checker,
 ) -> Capture:
     """Photographs of a mesh in the unit sphere, without light, seen from above.
 
@@ -49,6 +54,7 @@ def capture_of(
         views: Number of photographs.
         side: Pixels of each side.
         low: Lowest elevation of a camera, radians.
+        paint: Colours in [0, 255] of points on the mesh.
 
     Returns:
         The capture; its frame is the unit frame.
@@ -63,7 +69,7 @@ def capture_of(
         origins, directions = fine.rays(fine.pixel_centres())
         places, ray, _ = caster.intersects_location(origins, directions, multiple_hits=False)
         image = np.zeros((9 * side * side, 4))
-        image[ray, :3], image[ray, 3] = checker(places), 255.0
+        image[ray, :3], image[ray, 3] = paint(places), 255.0
         blocks = image.reshape(side, 3, side, 3, 4).mean(axis=(1, 3))
         colour = blocks[..., :3] * 255.0 / np.maximum(blocks[..., 3:], 1.0)
         out.append(

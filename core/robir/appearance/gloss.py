@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roughness and metal per material, and the specular light that albedo must not keep.
+"""Roughness and metal, and the specular light that albedo must not keep.
 
 A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
-reflects with its base colour. Both are predicted for every view at several roughnesses, and what
-fits the photographs best over a whole cluster of alike samples wins: one sample sees a highlight
-in a few views at most, a cluster in many.
+reflects with its base colour. Both are predicted for every view at several roughnesses. What is
+metal is judged by the neighbourhood of each sample: its views differ more than any dielectric's
+may. Roughness is judged over a whole cluster of alike samples: one sample sees a highlight in a few
+views at most, a cluster in many.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.metal import metal_parts, metal_samples
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
     Reflections,
@@ -39,8 +42,8 @@ TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6
 MATTE = 0.5
 """Roughness given to materials whose views say nothing about it."""
 
-METAL_MARGIN = 0.85
-"""A metal must fit this much better than a dielectric: it is the rarer material."""
+ALIKE_NORMAL = 0.06
+"""Distance, unit frame, that half the difference of opposite normals counts as."""
 
 ROUGHEST_METAL = 5
 """Levels at which metal is tried: a rougher metal looks like a dielectric of another shade."""
@@ -56,16 +59,17 @@ class Gloss:
     Attributes:
         roughness: (S,) float32, perceptual as in Blender, in [0, 1].
         metallic: (S,) float32, 0 or 1.
+        metal: (S, 3) float32, base colour of the nearest metal part, linear Rec.709; 0 where the
+            scene has none.
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
-        gain: (S, 3) float32, radiance of a metal of base colour 1 in those views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         table: One dictionary per material for the report.
     """
 
     roughness: Floats
     metallic: Floats
+    metal: Floats
     floor: Floats
-    gain: Floats
     kept: Floats
     table: tuple[dict[str, float], ...]
 
@@ -191,12 +195,12 @@ def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
 def estimate_gloss(
     problem: Problem, light: Light, num_materials: int, seed: int
 ) -> tuple[Gloss, Tensor]:
-    """Roughness and metal of every sample, by clusters of alike samples.
+    """Roughness and metal of every sample.
 
     Args:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        num_materials: Clusters.
+        num_materials: Clusters of dielectrics.
         seed: Of the clustering.
 
     Returns:
@@ -206,25 +210,39 @@ def estimate_gloss(
     surfels, observations = scene.transport.surfels, scene.transport.observations
     directions = scene.transport.visibility.directions
     seen = np.flatnonzero(problem.radiance.seen.numpy())
-    features = _features(problem, light, seen)
-    cluster = _clusters(features, num_materials, seed)
     in_solve = np.isin(seen, scene.rows)
     rows = seen[in_solve]
     reflections = Reflections(problem, light, rows)
-    costs = _costs(problem, reflections, view_rays(surfels, observations, rows, directions), rows)
-    choices = [_choose(costs.pooled(cluster[in_solve] == index)) for index in range(num_materials)]
-    level = np.array([choice[0] for choice in choices])[cluster]
-    metal = np.array([choice[1] for choice in choices])[cluster]
-    gloss, diffuse = _apply(problem, light, seen, level, metal)
+    rays = view_rays(surfels, observations, rows, directions)
+    costs = _costs(problem, reflections, rays, rows)
+    mean = (costs.whole / costs.num_whole.clamp(min=1)[:, None, None]).numpy()
+    metal_errors = mean[:, 1, :ROUGHEST_METAL]
+    points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
+    is_metal = metal_samples(mean[:, 0], metal_errors, points[rows])
+    linear = linear_observations(observations, problem.curve)[rows][rays.sample, rays.view]
+    place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
+    parts = metal_parts(is_metal, place, (reflections, rays, linear), metal_errors, LEVELS)
+    # the samples that took part speak for their neighbours
+    part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
+    cluster = _clusters(_features(problem, light, seen), num_materials, seed)
+    choices = [
+        _roughness(costs.pooled((cluster[in_solve] == index) & ~is_metal))
+        for index in range(num_materials)
+    ]
+    level = np.array(choices)[cluster]
+    level[part >= 0] = parts.roughness[part[part >= 0]]
+    gloss, diffuse = _apply(problem, light, seen, level, (part >= 0).astype(np.float64))
+    metal = np.zeros((len(surfels), 3), np.float32)
+    if is_metal.any():
+        nearest = cKDTree(surfels.position[rows[is_metal]]).query(surfels.position)[1]
+        metal = parts.base[parts.part[is_metal][nearest]]
+    kinds = [(choice, 0.0, (cluster == k) & (part < 0)) for k, choice in enumerate(choices)]
+    kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts.roughness)]
     table = tuple(
-        {
-            "roughness": float(choice[0]),
-            "metallic": float(choice[1]),
-            "share": float((cluster == index).mean()),
-        }
-        for index, choice in enumerate(choices)
+        {"roughness": roughness, "metallic": metallic, "share": float(chosen.mean())}
+        for roughness, metallic, chosen in kinds
     )
-    return Gloss(**{**gloss, "table": table}), diffuse
+    return Gloss(**{**gloss, "metal": metal, "table": table}), diffuse
 
 
 def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats:
@@ -250,14 +268,11 @@ def _clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
     return labels.astype(np.int64)
 
 
-def _choose(pooled: _Costs) -> tuple[float, float]:
-    """Roughness and metal of one cluster from its pooled costs."""
-    metal = pooled.whole[1, :ROUGHEST_METAL]
-    if float(metal.min()) < METAL_MARGIN * float(pooled.whole[0].min()):
-        return _minimum(metal.numpy()), 1.0
+def _roughness(pooled: _Costs) -> float:
+    """Roughness of a cluster of dielectrics from its pooled costs."""
     if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
-        return MATTE, 0.0
-    return _minimum(pooled.highlight.numpy()), 0.0
+        return MATTE
+    return _minimum(pooled.highlight.numpy())
 
 
 def _minimum(curve: Floats) -> float:
@@ -283,7 +298,7 @@ def _apply(
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)
     diffuse = linear_observations(observations, problem.curve)
-    floor, gain = np.zeros((num, 3), np.float32), np.ones((num, 3), np.float32)
+    floor = np.zeros((num, 3), np.float32)
     kept = np.ones((num, 1), np.float32)
     full_level, full_metal = np.full(num, MATTE, np.float32), np.zeros(num, np.float32)
     full_level[seen], full_metal[seen] = level, metal
@@ -293,14 +308,13 @@ def _apply(
         rays = view_rays(surfels, observations, rows, scene.transport.visibility.directions)
         both = reflections.radiance(rays, float(roughness))
         shape = (len(rows), observations.weight.shape[1])
-        dielectric, whole = (_dense(both[:, index], rays, shape) for index in (0, 1))
+        dielectric = _dense(both[:, 0], rays, shape)
         through = 1 - _dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
         linear = diffuse[rows]
         below = torch.maximum(linear - dielectric, 0.02 * linear) / through
         valid = torch.from_numpy(observations.weight[rows] > 0)
         low = darker_view_weights(below, valid)[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()
-        gain[rows] = (whole * low).sum(1).numpy()
         kept[rows] = (through * low).sum(1).numpy()
         is_metal = torch.from_numpy(full_metal[rows] > 0.5)[:, None, None]
         diffuse[rows] = torch.where(is_metal, linear, below)
@@ -309,7 +323,6 @@ def _apply(
             "roughness": full_level,
             "metallic": full_metal,
             "floor": floor,
-            "gain": gain,
             "kept": kept,
         },
         diffuse,

@@ -15,7 +15,7 @@ from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.problem import Problem, Scene, make_problem, make_scene
 from robir.appearance.render import AtlasLookup, render_view
-from robir.appearance.solver import Light, fit, polish
+from robir.appearance.solver import Light, balance, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import Candidate, ClippingEvidence, rank_tone_curves
 from robir.capture.capture import Capture
@@ -30,7 +30,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 1
+REVISION = 2
 
 TEXTURE_VIEWS = 48
 
@@ -98,7 +98,7 @@ def _solve(
     scene: Scene, candidate: Candidate, config: AppearanceConfig, seed: int
 ) -> tuple[Problem, Light, Gloss]:
     """Final light, then gloss, then the light once more without the highlights."""
-    light = polish(candidate.problem, candidate.light, config, seed)
+    light = balance(candidate.problem, polish(candidate.problem, candidate.light, config, seed))
     gloss, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
     problem = make_problem(scene, candidate.curve, diffuse)
     refitted = fit(
@@ -109,6 +109,7 @@ def _solve(
         parsimony=config.parsimony_weight,
         start=light.amplitudes,
     )
+    refitted = balance(problem, refitted)
     final = Light(
         axes=refitted.axes,
         sharpness=refitted.sharpness,

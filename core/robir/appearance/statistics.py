@@ -174,9 +174,9 @@ def shadow_pairs(
         lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
         if min(len(lit_rows), len(dark_rows)) < MIN_SHADOW_SAMPLES:
             continue
-        distance, index = cKDTree(points[lit_rows]).query(points[dark_rows], k=4)
+        distance, index = cKDTree(points[lit_rows]).query(points[dark_rows], k=12)
         near = distance < SHADOW_REACH
-        first.append(np.repeat(dark_rows, 4)[near.ravel()])
+        first.append(np.repeat(dark_rows, 12)[near.ravel()])
         second.append(lit_rows[index[near]])
     left = np.concatenate(first) if first else np.zeros(0, np.int64)
     right = np.concatenate(second) if second else np.zeros(0, np.int64)

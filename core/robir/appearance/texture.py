@@ -141,7 +141,7 @@ def texel_albedo(
     scene = problem.scene
     blend = Blend(problem, texels)
     soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
-    floor, gain = blend(torch.from_numpy(gloss.floor)), blend(torch.from_numpy(gloss.gain))
+    floor = blend(torch.from_numpy(gloss.floor))
     kept = blend(torch.from_numpy(gloss.kept))
     metallic = blend(torch.from_numpy(gloss.metallic)[:, None])[:, 0] > 0.5
     roughness = blend(torch.from_numpy(gloss.roughness)[:, None])[:, 0]
@@ -155,7 +155,7 @@ def texel_albedo(
     exitant = np.pi * np.maximum(total - floor, 0.1 * total) / kept
     dim = 0.02 * irradiance.mean(0)
     albedo = exitant / np.sqrt(irradiance**2 + dim**2)
-    albedo[metallic] = (total / np.maximum(gain, 1e-3))[metallic]
+    albedo[metallic] = blend(torch.from_numpy(gloss.metal))[metallic]
     coverage = (seen.weight > 0).sum(1)
     certain = coverage >= 2
     edge = np.zeros(len(albedo), bool)

@@ -41,21 +41,10 @@ def feet_agree(
         The columns' shape; False where not wanted.
     """
     chosen = np.flatnonzero(wanted)
-    feet = np.concatenate([columns.feet[chosen], np.zeros((len(chosen), 1))], axis=1)
-    points = columns.plane.world(feet)
     blocks = np.where(tops >= STANDING, tops, -1.0)
-    colours = np.full((len(photos), len(chosen), 3), np.nan, np.float32)
+    colours = foot_colours(columns, chosen, photos)
     for number, photo in enumerate(photos):
-        eye = columns.plane.local(photo.camera.position)
-        image, depth = photo.camera.project(points)
-        seen = (depth > 0) & ~_shadowed(columns, blocks, feet, eye)
-        at = image[seen][:, ::-1].T - 0.5
-        covered = map_coordinates(photo.coverage, at, order=1, mode="constant")
-        values = [
-            map_coordinates(photo.premultiplied_display[..., k], at, order=1, mode="nearest")
-            for k in range(3)
-        ]
-        colours[number, seen] = np.where(covered[:, None] > 0.9, np.stack(values, axis=1), np.nan)
+        colours[number, hidden_feet(columns, blocks, chosen, photo)] = np.nan
     known = np.isfinite(colours[..., 0]).sum(axis=0)
     judged = known >= LEAST_VIEWS
     found = colours[:, judged]
@@ -65,16 +54,59 @@ def feet_agree(
     return agree.reshape(wanted.shape)
 
 
-def _shadowed(columns: Columns, blocks: Array, feet: Array, eye: Array) -> NDArray[np.bool_]:
-    """Whether the lines from feet to an eye pass below the height field of what stands."""
+def foot_colours(
+    columns: Columns, chosen: NDArray[np.int64], photos: list[Photo]
+) -> NDArray[np.float32]:
+    """Display colours at the feet of columns, as if nothing stood before them.
+
+    Args:
+        columns: Columns over the support plane.
+        chosen: (K,) flat indices of columns.
+        photos: V photographs.
+
+    Returns:
+        (V, K, 3), NaN where a photograph does not hold the foot.
+    """
+    feet = np.concatenate([columns.feet[chosen], np.zeros((len(chosen), 1))], axis=1)
+    points = columns.plane.world(feet)
+    colours = np.full((len(photos), len(chosen), 3), np.nan, np.float32)
+    for number, photo in enumerate(photos):
+        image, depth = photo.camera.project(points)
+        at = image[:, ::-1].T - 0.5
+        covered = map_coordinates(photo.coverage, at, order=1, mode="constant") > 0.9
+        values = [
+            map_coordinates(photo.premultiplied_display[..., k], at, order=1, mode="nearest")
+            for k in range(3)
+        ]
+        shown = (depth > 0) & covered
+        colours[number, shown] = np.stack(values, axis=1)[shown]
+    return colours
+
+
+def hidden_feet(
+    columns: Columns, blocks: Array, chosen: NDArray[np.int64], photo: Photo
+) -> NDArray[np.bool_]:
+    """Whether the lines from feet to a camera pass below the height field of what stands.
+
+    Args:
+        columns: Columns over the support plane.
+        blocks: Heights of what stands, the columns' shape; negative where nothing does.
+        chosen: (K,) flat indices of columns.
+        photo: Photograph.
+
+    Returns:
+        (K,).
+    """
+    eye = columns.plane.local(photo.camera.position)
+    feet = columns.feet[chosen]
     highest = blocks.max()
     hidden = np.zeros(len(feet), bool)
     if highest <= 0:
         return hidden
-    across = eye[:2] - feet[:, :2]
+    across = eye[:2] - feet
     rise = highest / eye[2]
     for share in np.linspace(0.0, rise, 40):
-        spot = (feet[:, :2] + share * across - columns.low) / columns.spacing
+        spot = (feet + share * across - columns.low) / columns.spacing
         height = map_coordinates(blocks, spot.T, order=0, mode="constant", cval=-1.0)
         hidden |= height > share * eye[2]
     return hidden

@@ -54,6 +54,11 @@ class Ground:
         photos: Photographs.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
+
+    Attributes:
+        columns: Columns over the plane.
+        tops: Height of the hull over each column, -inf where it has none.
+        start: Columns that are bare ground for certain.
     """
 
     def __init__(
@@ -62,7 +67,7 @@ class Ground:
         self.columns = Columns(plane, lattice.cell)
         self._photos = photos
         lens = lens_heights(self.columns, photos, lattice)
-        top = self.columns.tops(lattice, hull, HIGHEST)
+        self.tops = top = self.columns.tops(lattice, hull, HIGHEST)
         self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
         inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
@@ -70,13 +75,16 @@ class Ground:
         self.start = self._spread(self._bare & agree)
 
     def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Ground that spreads from the rim over passable columns, no way narrower than three."""
-        open_ways = binary_opening(passable | self._rim, np.ones((3, 3), bool)) | self._rim
-        piece, _ = label(open_ways)
-        ground = np.isin(piece, np.unique(piece[self._rim])) & open_ways
-        # specks that ground encloses are ground too
+        """Ground that spreads from the rim over passable columns, specks it encloses included."""
+        ground = self.joined(passable)
         rest, _ = label(~ground)
         return ground | (self.columns.inside & (np.bincount(rest.ravel())[rest] <= SPECK))
+
+    def joined(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Passable columns joined to the rim by ways no narrower than three, and the rim."""
+        open_ways = binary_opening(passable | self._rim, np.ones((3, 3), bool)) | self._rim
+        piece, _ = label(open_ways)
+        return np.isin(piece, np.unique(piece[self._rim])) & open_ways
 
     def settled(self, lattice: Lattice, sdf: Tensor) -> NDArray[np.bool_]:
         """Columns that are ground given the present surface.

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ from torch.nn.functional import grid_sample
 from robir.capture.camera import Camera
 from robir.errors import CaptureError
 from robir.geometry.lattice import Lattice, resample
+
+BEHIND = -1e3
+"""Signed distance a view gives to points behind its camera: no evidence."""
 
 
 def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -67,7 +72,13 @@ class HullCarver:
 
     def __call__(self, points: Tensor) -> Tensor:
         """Signed distance of the hull at points (P, 3), unit frame; shape (P,)."""
-        value = torch.full((len(points),), -1e3)
+        value = torch.full((len(points),), BEHIND)
+        for own in self.by_view(points):
+            value = torch.maximum(value, own)
+        return value
+
+    def by_view(self, points: Tensor) -> Iterator[Tensor]:
+        """What each view alone says of points (P, 3), shape (P,); very low behind a camera."""
         for camera, distance in zip(self._cameras, self._distances, strict=True):
             rotation = torch.from_numpy(camera.camera_to_world[:3, :3]).float()
             local = (points - torch.from_numpy(camera.position).float()) @ rotation
@@ -82,9 +93,7 @@ class HullCarver:
                 align_corners=False,
             )[0, 0, 0]
             scale = depth / (0.5 * (camera.fx + camera.fy))
-            in_front = local[:, 2] < 0
-            value = torch.where(in_front, torch.maximum(value, pixels * scale), value)
-        return value
+            yield torch.where(local[:, 2] < 0, pixels * scale, BEHIND)
 
 
 def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:

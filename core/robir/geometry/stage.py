@@ -11,6 +11,7 @@ import torch
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture
 from robir.errors import CaptureError
+from robir.geometry.backdrop import Backdrop
 from robir.geometry.clean import largest_pieces, restore_missing
 from robir.geometry.config import GeometryConfig
 from robir.geometry.field import Field
@@ -29,7 +30,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 
-REVISION = 1
+REVISION = 2
 """Raised whenever the same input gives another result."""
 
 
@@ -96,11 +97,13 @@ def reconstruct(
 
     plane = detect(photos, lattice, hull, generator)
     ground = None if plane is None else Ground(plane, photos, lattice, hull)
-    start = hull if ground is None else ground.flatten(lattice, hull, ground.start)
+    if ground is not None:
+        hull = ground.flatten(lattice, hull, ground.start)
+    start = hull if ground is None else Backdrop(ground, photos).clear(lattice, hull)
 
     def settle(field: Field) -> None:
         sdf = field.sdf.detach()
-        restored = restore_missing(field, resample(start, lattice, field.lattice), sampler)
+        restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
         sdf.copy_(restored)
         if ground is not None:
             flat = ground.settled(field.lattice, sdf)

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ground as a backdrop: where a photograph shows it, nothing stands in between.
+
+Masks cut an object out against the far background, not against the ground it stands on; their
+hull fills the room below every overhang. Once the ground's own picture is known, each photograph
+tells which of its pixels show ground, and what remains is a silhouette before the ground. Hulls
+of such silhouettes follow Laurentini 1994, "The visual hull concept"; that a colour is believed
+where the cameras that see it agree, and doubted where they do not, follows Kutulakos and Seitz
+2000, "A theory of shape by space carving".
+
+Batch letters: V photographs, K columns, P points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    binary_dilation,
+    binary_opening,
+    maximum_filter,
+    minimum_filter,
+    uniform_filter,
+)
+from torch import Tensor
+from torch.nn.functional import avg_pool3d
+
+from robir.geometry.consistency import foot_colours, hidden_feet
+from robir.geometry.ground import Ground
+from robir.geometry.hull import HullCarver
+from robir.geometry.lattice import Lattice
+from robir.geometry.rays import Photo
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BINS = 20
+"""Steps of a display channel in the palette of the ground."""
+
+DARKEST = 0.25
+"""Display value of the ground in deep shadow against that in light."""
+
+SAME = 0.06
+"""Mean difference of two display colours that count as the same."""
+
+SPREAD = 0.05
+"""How far a pixel may lie outside the range of the ground's colours about its spot, display."""
+
+LEAST_VIEWS = 3
+"""Photographs that must show a spot of ground, and that must see through a freed point."""
+
+LEAST_PART = 0.08
+"""Share of a spot's photographs that must show ground there; things may hide it from the rest."""
+
+DOUBT = 0.25
+"""Share of the pixels that reach a spot and show another colour at which it is no ground."""
+
+WINDOW = 5
+"""Nodes along the edge of the cube whose photographs decide about the node in the middle."""
+
+ROUNDS = 2
+"""How often the picture of the ground is checked against what was freed with it."""
+
+PIXEL_STEP = 2
+"""Every so many pixels take part in that check, along rows and columns."""
+
+
+def ground_palette(colours: NDArray[np.floating]) -> Mask:
+    """Display colours the ground may have, those seen and their darker shades.
+
+    Args:
+        colours: (N, 3) display colours of spots known to be ground.
+
+    Returns:
+        (BINS, BINS, BINS) bool, one step wider than the colours on every side.
+    """
+    step = np.clip((colours * BINS).astype(int), 0, BINS - 1)
+    count = np.zeros((BINS,) * 3)
+    np.add.at(count, tuple(step.T), 1)
+    seen = (np.argwhere(count > max(3.0, 2e-4 * len(colours))) + 0.5) / BINS
+    palette = np.zeros((BINS,) * 3, bool)
+    for shade in np.linspace(DARKEST, 1.0, 16):
+        palette[tuple((seen * shade * BINS).astype(int).T)] = True
+    return binary_dilation(palette, np.ones((3, 3, 3), bool))
+
+
+def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
+    """The colour that most photographs agree on at each spot, of those the palette holds.
+
+    Args:
+        colours: (V, K, 3) display colours; NaN where a photograph does not show the spot.
+        palette: Result of `ground_palette`.
+
+    Returns:
+        (K, 3), NaN where too few photographs agree.
+    """
+    shown = np.isfinite(colours[..., 0])
+    step = np.clip((np.nan_to_num(colours) * BINS).astype(int), 0, BINS - 1)
+    likely = shown & palette[step[..., 0], step[..., 1], step[..., 2]]
+    values = np.where(likely[..., None], colours, 9.0)
+    votes = np.stack(
+        [
+            (np.abs(values - one).mean(-1) < SAME).sum(0) * own
+            for one, own in zip(values, likely, strict=True)
+        ]
+    )
+    best, spots = votes.argmax(0), np.arange(colours.shape[1])
+    near = likely & (np.abs(values - values[best, spots]).mean(-1) < SAME)
+    total = np.where(near[..., None], values, 0.0).sum(0)
+    common = total / np.maximum(near.sum(0), 1)[:, None]
+    enough = votes[best, spots] >= np.maximum(LEAST_VIEWS, LEAST_PART * shown.sum(0))
+    return np.where(enough[:, None], common, np.nan)
+
+
+class Backdrop:
+    """Finds the picture of the ground, and frees the room in front of it.
+
+    Args:
+        ground: The ground and what of it is bare for certain.
+        photos: Photographs.
+    """
+
+    def __init__(self, ground: Ground, photos: list[Photo]) -> None:
+        self._ground = ground
+        self._photos = photos
+        self._rays = [_PixelRays(ground, photo) for photo in photos]
+        columns = ground.columns
+        bare, shape = ground.start, columns.shape
+        colours = foot_colours(columns, np.arange(len(columns.feet)), photos)
+        certain = np.flatnonzero(bare)
+        blocks = np.where(bare | ~np.isfinite(ground.tops), -1.0, ground.tops)
+        plain = np.full_like(colours, np.nan)
+        for number, photo in enumerate(photos):
+            free = certain[~hidden_feet(columns, blocks, certain, photo)]
+            plain[number, free] = colours[number, free]
+        known = np.isfinite(plain[..., 0])
+        picture = common_colour(colours, ground_palette(plain[known]))
+        proven = known.sum(0) > LEAST_VIEWS
+        picture[proven] = np.nanmedian(plain[:, proven], axis=0)
+        picture[~(columns.inside.ravel() | proven)] = np.nan
+        self.picture = picture.reshape(*shape, 3)
+        self._keep(np.ones(shape, bool))
+
+    def _keep(self, believed: Mask) -> None:
+        """Forget what is not believed and what does not hang together with the rim."""
+        known = np.isfinite(self.picture[..., 0]) & believed
+        self.picture[~(self._ground.joined(known) & known)] = np.nan
+
+    def shown(self) -> list[Mask]:
+        """The pixels of each photograph that show ground, each (H, W)."""
+        known = np.isfinite(self.picture[..., :1])
+        window = (3, 3, 1)
+        low = minimum_filter(np.where(known, self.picture, np.inf), window) - SPREAD
+        high = maximum_filter(np.where(known, self.picture, -np.inf), window) + SPREAD
+        low, high = low.reshape(-1, 3), high.reshape(-1, 3)
+        masks = []
+        for photo, rays in zip(self._photos, self._rays, strict=True):
+            colour = photo.premultiplied_display.reshape(-1, 3)
+            fits = ((colour > low[rays.column]) & (colour < high[rays.column])).all(1)
+            fits &= rays.meets & known.ravel()[rays.column]
+            masks.append(fits.reshape(photo.coverage.shape))
+        return masks
+
+    def _clearance(self, lattice: Lattice, near: Tensor, masks: list[Mask]) -> Tensor:
+        """How far points lie within the room that photographs see through.
+
+        Args:
+            lattice: Nodes.
+            near: (N,) bool, the nodes P asked for.
+            masks: Pixels of the photographs that show ground.
+
+        Returns:
+            (P,), unit frame; negative where too few see through, and below the plane.
+        """
+        points = lattice.nodes()[near]
+        height = self._ground.columns.plane.local(points.double().numpy())[:, 2]
+        silhouettes = [
+            (~binary_opening(mask, np.ones((3, 3), bool))).astype(np.float32) for mask in masks
+        ]
+        carver = HullCarver([photo.camera for photo in self._photos], silhouettes)
+        outside = torch.stack(list(carver.by_view(points)))
+        rank = min(LEAST_VIEWS, len(self._photos))
+        freed = outside.topk(rank, dim=0).values[-1]
+        return torch.minimum(freed, torch.from_numpy(height).float())
+
+    def clear(self, lattice: Lattice, sdf: Tensor) -> Tensor:
+        """Free the room in front of the ground.
+
+        Args:
+            lattice: Nodes.
+            sdf: (N,) signed distances that hold everything, on the CPU.
+
+        Returns:
+            The new signed distances (N,).
+        """
+        plane = self._ground.columns.plane
+        height = torch.from_numpy(plane.local(lattice.nodes().double().numpy())[:, 2])
+        near = (sdf < 2.0 * lattice.cell) & (height > -lattice.cell)
+        kept = torch.zeros_like(near)
+        for _ in range(ROUNDS):
+            masks = self.shown()
+            free = self._cut(lattice, sdf, near & ~kept, masks)
+            reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
+            through = []
+            for rays, mask in zip(self._rays, masks, strict=True):
+                pixels = rays.unblocked(lattice, free < 0)
+                through.append(np.zeros(mask.shape, bool))
+                through[-1].reshape(-1)[pixels] = True
+                pixels = pixels[rays.meets[pixels]]
+                np.add.at(reached.reshape(-1), rays.column[pixels], 1.0)
+                np.add.at(wrong.reshape(-1), rays.column[pixels[~mask.ravel()[pixels]]], 1.0)
+            kept |= self._doubted(lattice, (sdf < 0) & (free >= 0), through, masks)
+            reached, wrong = 9.0 * uniform_filter(reached, 3), 9.0 * uniform_filter(wrong, 3)
+            self._keep((wrong <= DOUBT * reached) | (wrong < LEAST_VIEWS - 0.5))
+        return self._cut(lattice, sdf, near & ~kept, self.shown())
+
+    def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
+        """The field (N,) freed at some nodes (N,) bool."""
+        free = sdf.clone()
+        free[where] = torch.maximum(sdf[where], self._clearance(lattice, where, masks))
+        return free
+
+    def _doubted(
+        self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]
+    ) -> Tensor:
+        """Freed nodes through which too many photographs see what is not ground.
+
+        Args:
+            lattice: Nodes.
+            freed: (N,) bool.
+            through: Pixels that nothing solid blocks any more, of those that were looked at.
+            masks: Pixels that show ground.
+
+        Returns:
+            (N,) bool; nodes next to freed ones may be among them.
+        """
+        points = lattice.nodes()[freed].double().numpy()
+        good, bad = np.zeros(len(points)), np.zeros(len(points))
+        for photo, open_pixels, mask in zip(self._photos, through, masks, strict=True):
+            image, depth = photo.camera.project(points)
+            # the nearest of the pixels that were looked at
+            column, row = (np.floor(image / PIXEL_STEP).astype(int) * PIXEL_STEP).T
+            held = (depth > 0) & (column >= 0) & (row >= 0)
+            held &= (column < photo.camera.width) & (row < photo.camera.height)
+            at = row[held], column[held]
+            good[held] += open_pixels[at] & mask[at]
+            bad[held] += open_pixels[at] & ~mask[at]
+        # single pixels err along silhouettes: the nodes about are asked as well
+        votes = torch.zeros(2, lattice.count)
+        votes[:, freed] = torch.from_numpy(np.stack([good + bad, bad])).float()
+        votes = avg_pool3d(votes.view(2, *lattice.shape), WINDOW, stride=1, padding=WINDOW // 2)
+        return ((votes[1] > DOUBT * votes[0]) & (votes[1] > 0)).reshape(-1)
+
+
+class _PixelRays:
+    """Rays through a photograph's pixels and where they meet the ground's plane.
+
+    Args:
+        ground: The ground.
+        photo: The photograph.
+    """
+
+    def __init__(self, ground: Ground, photo: Photo) -> None:
+        columns = ground.columns
+        origins, directions = photo.camera.rays(photo.camera.pixel_centres())
+        self._origins = np.broadcast_to(origins, directions.shape).reshape(-1, 3)
+        self._directions = directions.reshape(-1, 3)
+        start = columns.plane.local(self._origins)
+        self._falling = -self._directions @ columns.plane.axes[2]
+        falls = self._falling > 1e-6
+        self._reach = start[:, 2] / np.where(falls, self._falling, 1.0)
+        spot = columns.plane.local(self._origins + self._reach[:, None] * self._directions)
+        node = np.round((spot[:, :2] - columns.low) / columns.spacing)
+        on_grid = ((node >= 0) & (node < columns.shape)).all(1)
+        node = np.where(on_grid[:, None], node, 0).astype(int)
+        self.column = node[:, 0] * columns.shape[1] + node[:, 1]
+        covered = photo.coverage.ravel() > 0.95
+        self.meets = covered & falls & on_grid
+        chosen = np.zeros(photo.coverage.shape, bool)
+        chosen[::PIXEL_STEP, ::PIXEL_STEP] = True
+        self._chosen = np.flatnonzero(covered & chosen.ravel())
+
+    def unblocked(self, lattice: Lattice, inside: Tensor) -> NDArray[np.int64]:
+        """Those of the chosen pixels whose rays touch nothing solid above the plane.
+
+        Args:
+            lattice: Nodes.
+            inside: (N,) bool, the nodes that are solid.
+
+        Returns:
+            Flat indices of the pixels.
+        """
+        pixels = self._chosen
+        origins, directions = self._origins[pixels], self._directions[pixels]
+        middle = -(origins * directions).sum(1, keepdims=True)
+        distance = middle + np.arange(-1.05, 1.05, lattice.cell)
+        points = origins[:, None] + distance[..., None] * directions[:, None]
+        solid = inside[lattice.nearest(torch.from_numpy(points.reshape(-1, 3)).float())]
+        end = self._reach[pixels] - lattice.cell / np.maximum(self._falling[pixels], 1e-6)
+        above = (distance < end[:, None]) | ~self.meets[pixels, None]
+        return pixels[~(solid.view(len(pixels), -1).numpy() & above).any(1)]

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Room in front of the ground, freed below an overhang and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from robir.geometry.backdrop import BINS, Backdrop, common_colour, ground_palette
+from robir.geometry.ground import Ground
+from robir.geometry.hull import carve
+from robir.geometry.lattice import Lattice
+from robir.geometry.plane import detect
+from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.stage import hull_of
+from tests.geometry.scenes import capture_of, checker, disc
+
+TOP = -0.3
+"""Height of the ground's surface."""
+
+
+def table() -> trimesh.Trimesh:
+    """A round table on the ground: a thin foot below a wide top."""
+    foot = trimesh.creation.cylinder(0.06, 0.2)
+    foot.apply_translation([0.0, 0.0, TOP + 0.1])
+    board = trimesh.creation.cylinder(0.3, 0.06)
+    board.apply_translation([0.0, 0.0, TOP + 0.23])
+    return trimesh.util.concatenate([disc(), foot, board])
+
+
+def red_above(points: np.ndarray) -> np.ndarray:
+    """Checkered ground, red things."""
+    return np.where(points[:, 2:] > TOP + 0.01, [200.0, 30.0, 20.0], checker(points))
+
+
+def started(solid: trimesh.Trimesh, **options: object) -> tuple[Lattice, np.ndarray, np.ndarray]:
+    """Lattice, its nodes and the values with and without the room in front of the ground."""
+    capture = capture_of(solid, views=32, side=96, **options)  # type: ignore[arg-type]
+    photos: list[Photo] = [reduce_view(view, 96) for view in capture.views]
+    lattice, hull = carve(hull_of(photos, 48), 48)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    assert plane is not None
+    ground = Ground(plane, photos, lattice, hull)
+    flat = ground.flatten(lattice, hull, ground.start)
+    return lattice, flat.numpy(), Backdrop(ground, photos).clear(lattice, flat).numpy()
+
+
+def test_room_below_a_table_is_freed_and_the_table_stays() -> None:
+    lattice, flat, free = started(table(), paint=red_above)
+    nodes = lattice.nodes().numpy()
+    radius, height = np.hypot(nodes[:, 0], nodes[:, 1]), nodes[:, 2] - TOP
+    below = (radius > 0.15) & (radius < 0.27) & (height > 0.05) & (height < 0.15)
+    assert (flat[below] < 0).mean() > 0.9
+    assert (free[below] < 0).mean() < 0.2
+    board = (radius < 0.27) & (np.abs(height - 0.23) < 0.02)
+    assert (free[board] < 0).all()
+    foot = (radius < 0.04) & (height > 0.0) & (height < 0.2)
+    assert (free[foot] < 0).all()
+    under = (radius < 0.4) & (height < -0.01) & (height > -0.03)
+    assert (free[under] < 0).all()
+
+
+def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
+    box = trimesh.creation.box(extents=(0.3, 0.25, 0.3))
+    box.apply_translation([0.0, 0.0, TOP + 0.15])
+    lattice, _, free = started(trimesh.util.concatenate([disc(), box]))
+    nodes = lattice.nodes().numpy()
+    solid = (np.abs(nodes[:, 0]) < 0.13) & (np.abs(nodes[:, 1]) < 0.1)
+    solid &= (nodes[:, 2] > TOP) & (nodes[:, 2] < TOP + 0.27)
+    # the same two colours all over: what little is lost must leave most of the box standing
+    assert (free[solid] < 0).mean() > 0.65
+
+
+def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:
+    palette = ground_palette(np.tile([0.8, 0.6, 0.4], (100, 1)))
+
+    def holds(*colour: float) -> bool:
+        return bool(palette[tuple(int(c * BINS) for c in colour)])
+
+    assert holds(0.8, 0.6, 0.4) and holds(0.4, 0.3, 0.2) and holds(0.28, 0.21, 0.14)
+    assert not holds(0.95, 0.9, 0.9) and not holds(0.2, 0.3, 0.6) and not holds(0.05, 0.05, 0.05)
+
+
+def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:
+    palette = np.ones((BINS,) * 3, bool)
+    rng = np.random.default_rng(0)
+    colours = rng.uniform(0.0, 1.0, (20, 2, 3)).astype(np.float32)
+    colours[:6, 0] = np.array([0.5, 0.4, 0.3]) + rng.normal(0.0, 0.01, (6, 3))
+    colours[10:, 1] = np.nan
+    colours[:10, 1] = np.linspace(0.0, 0.9, 10)[:, None]
+    found = common_colour(colours, palette)
+    assert found[0] == pytest.approx([0.5, 0.4, 0.3], abs=0.03)
+    assert np.isnan(found[1]).all()
