@@ -66,7 +66,8 @@ class BlenderWindow:
         self._home = home
         self._log = pictures.parent / "blender.log"
         self._control = home / "control"
-        self._control.mkdir(parents=True, exist_ok=True)
+        for folder in (self._control, pictures):
+            folder.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
         self._taken = 0
         self._found: dict[str, Place] = {}

@@ -59,7 +59,6 @@ class Screen:
 
     def save(self, picture: Path) -> Path:
         """Write what the screen shows now as a PNG."""
-        picture.parent.mkdir(parents=True, exist_ok=True)
         self._run("import", "-window", "root", "-strip", str(picture))
         return picture
 

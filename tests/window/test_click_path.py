@@ -69,6 +69,27 @@ def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     )
 
 
+def test_a_capture_is_chosen_in_the_file_browser_and_let_go(
+    window: BlenderWindow, capture: Path
+) -> None:
+    window.press("bpy.ops.robir.choose_capture")
+    window.wait_until("len(bpy.context.window_manager.windows) == 2", 10.0)
+    time.sleep(1.5)
+    window.run(  # a virtual keyboard has no umlauts to type
+        "area = bpy.context.window_manager.windows[1].screen.areas[0]\n"
+        f"area.spaces.active.params.directory = {str(capture)!r}.encode()\n"
+        "area.tag_redraw()"
+    )
+    time.sleep(1.5)
+    window.picture("file_browser")
+    window.screen.key("Return")
+    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 60.0)
+    assert Path(window.get(f"{SETTINGS}.capture")) == capture
+    window.press("bpy.ops.robir.clear_capture")
+    window.wait_until(f"not {SETTINGS}.capture", 5.0)
+    assert window.get("[o.name for o in bpy.data.objects]") == ["Camera", "Cube", "Light"]
+
+
 @pytest.fixture(scope="module")
 def longest_allowed(window: BlenderWindow) -> float:
     """Longest time without a drawing, s, on a screen that is drawn by the processor."""
