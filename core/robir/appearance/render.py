@@ -18,6 +18,9 @@ from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 
+SUB_PIXELS = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+"""Where in a pixel rays are cast."""
+
 
 class AtlasLookup:
     """Texel values at points of the mesh."""
@@ -73,10 +76,10 @@ def render_view(
     """
     mesh, tracer, lookup, values = surface
     rows, columns = np.nonzero(view.mask > 127)
-    pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
-    origins, directions = view.camera.rays(pixels)
+    places = np.stack([columns, rows], axis=1)[:, None] + SUB_PIXELS
+    origins, directions = view.camera.rays(places.reshape(-1, 2))
     hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
-    texel = np.full(len(rows), -1, np.int64)
+    texel = np.full(len(directions), -1, np.int64)
     struck = np.flatnonzero(hits.face >= 0)
     texel[struck] = lookup(hits.face[struck], hits.barycentric[struck])
     kept = np.flatnonzero(texel >= 0)
@@ -93,9 +96,15 @@ def render_view(
     )
     radiance = (1 - metallic) * (through * albedo * irradiance / np.pi + dielectric)
     radiance += metallic * albedo * metal
-    shown = problem.curve.display_from_linear(torch.from_numpy(radiance.astype(np.float32)))
+    # a pixel is the mean radiance over its square, as on a sensor, and then through the curve
+    pixel = kept // len(SUB_PIXELS)
+    count = np.bincount(pixel, minlength=len(rows))
+    filled = np.flatnonzero(count)
+    sums = [np.bincount(pixel, radiance[:, channel], len(rows)) for channel in range(3)]
+    mean = np.stack(sums, axis=1)[filled] / count[filled, None]
+    shown = problem.curve.display_from_linear(torch.from_numpy(mean.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)
-    image[rows[kept], columns[kept]] = np.rint(255 * shown.clamp(0, 1).numpy())
+    image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())
     drawn = np.zeros(view.mask.shape, bool)
-    drawn[rows[kept], columns[kept]] = True
+    drawn[rows[filled], columns[filled]] = True
     return image, drawn
