@@ -97,6 +97,7 @@ def test_a_dropped_capture_is_looked_at_and_checked(window: BlenderWindow, captu
     window.wait_until(f"not {STATE}.task", 60.0)
     note("seconds to cameras in view", seconds)
     check_gaps(redraws, "looking")
+    assert window.get(f"{STATE}.error") == ""
     assert Path(window.get(f"{SETTINGS}.capture")) == capture
     assert window.get("len([o for o in bpy.data.objects if o.type == 'CAMERA'])") >= 16
     window.picture("looked_at")
