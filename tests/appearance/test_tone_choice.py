@@ -8,7 +8,12 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.tone_choice import clipping_evidence, rank_tone_curves
+from robir.appearance.tone_choice import (
+    Candidate,
+    clipping_evidence,
+    preferred_order,
+    rank_tone_curves,
+)
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
 
@@ -76,3 +81,25 @@ def test_shares_count_only_what_is_seen():
     evidence = clipping_evidence(seen)
     assert evidence.clipped_share == pytest.approx(1 / 3)
     assert evidence.bright_share == pytest.approx(1 / 3)
+
+
+def scored(name, score, standard_error):
+    return Candidate(
+        curve=curve_from_name(name),
+        score=score,
+        standard_error=standard_error,
+        light=None,
+        problem=None,
+    )
+
+
+@pytest.mark.parametrize(("lead", "expected"), [(0.2, "standard"), (0.5, "robir_aces")])
+def test_the_curve_between_all_others_must_lead_clearly(lead, expected):
+    candidates = [
+        scored("standard", 10 + lead, 0.1),
+        scored("filmic", 10.9, 0.1),
+        scored("robir_aces", 10.0, 0.0),
+    ]
+    order = [candidate.curve.name for candidate in preferred_order(candidates, None)]
+    assert order[0] == expected
+    assert sorted(order) == ["filmic", "robir_aces", "standard"]

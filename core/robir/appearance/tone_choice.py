@@ -38,6 +38,13 @@ SPIKE_RATIO = 1.5
 PLAIN = "standard"
 """Name of the one curve without a shoulder."""
 
+HEDGE = "robir_aces"
+"""Name of a curve that no common renderer or camera has. It lies between the others, so where they
+cannot be told apart it errs least under all of them."""
+
+HEDGE_MARGIN = 3.0
+"""Standard errors by which it must lead to be taken for more than that."""
+
 BLOCK = 0.2
 """Side of the blocks over which the score's standard error is taken, unit frame."""
 
@@ -158,7 +165,7 @@ def rank_tone_curves(
         )
         for index, (curve, light, problem) in enumerate(fits)
     ]
-    return _order(candidates, verdict), evidence
+    return preferred_order(candidates, verdict), evidence
 
 
 def _with_history(light: Light, found: Light) -> Light:
@@ -171,7 +178,7 @@ def _with_history(light: Light, found: Light) -> Light:
     )
 
 
-def _order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]:
+def preferred_order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]:
     """By score, but the simplest within one standard error of the best comes first.
 
     The rule does not cross between the plain sRGB curve and those with a shoulder: taking one for
@@ -180,12 +187,18 @@ def _order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]
     off and use the range of the display have clipped highlights.
     """
     ranked = sorted(candidates, key=lambda candidate: candidate.score)
+    if ranked[0].curve.name == HEDGE and len(ranked) > 1:
+        second = ranked[1]
+        if second.score - ranked[0].score <= HEDGE_MARGIN * second.standard_error:
+            ranked.append(ranked.pop(0))
     best = ranked[0]
     shoulders = [candidate for candidate in ranked if candidate.curve.name != PLAIN]
     if best.curve.name == PLAIN and verdict is None and shoulders:
         lead = shoulders[0].score - best.score
         best = shoulders[0] if lead <= shoulders[0].standard_error else best
     for candidate in candidates:
+        if candidate.curve.name == HEDGE:
+            continue
         alike = (candidate.curve.name == PLAIN) == (best.curve.name == PLAIN)
         if alike and candidate.score - best.score <= candidate.standard_error:
             ranked.remove(candidate)
