@@ -76,7 +76,7 @@ def render_view(
     """
     mesh, tracer, lookup, values = surface
     rows, columns = np.nonzero(view.mask > 127)
-    places = np.stack([columns, rows], axis=1)[:, None] + SUB_PIXELS
+    places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + SUB_PIXELS
     origins, directions = view.camera.rays(places.reshape(-1, 2))
     hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
     texel = np.full(len(directions), -1, np.int64)
