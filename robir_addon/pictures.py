@@ -6,8 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .blocks import MARK
-from .errors import ResultError
+from .blocks import MARK, load_image
 
 
 def read_codes(file: Path) -> np.ndarray:
@@ -16,12 +15,8 @@ def read_codes(file: Path) -> np.ndarray:
     Raises:
         ResultError: If it is missing or damaged.
     """
+    image = load_image(file, "Non-Color", "")  # the numbers as they are
     try:
-        image = bpy.data.images.load(str(file), check_existing=False)
-    except RuntimeError as fault:
-        raise ResultError(f"{file} cannot be read as an image; is it there and whole?") from fault
-    try:
-        image.colorspace_settings.name = "Non-Color"  # the numbers as they are
         width, height = image.size
         codes = np.empty(width * height * 4, np.float32)
         image.pixels.foreach_get(codes)

@@ -265,10 +265,16 @@ def take_capture(
 
 def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Whether nothing is at work; says so as the operator's reason if something is."""
-    if monitor.is_busy() or context.window_manager.robir.task:
-        operator.poll_message_set("Wait until the work at hand is done, or cancel it")
-        return False
-    return True
+    reason = why_wait(context)
+    if reason:
+        operator.poll_message_set(reason)
+    return not reason
+
+
+def why_wait(context: bpy.types.Context) -> str:
+    """Why nothing else can begin now; empty where it can."""
+    at_work = monitor.is_busy() or context.window_manager.robir.task
+    return "Wait until the work at hand is done, or cancel it" if at_work else ""
 
 
 CLASSES = (ROBIR_OT_choose_capture, ROBIR_OT_look_at_capture, ROBIR_OT_clear_capture)

@@ -22,8 +22,8 @@ from ..preferences import (
     preferences_of,
 )
 from ..worker import in_panel_words
+from .capture import why_wait
 
-_BUSY = "Wait until the work at hand is done, or cancel it"
 _OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
     "turn on Allow Online Access in Preferences > System, or give a folder of wheels in the "
@@ -115,7 +115,7 @@ class ROBIR_OT_install_engine(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is something to install."""
-        problem = _not_managed(context) or _busy(context)
+        problem = _not_managed(context) or why_wait(context)
         if not problem and engine_status(context).state == "ready":
             problem = "The engine is installed"
         return _allowed(cls, problem)
@@ -173,7 +173,7 @@ class ROBIR_OT_check_engine(bpy.types.Operator):
         """Only where there is an engine."""
         status = engine_status(context)
         problem = "" if status.state == "ready" else f"{status.text}: {status.cure}"
-        return _allowed(cls, problem or _busy(context))
+        return _allowed(cls, problem or why_wait(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Check while Blender stays usable."""
@@ -196,7 +196,7 @@ class ROBIR_OT_remove_engine(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is something of ours."""
-        problem = _not_managed(context) or _busy(context)
+        problem = _not_managed(context) or why_wait(context)
         if not problem and engine_status(context).state == "missing":
             problem = "There is no engine to remove"
         return _allowed(cls, problem)
@@ -265,8 +265,7 @@ def _start(run: Run, name: str, command: list[str], task: _Task) -> None:
     try:
         run(name, command, task.on_line, task.on_end)
     except AddonError as error:
-        message, _, cure = str(error).partition("; ")
-        _tell(message, cure)
+        monitor.show_problem(str(error))
 
 
 def _not_managed(context: bpy.types.Context) -> str:
@@ -282,10 +281,6 @@ def _not_managed(context: bpy.types.Context) -> str:
     except EngineError as error:
         return f"{_sentence(error.message)}: {error.cure}"
     return ""
-
-
-def _busy(context: bpy.types.Context) -> str:
-    return _BUSY if monitor.is_busy() or context.window_manager.robir.task else ""
 
 
 def _allowed(operator: type[bpy.types.Operator], problem: str) -> bool:

@@ -141,8 +141,8 @@ class _Costs:
 
 def _costs(
     problem: Problem, reflections: Reflections, rays: ViewRays, rows: NDArray[np.int64]
-) -> _Costs:
-    """Errors of both models at every level.
+) -> tuple[_Costs, Tensor]:
+    """Errors of both models at every level, and the radiance (M, 3) that every ray sees.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win.
@@ -183,7 +183,7 @@ def _costs(
             sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
             total = summed(error(base + even + sun) * near)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    return _Costs(highlight, summed(near), whole, valid.sum(1).float())
+    return _Costs(highlight, summed(near), whole, valid.sum(1).float()), linear
 
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
@@ -214,12 +214,11 @@ def estimate_gloss(
     rows = seen[in_solve]
     reflections = Reflections(problem, light, rows)
     rays = view_rays(surfels, observations, rows, directions)
-    costs = _costs(problem, reflections, rays, rows)
+    costs, linear = _costs(problem, reflections, rays, rows)
     mean = (costs.whole / costs.num_whole.clamp(min=1)[:, None, None]).numpy()
     metal_errors = mean[:, 1, :ROUGHEST_METAL]
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
     is_metal = metal_samples(mean[:, 0], metal_errors, points[rows])
-    linear = linear_observations(observations, problem.curve)[rows][rays.sample, rays.view]
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     parts = metal_parts(is_metal, place, (reflections, rays, linear), metal_errors, LEVELS)
     # the samples that took part speak for their neighbours
