@@ -115,6 +115,7 @@ def pulses(until):
         if until and state.message.startswith(until):
             pressed = press("cancel_install")
             assert pressed == ["FINISHED"], pressed
+            said.append(state.message)  # a quick end clears it before the next look
             until = ""
         time.sleep(0.02)
     return said
