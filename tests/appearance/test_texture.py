@@ -15,6 +15,7 @@ from robir.appearance.problem import make_problem, make_scene
 from robir.appearance.solver import Light
 from robir.appearance.texture import (
     Texels,
+    _evened,
     _Reference,
     _settle_clipped,
     _settle_edges,
@@ -98,6 +99,31 @@ def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     np.testing.assert_array_equal(settled[~clipped], measured[~clipped])
     np.testing.assert_allclose(settled[middle & ~brighter, 0], PAINTS[0, 0], rtol=1e-6)
     np.testing.assert_array_equal(settled[brighter, 0], measured[brighter, 0])
+
+
+def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
+    steps = np.arange(-0.6, 0.6, 0.006)
+    x, y = (grid.ravel().astype(np.float32) for grid in np.meshgrid(steps, steps))
+    normal = np.tile(np.float32([0, 0, 1]), (len(x), 1))
+    texels = Texels(position=np.stack([x, y, 0 * x], axis=1), normal=normal)
+    paint = PAINTS[(y > 0).astype(int)]
+    bumps = 0.12 * np.sin(2 * np.pi * x / 0.12) * np.sin(2 * np.pi * y / 0.12)
+    stripes = 0.08 * np.sign(np.sin(2 * np.pi * (x + 1e-4) / 0.024))
+    seen = (paint * np.exp(bumps + stripes)[:, None]).astype(np.float32)
+    unknown = (np.abs(x - 0.2) < 0.02) & (np.abs(y + 0.3) < 0.02)
+    seen[unknown] = 0.9
+    uncertainty = np.where(unknown, 1.0, 0.05).astype(np.float32)
+    left = np.log(_evened(seen, uncertainty, texels) / paint).mean(1)
+    inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
+    basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
+    (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
+    assert kept_bumps < 0.35
+    assert kept_stripes == pytest.approx(1.0, abs=0.1)
+    assert offset == pytest.approx(0.0, abs=0.02)
+    edge = np.abs(y) < 0.02
+    assert np.abs(left[edge] - stripes[edge]).mean() < 0.12
+    middle = unknown & (np.abs(x - 0.2) < 0.01) & (np.abs(y + 0.3) < 0.01)
+    assert np.abs(left[middle]).max() < 0.3
 
 
 def test_texels_of_a_lit_floor_have_their_paint():

@@ -29,7 +29,8 @@ def test_a_perfect_result_scores_perfectly(truth, tmp_path):
     assert scores["albedo"]["lmse"] == pytest.approx(0.0, abs=1e-4)
     assert scores["shadow"]["ratio"] is None  # a convex object casts no shadow on itself
     assert scores["roughness"]["rmse"] < 1e-3
-    assert scores["roughness"]["best_constant_rmse"] == pytest.approx(0.15, abs=0.01)
+    # a board of .4 and .7, its edges evened out by the pixels
+    assert scores["roughness"]["best_constant_rmse"] == pytest.approx(0.135, abs=0.01)
     assert scores["normals"]["mean_degrees"] < 0.05
     assert scores["mask_iou"] == 1.0
     assert scores["chamfer"]["chamfer"] < 0.01

@@ -7,6 +7,7 @@ import trimesh
 
 from robir.capture.camera import Camera
 from robir.evaluation import surfaces
+from robir.evaluation.layers import view_layers
 from robir.geometry.mesh import Mesh, vertex_normals
 
 
@@ -47,18 +48,22 @@ def test_a_sphere_is_seen_as_a_sphere():
     assert np.abs(seen.normal - point)[inner].max() < 1e-2
 
 
-def test_texture_coordinates_are_seen_upright():
-    # a quad facing +z with u to the right and v up: the picture shows the texture as stored
+def quad():
+    """Facing +z with u to the right and v up, so that a picture shows the texture as stored."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    mesh = Mesh(
+    return Mesh(
         vertices=corners,
         faces=faces,
         normals=vertex_normals(corners, faces),
         uvs=uvs,
         uv_faces=faces,
     )
+
+
+def test_texture_coordinates_are_seen_upright():
+    mesh = quad()
     pose = np.eye(4)
     pose[2, 3] = 10.0
     camera = Camera(width=8, height=8, fx=40, fy=40, cx=4, cy=4, camera_to_world=pose)
@@ -67,6 +72,27 @@ def test_texture_coordinates_are_seen_upright():
     assert seen.hit.all()
     looked_up = surfaces.sample_texture(texture, seen.uv.reshape(-1, 2))
     assert looked_up.reshape(8, 8, 3) == pytest.approx(texture, abs=1e-4)
+
+
+def test_layers_are_means_over_pixels():
+    # three columns of pixels, and a texture whose edge runs a third into the middle one
+    pose = np.eye(4)
+    pose[2, 3] = 10.0
+    camera = Camera(width=3, height=3, fx=15, fy=15, cx=1.5, cy=1.5, camera_to_world=pose)
+    albedo = np.zeros((900, 900, 3))
+    albedo[:, 400:] = 0.6
+    textures = {
+        "albedo_linear": albedo,
+        "roughness": np.full((900, 900), 0.3),
+        "inside": np.ones((900, 900), bool),
+    }
+    (layers,) = view_layers(quad(), textures, [camera])
+    assert layers.hit.all()
+    assert layers.albedo_linear[:, :, 0] == pytest.approx(np.tile([0.0, 0.4, 0.6], (3, 1)))
+    assert layers.roughness == pytest.approx(np.full((3, 3), 0.3))
+    centres = np.stack(np.meshgrid([-2 / 3, 0, 2 / 3], [2 / 3, 0, -2 / 3]), axis=-1)
+    assert layers.position[..., :2] == pytest.approx(centres, abs=1e-6)
+    assert layers.normal == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], (3, 3, 3)), abs=1e-6)
 
 
 def test_texture_sampling_is_linear_and_blind_to_empty_texels():

@@ -30,7 +30,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 2
+REVISION = 3
 
 TEXTURE_VIEWS = 48
 

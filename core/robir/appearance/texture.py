@@ -36,11 +36,24 @@ NORMAL_SCALE = 0.15
 SIDE_STEP = 0.02
 """Error of the mesh along the surface that a shadow may have, unit frame."""
 
-SMOOTH_REACH = 0.06
-"""How far the edge-aware mean reaches, unit frame."""
+MESH_ERROR = 0.02
+"""Length over which errors of the mesh's normals vary, unit frame."""
 
-ALIKE = 0.25
-"""Difference of log albedo within which neighbouring texels are one material."""
+EVEN_REACH = 0.25
+"""How far the surroundings reach that a texel is compared with, unit frame."""
+
+ALIKE, ALIKE_HUE = 0.35, 0.2
+"""Difference of log albedo, in brightness and in hue, within which texels may be one material."""
+
+NODE_STEP = 4
+"""Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
+
+LIGHT_ERROR = 0.05
+"""Error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
+has an albedo that nobody knows."""
+
+BRIGHTEST = 0.9
+"""Albedo that hardly anything exceeds: a texel in shadow that does was taken for shaded wrongly."""
 
 SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
@@ -167,6 +180,7 @@ def texel_albedo(
         facing = np.clip(texels.normal @ light.axes.T, 0, None)
         share = wide / np.maximum(facing, 1e-3)
         unsure = (share > 0.02) & (share < 0.98) | _contested(scene, light, texels)
+        unsure |= (share < 0.98) & (albedo.max(1) > BRIGHTEST)[:, None]
         unsure &= facing * strength > 0.1
         edge = unsure.any(1) & ~metallic
     clipped = radiance.clipped.numpy()
@@ -177,8 +191,10 @@ def texel_albedo(
     albedo[coverage == 0] = reference.nearest_albedo(texels, coverage == 0)
     spread = _spread(linear, seen)
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
-    uncertainty = np.where(coverage > 0, np.hypot(spread, np.where(edge, 0.25, 0.05)), 1.0)
-    albedo = _smoothed(albedo, uncertainty, texels)
+    doubt = LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clip(1e-6)
+    known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
+    uncertainty = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
+    albedo = _evened(albedo, uncertainty, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
     return TexelAlbedo(
         albedo=albedo.astype(np.float32),
         coverage=coverage,
@@ -226,29 +242,46 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _smoothed(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
-    """Mean over neighbours of like albedo and orientation, the certain ones counting more.
+def _evened(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
+    """Albedo without what errors of mesh, light and shadow edges leave in it.
 
-    It evens out what views and shadow edges leave and keeps every edge of the texture that is
-    stronger than ALIKE.
+    Every texel is drawn towards the mean of its wider surroundings over what is like it, the
+    certain ones counting more. Errors of the light change brightness more than hue, so likeness
+    asks more of hue. The corrections, not the albedo, are then blurred: no error varies faster than
+    the mesh's do, and texture that is finer stays as the photographs have it.
     """
     points = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
-    # Every fourth texel stands for its surroundings: the atlas is finer than the photographs.
-    anchors = np.arange(0, len(points), 4)
-    tree = cKDTree(points[anchors])
-    distance, index = tree.query(points, k=24, distance_upper_bound=SMOOTH_REACH, eps=0.3)
-    near = np.isfinite(distance)
-    other = anchors[np.where(near, index, 0)]
-    certainty = 1 / (0.03 + uncertainty)
-    smooth = albedo
+    nodes = np.arange(0, len(points), NODE_STEP)
+    afar = np.arange(0, len(nodes), NODE_STEP)
+    distance, index = _nearest(points[nodes], points[nodes[afar]], 96, EVEN_REACH)
+    near, other = np.isfinite(distance), afar[index]
+    before = smooth = np.log(albedo[nodes])
+    doubt = uncertainty[nodes]
+    certainty = 1 / (0.03 + doubt)
+    wider = np.minimum(doubt, ALIKE_HUE)  # what is hardly known resembles more, but not everything
+    width = 1 / (2 * (np.array([ALIKE, ALIKE_HUE])[:, None] ** 2 + wider**2))
     for _ in range(2):
-        log = np.log(smooth)
-        apart = ((log[other] - log[:, None]) ** 2).sum(2)
-        weight = near * np.exp(-apart / (2 * ALIKE**2)) * certainty[other]
+        apart = smooth[other] - smooth[:, None]
+        grey = apart.mean(2)
+        hue = (apart**2).sum(2) - 3 * grey**2
+        weight = np.exp(-3 * grey**2 * width[0][:, None] - hue * width[1][:, None])
+        weight *= near * certainty[other]
         total = certainty + weight.sum(1)
-        around = np.einsum("nk,nkc->nc", weight, smooth[other])
-        smooth = (smooth * certainty[:, None] + around) / total[:, None]
-    return smooth
+        around = np.einsum("nk,nkc->nc", weight, np.exp(smooth)[other])
+        smooth = np.log((np.exp(smooth) * certainty[:, None] + around) / total[:, None])
+    distance, index = _nearest(points, points[nodes], 12, 3 * MESH_ERROR)
+    weight = np.exp(-(distance**2) / (2 * MESH_ERROR**2))
+    change = np.einsum("nk,nkc->nc", weight, (smooth - before)[index])
+    return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
+
+
+def _nearest(
+    points: Floats, among: Floats, count: int, reach: float
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
+    distance, index = cKDTree(among).query(points, count, eps=0.3, distance_upper_bound=reach)
+    missing = ~np.isfinite(distance)
+    return distance.astype(np.float32), np.where(missing, 0, index)
 
 
 class _Reference:

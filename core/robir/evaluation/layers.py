@@ -18,14 +18,18 @@ from robir.jobs.paths import JobPaths
 
 Array = NDArray[np.floating[Any]]
 
+SUB_PIXELS = 3
+"""Rays along either side of a pixel, odd: a layer holds means, as a renderer's passes do."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layers:
     """Images of one view; 0 where the camera misses the mesh.
 
     Attributes:
-        hit: (H, W) bool.
-        position: (H, W, 3), frame of the mesh.
+        hit: (H, W) bool, whether the ray through the pixel's centre meets the mesh.
+        position: (H, W, 3), where it does, frame of the mesh. The others are means over the part
+            of the pixel that shows the mesh.
         normal: (H, W, 3), unit, world.
         albedo_linear: (H, W, 3), linear Rec.709.
         roughness: (H, W), perceptual.
@@ -66,16 +70,31 @@ def view_layers(
     stack = np.concatenate([textures["albedo_linear"], textures["roughness"][..., None]], axis=-1)
     layers = []
     for camera in cameras:
-        seen = caster.cast(camera)
+        size = (SUB_PIXELS * camera.width, SUB_PIXELS * camera.height)
+        seen = caster.cast(camera.resized(*size))
         material = np.zeros((*seen.hit.shape, 4))
         material[seen.hit] = sample_texture(stack, seen.uv[seen.hit], inside)
+        centre = (slice(SUB_PIXELS // 2, None, SUB_PIXELS),) * 2
+        hit = seen.hit[centre]
+        share = np.maximum(_pixel_means(seen.hit[..., None].astype(float)), 1e-9)
+        normal = _pixel_means(seen.normal)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        material = _pixel_means(material) / share
+        normal[~hit], material[~hit] = 0.0, 0.0
         layers.append(
             Layers(
-                hit=seen.hit,
-                position=seen.position,
-                normal=seen.normal,
+                hit=hit,
+                position=seen.position[centre],
+                normal=normal,
                 albedo_linear=material[..., :3],
                 roughness=material[..., 3],
             )
         )
     return tuple(layers)
+
+
+def _pixel_means(image: Array) -> Array:
+    """Means over the sub-pixels of every pixel, (H, W, C)."""
+    height, width, channels = image.shape
+    side = SUB_PIXELS
+    return image.reshape(height // side, side, width // side, side, channels).mean(axis=(1, 3))
