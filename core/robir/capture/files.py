@@ -7,7 +7,7 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER
 from robir.capture.refusal import refuse
@@ -45,10 +45,11 @@ def load_json(path: Path) -> Any:
         ) from None
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a finite number of sane size, and no truth value."""
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    return good and abs(value) < MAX_NUMBER
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < MAX_NUMBER
 
 
 def head(path: Path, length: int = 65536) -> str:

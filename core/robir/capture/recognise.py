@@ -22,14 +22,21 @@ from robir.capture import (
 from robir.capture import masks as mask_files
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
+from robir.capture.coverage import check_coverage
+from robir.capture.exposure import check_brightness, check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
+from robir.capture.moving_light import check_moving_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
+
+_CHECKS = (check_place, check_coverage, check_sharpness, check_brightness, check_moving_light)
+"""What is looked at once the object's place is known."""
 
 
 def read_frames(source: Path) -> FrameSet:
@@ -153,6 +160,7 @@ def read_capture(
     frames = read_frames(source)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
+    findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
     if masks is None:
         masks = _folder_of_masks(frames)
@@ -174,7 +182,8 @@ def read_capture(
     findings += about
     if bounds is None:
         raise CaptureRefusedError(findings)
-    findings += check_place(views, bounds)
+    for check in _CHECKS:
+        findings += check(views, bounds)
     progress(1.0, "capture read")
     return Capture(
         source=source,

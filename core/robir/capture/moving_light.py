@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Light that moves with the camera: turntables and flashes.
+
+Two signs are looked for. On a turntable the poses say that the camera went round the object, yet
+what lies behind the object is the same in all photographs. And where light moves with the camera, a
+point of the object changes its brightness with the direction its surface faces in the picture,
+however fixed its reflectance is: the points are those of the visual hull, their brightness is taken
+relative to their own mean over the views, and a smooth function of the normal in the camera's frame
+(eight spherical harmonics, fitted to other points) is asked how much of the rest it explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from robir.capture.capture import Bounds, Finding, View
+from robir.capture.coverage import directions_to
+from robir.capture.exposure import harmonics
+from robir.capture.frames import Array
+from robir.capture.refusal import warning
+
+STATIC = 0.8
+"""Correlation of backgrounds above which they are the same picture."""
+
+MOVING = 0.2
+"""Share of a point's changes explained by its normal in the picture that gives the light away.
+
+Captures under fixed light reach 0.07 (median over points); renders with a lamp fixed to the camera
+reach 0.24 to 0.8 on convex objects.
+"""
+
+_GRID = 40
+_SIDE = 96
+"""Longer side of the pictures in which backgrounds are compared."""
+_APART = 20.0
+"""Degrees between two cameras from which their backgrounds have to differ."""
+_PAIRS = 60
+_POINTS = 1500
+_FRONTAL = 0.3
+"""Cosine to the view direction from which a hull's normal is worth something."""
+_SIGHTINGS = 6
+_STEPS = 0.08
+"""Steps of exposure that the moving light has to account for."""
+
+_BREAKS = (
+    "shadows and highlights turn with the camera, so that they end up in the base colour and "
+    "no single environment explains the photographs"
+)
+_CURE = "Leave object and lamps where they are and walk round the object, without flash."
+
+
+def check_moving_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
+    """Find light that moves with the camera.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        At most one finding.
+    """
+    likeness = background_likeness(views, bounds)
+    if likeness is not None and likeness > STATIC:
+        message = (
+            "The poses go round the object, but the background stays the same in the picture "
+            f"(correlation {likeness:.2f}): it was turned before a camera at rest; {_BREAKS}"
+        )
+        return [warning("turntable", message, _CURE, likeness=round(likeness, 3))]
+    light = light_of_camera(views, bounds)
+    if light is None or light.share < MOVING or light.steps < _STEPS:
+        return []
+    kind = "as a flash does" if light.off_axis < 25 else "as on a turntable or with a carried lamp"
+    return [
+        warning(
+            "moving-light",
+            f"The light moves with the camera, {kind} (where a surface faces in the picture "
+            f"explains {100 * light.share:.0f} % of a point's changes): {_BREAKS}",
+            _CURE,
+            share=round(light.share, 3),
+            off_axis_degrees=round(light.off_axis, 1),
+        )
+    ]
+
+
+def background_likeness(views: Sequence[View], bounds: Bounds) -> float | None:
+    """Median correlation of the backgrounds of views from different directions.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        Correlation in [-1, 1] of what is finer than a tenth of the picture, so that vignetting
+        and plain walls do not count; None if no background has detail, or no views are apart.
+    """
+    if len({(view.camera.width, view.camera.height) for view in views}) > 1:
+        return None
+    directions = directions_to(views, bounds)
+    first, second = np.nonzero(np.triu(directions @ directions.T < np.cos(np.radians(_APART)), 1))
+    if len(first) == 0:
+        return None
+    chosen = np.linspace(0, len(first) - 1, min(_PAIRS, len(first))).astype(int)
+    details, behind = zip(*(_background(view) for view in views), strict=True)
+    found = []
+    for one, other in zip(first[chosen], second[chosen], strict=True):
+        common = behind[one] & behind[other]
+        a, b = details[one][common], details[other][common]
+        if common.mean() < 0.15 or min(a.std(), b.std()) < 3.0:
+            continue
+        found.append(float(np.corrcoef(a, b)[0, 1]))
+    return float(np.median(found)) if len(found) >= 0.5 * len(chosen) else None
+
+
+def _background(view: View) -> tuple[Array, NDArray[np.bool_]]:
+    """Fine detail of a small grey picture, and where it is certainly no object."""
+    step = max(1, max(view.mask.shape) // _SIDE)
+    height, width = (size // step * step for size in view.mask.shape)
+
+    def blocks(layer: Array) -> Array:
+        return (
+            layer[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
+        )
+
+    grey = blocks(view.image_display.mean(axis=2, dtype=np.float64))
+    behind = ndimage.binary_erosion(blocks(view.mask.astype(np.float64)) < 1, iterations=2)
+    # The object must not bleed into the detail around it.
+    weight = ndimage.gaussian_filter(behind.astype(np.float64), 0.1 * _SIDE)
+    smooth = ndimage.gaussian_filter(np.where(behind, grey, 0.0), 0.1 * _SIDE)
+    return grey - smooth / np.maximum(weight, 1e-6), behind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraLight:
+    """What light fixed to the camera explains.
+
+    Attributes:
+        share: Median over points of the share of their changes it explains, at most 1.
+        steps: Standard deviation of the brightness it accounts for, in steps.
+        off_axis: Degrees between the brightest normal and the viewing axis.
+    """
+
+    share: float
+    steps: float
+    off_axis: float
+
+
+def light_of_camera(views: Sequence[View], bounds: Bounds) -> CameraLight | None:
+    """Explain changes of brightness by the normal in the camera's frame.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        What it explains, or None if too few points are seen often enough.
+    """
+    brightness, normals = _sightings(views, bounds)
+    often = np.isfinite(brightness).sum(axis=1) >= _SIGHTINGS
+    brightness, normals = brightness[often], normals[often]
+    count = len(brightness)
+    if count < 50:
+        return None
+    point, view = np.nonzero(np.isfinite(brightness))
+    sightings = np.bincount(point, minlength=count)
+
+    def centred(values: Array) -> Array:
+        return values - (np.bincount(point, values, minlength=count) / sightings)[point]
+
+    change = brightness - np.nanmedian(brightness, axis=1, keepdims=True)
+    changes = centred(np.clip(change[point, view], -1.5, 1.5))
+    terms = harmonics(normals[point, view])[:, 1:]
+    features = np.stack([centred(term) for term in terms.T], axis=1)
+    rest = np.empty_like(changes)
+    for fold in range(5):
+        mine = point % 5 == fold
+        weights = np.linalg.lstsq(features[~mine], changes[~mine], rcond=None)[0]
+        rest[mine] = changes[mine] - features[mine] @ weights
+    before = np.bincount(point, changes**2, minlength=count)
+    after = np.bincount(point, rest**2, minlength=count)
+    weights = np.linalg.lstsq(features, changes, rcond=None)[0]
+    return CameraLight(
+        share=float(np.median(1 - after / np.maximum(before, 1e-9))),
+        steps=float((features @ weights).std()),
+        off_axis=_brightest(weights),
+    )
+
+
+def _brightest(weights: Array) -> float:
+    """Degrees from the viewing axis to the normal that the fit makes brightest."""
+    tilt, turn = np.meshgrid(np.linspace(0.0, 1.2, 13), np.linspace(0.0, 2 * np.pi, 24))
+    faces = np.stack(
+        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=-1
+    ).reshape(-1, 3)
+    return float(np.degrees(tilt.ravel()[np.argmax(harmonics(faces)[:, 1:] @ weights)]))
+
+
+def _sightings(views: Sequence[View], bounds: Bounds) -> tuple[Array, Array]:
+    """Brightness in steps (P, V), NaN where unseen, and camera-frame normals (P, V, 3)."""
+    inside = _hull(views, bounds)
+    half = bounds.radius / _GRID
+    cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
+    cells = cells[:: max(1, len(cells) // _POINTS)]
+    slope = np.gradient(ndimage.gaussian_filter(inside.astype(np.float64), 1.5))
+    normals = -np.stack([part[tuple(cells.T)] for part in slope], axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    points = bounds.centre + half * (2 * cells + 1 - _GRID)
+    brightness = np.full((len(points), len(views)), np.nan)
+    turned = np.zeros((len(points), len(views), 3))
+    for number, view in enumerate(views):
+        turned[:, number] = normals @ view.camera.camera_to_world[:3, :3]
+        towards = view.camera.position - points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        seen = (normals * towards).sum(axis=1) > _FRONTAL
+        for step in np.arange(2.5, 0.75 * _GRID):
+            along = np.rint(cells + step * towards).astype(np.int64)
+            within = ((along >= 0) & (along < _GRID)).all(axis=1)
+            seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
+        row, column, framed = _pixels(view, points)
+        seen &= framed & (view.mask[row, column] >= 250)
+        grey = ((view.image_display / 255.0) ** 2.2).mean(axis=2)
+        grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
+        brightness[seen, number] = np.log2(grey[row, column][seen] + 0.02)
+    return brightness, turned
+
+
+def _pixels(view: View, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Row and column of points, and whether they are in the picture."""
+    camera = view.camera
+    pixels, depth = camera.project(points)
+    framed = (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    limits = (camera.width - 1, camera.height - 1)
+    column, row = np.clip(pixels, 0, limits).astype(np.int64).T
+    return row, column, framed
+
+
+def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
+    """Cells of a cube about the sphere that at most a twentieth of the masks call background."""
+    ticks = np.linspace(-1 + 1 / _GRID, 1 - 1 / _GRID, _GRID) * bounds.radius
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    seen, against = np.zeros(len(grid)), np.zeros(len(grid))
+    for view in views:
+        row, column, framed = _pixels(view, grid + bounds.centre)
+        seen += framed
+        against += framed & (view.mask[row, column] < 64)
+    kept = (seen >= 0.25 * len(views)) & (against <= 0.05 * seen)
+    return kept.reshape(_GRID, _GRID, _GRID)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photographs that are blurred at the object, told by comparison with their neighbours.
+
+Sharpness is the ratio of fine to coarser gradients well inside the mask,
+
+    q^2 = mean |grad (G_a * I)|^2 / mean |grad (G_b * I)|^2,   a = 0.5 pixels, b = 1.5 pixels,
+
+with G_s a Gaussian of s pixels. How much texture a side of the object has cancels, so that a plain
+side does not pass for a blurred one. Measured at the size that is used, at which slight blur of a
+large photograph does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from robir.capture.capture import Bounds, Finding, View
+from robir.capture.coverage import directions_to
+from robir.capture.frames import Array
+from robir.capture.refusal import warning
+
+BLURRED = 0.78
+"""Ratio to the neighbours' sharpness below which a photograph counts as blurred.
+
+Sharp photographs of 28 captures reach 0.84 and more; blurred by a Gaussian of 2.5 pixels, at most
+0.75.
+"""
+
+_FINE, _COARSE = 0.5, 1.5
+_MARGIN = 4
+"""Pixels from the mask's edge that are left out: the silhouette is always sharp."""
+_LEAST = 200
+_NEIGHBOURS = 8
+
+
+def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
+    """Find photographs much less sharp at the object than those from similar directions.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        At most one finding.
+    """
+    values = np.array([sharpness(view) for view in views])
+    measured = [i for i, value in enumerate(values) if np.isfinite(value)]
+    if len(measured) <= _NEIGHBOURS // 2:
+        return []
+    directions, values = directions_to(views, bounds)[measured], values[measured]
+    near = np.argsort(-(directions @ directions.T), axis=1)[:, 1 : _NEIGHBOURS + 1]
+    ratios = values / np.median(values[near], axis=1)
+    blurred = sorted((ratios[i], views[measured[i]].name) for i in np.flatnonzero(ratios < BLURRED))
+    if not blurred:
+        return []
+    return [
+        warning(
+            "blurred",
+            f"{len(blurred)} of {len(views)} photographs are much less sharp at the object than "
+            "those from similar directions",
+            "Leave them out or take them again: a faster shutter, a tripod, the focus on the "
+            "object.",
+            *(name for _, name in blurred),
+            sharpness=[round(float(ratio), 3) for ratio, _ in blurred],
+        )
+    ]
+
+
+def sharpness(view: View) -> float:
+    """Ratio of fine to coarser gradients inside the mask, NaN where the mask is too small."""
+    inside = ndimage.binary_erosion(view.mask >= 250, iterations=_MARGIN)
+    if inside.sum() < _LEAST:
+        return float("nan")
+    grey: Array = view.image_display.mean(axis=2, dtype=np.float64)
+
+    def energy(size: float) -> float:
+        down, right = np.gradient(ndimage.gaussian_filter(grey, size))
+        return float((down**2 + right**2)[inside].mean())
+
+    # A little of the coarse keeps a side without any texture from dividing by nothing.
+    return float(np.sqrt(energy(_FINE) / (energy(_COARSE) + 0.05)))
