@@ -20,9 +20,10 @@ from scipy import ndimage
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.coverage import directions_to
-from robir.capture.exposure import harmonics
+from robir.capture.exposure import check_brightness, harmonics
 from robir.capture.frames import Array
 from robir.capture.refusal import warning
+from robir.capture.sightings import Sightings, sight
 
 STATIC = 0.8
 """Correlation of backgrounds above which they are the same picture."""
@@ -34,15 +35,11 @@ Captures under fixed light reach 0.07 (median over points); renders with a lamp 
 reach 0.24 to 0.8 on convex objects.
 """
 
-_GRID = 40
 _SIDE = 96
 """Longer side of the pictures in which backgrounds are compared."""
 _APART = 20.0
 """Degrees between two cameras from which their backgrounds have to differ."""
 _PAIRS = 60
-_POINTS = 1500
-_FRONTAL = 0.3
-"""Cosine to the view direction from which a hull's normal is worth something."""
 _SIGHTINGS = 6
 _STEPS = 0.08
 """Steps of exposure that the moving light has to account for."""
@@ -54,8 +51,8 @@ _BREAKS = (
 _CURE = "Leave object and lamps where they are and walk round the object, without flash."
 
 
-def check_moving_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
-    """Find light that moves with the camera.
+def check_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
+    """Find light that moves with the camera, or else changes between photographs.
 
     Args:
         views: Photographs with masks.
@@ -71,9 +68,10 @@ def check_moving_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
             f"(correlation {likeness:.2f}): it was turned before a camera at rest; {_BREAKS}"
         )
         return [warning("turntable", message, _CURE, likeness=round(likeness, 3))]
-    light = light_of_camera(views, bounds)
+    sightings = sight(views, bounds)
+    light = light_of_camera(sightings)
     if light is None or light.share < MOVING or light.steps < _STEPS:
-        return []
+        return check_brightness(views, bounds, sightings)
     kind = "as a flash does" if light.off_axis < 25 else "as on a turntable or with a carried lamp"
     return [
         warning(
@@ -149,27 +147,25 @@ class CameraLight:
     off_axis: float
 
 
-def light_of_camera(views: Sequence[View], bounds: Bounds) -> CameraLight | None:
+def light_of_camera(sightings: Sightings) -> CameraLight | None:
     """Explain changes of brightness by the normal in the camera's frame.
 
     Args:
-        views: Photographs with masks.
-        bounds: The object's sphere.
+        sightings: Points of the object in all photographs.
 
     Returns:
         What it explains, or None if too few points are seen often enough.
     """
-    brightness, normals = _sightings(views, bounds)
-    often = np.isfinite(brightness).sum(axis=1) >= _SIGHTINGS
-    brightness, normals = brightness[often], normals[often]
+    seen = sightings.of(np.isfinite(sightings.brightness).sum(axis=1) >= _SIGHTINGS)
+    brightness, normals = seen.brightness, seen.normals
     count = len(brightness)
     if count < 50:
         return None
     point, view = np.nonzero(np.isfinite(brightness))
-    sightings = np.bincount(point, minlength=count)
+    times = np.bincount(point, minlength=count)
 
     def centred(values: Array) -> Array:
-        return values - (np.bincount(point, values, minlength=count) / sightings)[point]
+        return values - (np.bincount(point, values, minlength=count) / times)[point]
 
     change = brightness - np.nanmedian(brightness, axis=1, keepdims=True)
     changes = centred(np.clip(change[point, view], -1.5, 1.5))
@@ -197,55 +193,3 @@ def _brightest(weights: Array) -> float:
         [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=-1
     ).reshape(-1, 3)
     return float(np.degrees(tilt.ravel()[np.argmax(harmonics(faces)[:, 1:] @ weights)]))
-
-
-def _sightings(views: Sequence[View], bounds: Bounds) -> tuple[Array, Array]:
-    """Brightness in steps (P, V), NaN where unseen, and camera-frame normals (P, V, 3)."""
-    inside = _hull(views, bounds)
-    half = bounds.radius / _GRID
-    cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
-    cells = cells[:: max(1, len(cells) // _POINTS)]
-    slope = np.gradient(ndimage.gaussian_filter(inside.astype(np.float64), 1.5))
-    normals = -np.stack([part[tuple(cells.T)] for part in slope], axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    points = bounds.centre + half * (2 * cells + 1 - _GRID)
-    brightness = np.full((len(points), len(views)), np.nan)
-    turned = np.zeros((len(points), len(views), 3))
-    for number, view in enumerate(views):
-        turned[:, number] = normals @ view.camera.camera_to_world[:3, :3]
-        towards = view.camera.position - points
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        seen = (normals * towards).sum(axis=1) > _FRONTAL
-        for step in np.arange(2.5, 0.75 * _GRID):
-            along = np.rint(cells + step * towards).astype(np.int64)
-            within = ((along >= 0) & (along < _GRID)).all(axis=1)
-            seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
-        row, column, framed = _pixels(view, points)
-        seen &= framed & (view.mask[row, column] >= 250)
-        grey = ((view.image_display / 255.0) ** 2.2).mean(axis=2)
-        grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
-        brightness[seen, number] = np.log2(grey[row, column][seen] + 0.02)
-    return brightness, turned
-
-
-def _pixels(view: View, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Row and column of points, and whether they are in the picture."""
-    camera = view.camera
-    pixels, depth = camera.project(points)
-    framed = (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
-    limits = (camera.width - 1, camera.height - 1)
-    column, row = np.clip(pixels, 0, limits).astype(np.int64).T
-    return row, column, framed
-
-
-def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
-    """Cells of a cube about the sphere that at most a twentieth of the masks call background."""
-    ticks = np.linspace(-1 + 1 / _GRID, 1 - 1 / _GRID, _GRID) * bounds.radius
-    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen, against = np.zeros(len(grid)), np.zeros(len(grid))
-    for view in views:
-        row, column, framed = _pixels(view, grid + bounds.centre)
-        seen += framed
-        against += framed & (view.mask[row, column] < 64)
-    kept = (seen >= 0.25 * len(views)) & (against <= 0.05 * seen)
-    return kept.reshape(_GRID, _GRID, _GRID)

@@ -23,10 +23,10 @@ from robir.capture import masks as mask_files
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
-from robir.capture.exposure import check_brightness, check_settings
+from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
-from robir.capture.moving_light import check_moving_light
+from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.sharpness import check_sharpness
@@ -35,7 +35,7 @@ from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
 
-_CHECKS = (check_place, check_coverage, check_sharpness, check_brightness, check_moving_light)
+_CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
 
 
