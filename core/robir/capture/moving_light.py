@@ -36,7 +36,9 @@ reach 0.24 to 0.8 on convex objects.
 """
 
 _SIDE = 96
-"""Longer side of the pictures in which backgrounds are compared."""
+"""Longer side of the pictures in which backgrounds are compared, at most twice this."""
+_DETAIL = 2.5
+"""Pixels of those pictures up to which something is detail; vignetting is no detail."""
 _APART = 20.0
 """Degrees between two cameras from which their backgrounds have to differ."""
 _PAIRS = 60
@@ -93,8 +95,8 @@ def background_likeness(views: Sequence[View], bounds: Bounds) -> float | None:
         bounds: The object's sphere.
 
     Returns:
-        Correlation in [-1, 1] of what is finer than a tenth of the picture, so that vignetting
-        and plain walls do not count; None if no background has detail, or no views are apart.
+        Correlation in [-1, 1] of fine detail, so that vignetting and plain walls do not count;
+        None if no background has detail, or no views are apart.
     """
     if len({(view.camera.width, view.camera.height) for view in views}) > 1:
         return None
@@ -127,8 +129,8 @@ def _background(view: View) -> tuple[Array, NDArray[np.bool_]]:
     grey = blocks(view.image_display.mean(axis=2, dtype=np.float64))
     behind = ndimage.binary_erosion(blocks(view.mask.astype(np.float64)) < 1, iterations=2)
     # The object must not bleed into the detail around it.
-    weight = ndimage.gaussian_filter(behind.astype(np.float64), 0.1 * _SIDE)
-    smooth = ndimage.gaussian_filter(np.where(behind, grey, 0.0), 0.1 * _SIDE)
+    weight = ndimage.gaussian_filter(behind.astype(np.float64), _DETAIL)
+    smooth = ndimage.gaussian_filter(np.where(behind, grey, 0.0), _DETAIL)
     return grey - smooth / np.maximum(weight, 1e-6), behind
 
 
