@@ -84,6 +84,17 @@ def test_a_plain_side_is_not_blurred(sunlit):
     assert check_sharpness(views, BOUNDS) == []
 
 
+def test_glitter_on_other_sides_is_no_blur(sunlit):
+    """Noise in the neighbours makes a sharp photograph less sharp than they are, not blurred."""
+    noise = np.random.default_rng(0)
+    views = []
+    for i, view in enumerate(sunlit):
+        grain = noise.integers(-60, 61, view.image_display.shape) * (i != 9)
+        image = np.clip(view.image_display.astype(int) + grain, 0, 255).astype(np.uint8)
+        views.append(replace(view, image_display=image))
+    assert check_sharpness(views, BOUNDS) == []
+
+
 def test_changed_exposure_is_measured(sunlit):
     steps = np.random.default_rng(4).uniform(-0.5, 0.5, len(sunlit))
     steps[7] = -1.2
