@@ -6,17 +6,17 @@ hard link to the original, the truth always is. Exposure and tone curve start fr
 radiance that the truth keeps. Evaluation goes by the test views' truth, so their cameras and size
 are never touched; their pictures are, where a user's whole set of photographs would be.
 
-| factor       | value                                   | what happens                              |
-|--------------|-----------------------------------------|-------------------------------------------|
-| `views`      | number                                  | that many training views, far apart       |
-| `pose noise` | degrees                                 | cameras turn about themselves             |
-| `mask`       | "dilate PX", "erode PX", "holes N"      | alpha grows, shrinks or gets N holes      |
-| `exposure`   | stops                                   | all pictures brighter or darker           |
-| `jitter`     | stops                                   | each picture its own exposure             |
-| `tone`       | name of a family                        | another tone curve                        |
-| `resolution` | pixels                                  | width of the training pictures            |
-| `jpeg`       | quality 1..95                           | pictures go through a JPEG                |
-| `noise`      | standard deviation of display values    | Gaussian noise                            |
+| factor       | value                                   | what happens |
+|--------------|-----------------------------------------|-----------------------------------------|
+| `views`      | number                                  | that many training views, far apart |
+| `pose noise` | degrees                                 | cameras turn about themselves |
+| `mask`       | "dilate PX", "erode PX", "holes N"      | alpha grows, shrinks or gets N holes |
+| `exposure`   | stops                                   | all pictures brighter or darker |
+| `jitter`     | stops                                   | each picture its own exposure |
+| `tone`       | name of a family                        | another tone curve |
+| `resolution` | pixels                                  | width of the training pictures |
+| `jpeg`       | quality 1..95                           | pictures go through a JPEG |
+| `noise`      | standard deviation of display values    | Gaussian noise |
 """
 
 from __future__ import annotations
@@ -117,9 +117,7 @@ def keep_views(photographs: Photographs, count: float, rng: np.random.Generator)
     )
 
 
-def turn_cameras(
-    photographs: Photographs, degrees: float, rng: np.random.Generator
-) -> Photographs:
+def turn_cameras(photographs: Photographs, degrees: float, rng: np.random.Generator) -> Photographs:
     """Each camera turned about its own centre; the angles' root mean square is `degrees`."""
     frames = []
     for frame in photographs.table["frames"]:
@@ -193,7 +191,7 @@ def add_noise(photographs: Photographs, deviation: float, rng: np.random.Generat
     """Gaussian noise on the display values of the object."""
 
     def change(picture: Picture) -> Picture:
-        noise = 255 * deviation * rng.standard_normal(picture.shape[:2] + (3,))
+        noise = 255 * deviation * rng.standard_normal((*picture.shape[:2], 3))
         noisy = np.clip(np.rint(picture[..., :3] + noise), 0, 255)
         codes = np.where(picture[..., 3:] > 0, noisy, picture[..., :3]).astype(np.uint8)
         return np.dstack([codes, picture[..., 3]])

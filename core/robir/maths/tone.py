@@ -2,7 +2,8 @@
 """Tone curve families, from linear Rec.709 radiance to sRGB display codes and back: the one door.
 
 `families()` lists the candidates, simplest first; `curve_from_name` rebuilds one from what
-tone_curve.json holds, and knows the sigmoid that only comparisons use. See tone_curve.py for the conventions all of them share.
+tone_curve.json holds, and knows the sigmoid that only comparisons use. See tone_curve.py for the
+conventions all of them share.
 """
 
 from __future__ import annotations
