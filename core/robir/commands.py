@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, UsageError
-from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.presets import PRESETS
 
 if TYPE_CHECKING:
@@ -40,8 +40,18 @@ def reconstruct(options: Namespace) -> int:
             is_resume=options.resume,
         )
         run(request, display, load_stages())
+    if options.progress != "json":
+        _say_trust(JobPaths(options.out))
     print(options.out.resolve())
     return 0
+
+
+def _say_trust(paths: JobPaths) -> None:
+    """Say on standard error how the program's own quality check ended."""
+    if paths.report_json.exists():
+        is_trusted = read_json(paths.report_json)["trust"]["is_trusted"]
+        doubt = f"quality check failed: see the warnings, or {paths.report}"
+        print("quality check passed" if is_trusted else doubt, file=sys.stderr)
 
 
 def check(options: Namespace) -> int:
