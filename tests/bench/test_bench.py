@@ -86,6 +86,17 @@ def test_a_sweep_runs_the_captures_as_they_are_and_then_every_value(tmp_path):
     assert len({run.name for run in planned}) == 8
 
 
+def test_a_sweep_takes_captures_rendered_otherwise(tmp_path):
+    entry = '[[rendered]]\nof = "a"\nfactor = "ground"\nvalue = "none"\ncapture = "c"\n'
+    planned = read_sweep(write_plan(tmp_path, f'captures = ["a", "b"]\n{entry}'), tmp_path)
+    assert [run.capture.name for run in planned] == ["a", "b", "c"]
+    facts = planned[-1].facts
+    assert (facts["capture"], facts["factor"], facts["value"]) == ("a", "ground", "none")
+    text = f'captures = ["b"]\n{entry}'
+    with pytest.raises(ConfigError, match="'a' is none of the captures"):
+        read_sweep(write_plan(tmp_path, text), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -107,6 +118,7 @@ def test_wrong_plans_are_refused_in_words(tmp_path, text, words):
     [
         ('captures = ["a"]', "factors is missing"),
         ('captures = ["a"]\n[factors]\nfog = [1]', "'fog' is unknown; known: views"),
+        ('captures = ["a"]\n[[rendered]]\nof = "a"\nvalue = "x"', "lacks factor"),
         ('captures = ["a"]\n[factors]\nviews = ["few"]', "'few' is not a number of views"),
     ],
 )
@@ -226,9 +238,8 @@ def test_a_budget_leaves_runs_for_the_next_call(tmp_path, robir, capture, monkey
 
 
 def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
-    plan = write_plan(
-        tmp_path, f'captures = ["{capture}"]\n[factors]\nviews = [1]\nnoise = [0.1]\njpeg = [90]'
-    )
+    factors = "views = [1]\nnoise = [0.1]\njpeg = [90]"
+    plan = write_plan(tmp_path, f'captures = ["{capture}"]\n[factors]\n{factors}')
     out = tmp_path / "out"
     assert cli.main(["stability", str(plan), "-o", str(out)]) == 0  # a refusal is no bug
     page = Path(capsys.readouterr().out.strip())
@@ -243,6 +254,15 @@ def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
     assert (out / "captures" / "good_noise_0.1_s0" / "truth" / "mesh.ply").samefile(
         capture / "truth" / "mesh.ply"
     )
+
+
+def test_a_capture_that_cannot_be_spoilt_stops_nothing(tmp_path, robir):
+    plan = write_plan(tmp_path, 'captures = ["nowhere"]\n[factors]\njpeg = [90]')
+    carry_out(read_sweep(plan, tmp_path / "out")[1:], tmp_path / "out", None, lambda _line: None)
+    (record,) = read_scores(tmp_path / "out").values()
+    assert record["exit_code"] == 3
+    assert "cannot be spoilt" in record["error"]
+    assert not robir.commands
 
 
 def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):

@@ -11,12 +11,18 @@ settings = ["export.renders=false"]
 views = [10, 5]
 "pose noise" = [0.3, 1.0]
 mask = ["dilate 2", "holes 6"]
+
+[[rendered]]               # what only another render can change: a capture beside one of the above
+of = "captures/truck-filmic"
+factor = "ground"
+value = "none"
+capture = "captures/truck-noground"
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -75,6 +81,41 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RenderedEntry:
+    """One entry `[[rendered]]` of a sweep's plan.
+
+    Attributes:
+        of: Capture of the plan that it is compared with.
+        factor: What differs.
+        value: How.
+        capture: Folder of the other capture with truth, relative to the plan's folder.
+    """
+
+    of: str
+    factor: str
+    value: str
+    capture: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendered:
+    """A value of a factor that needed a render of its own.
+
+    Attributes:
+        source: Capture it is compared with.
+        factor: Name for people.
+        label: Value for people.
+    """
+
+    source: Path
+    factor: str
+    label: str
+
+    def make(self, out: Path, seed: int) -> None:
+        """Nothing: the capture is there, or the run says that it is not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRun:
     """One result of a bench.
 
@@ -84,7 +125,7 @@ class BenchRun:
         method: Name in METHODS.
         seed: Seed.
         settings: Items for `--set`, those of the method last.
-        perturbation: How to make the capture where it is one made worse, else None.
+        perturbation: What sets the capture apart where it is one made worse, else None.
     """
 
     capture: Path
@@ -92,7 +133,7 @@ class BenchRun:
     method: str
     seed: int
     settings: tuple[str, ...]
-    perturbation: Perturbation | None = None
+    perturbation: Perturbation | Rendered | None = None
 
     @property
     def name(self) -> str:
@@ -136,8 +177,8 @@ def read_sweep(path: Path, out: Path) -> list[BenchRun]:
         ConfigError: As `read_plan`, or if there are no factors or their values are wrong.
     """
     table = dict(read_toml(path))
-    factors = table.pop("factors", None)
-    if not isinstance(factors, Mapping) or not factors:
+    factors, rendered = table.pop("factors", {}), table.pop("rendered", [])
+    if not isinstance(factors, Mapping) or not (factors or rendered):
         raise ConfigError(f"{path}: factors is missing; give a table [factors] of lists of values")
     whole = list(_runs(path, table))
     spoilt = [
@@ -146,7 +187,8 @@ def read_sweep(path: Path, out: Path) -> list[BenchRun]:
         for value in (values if isinstance(values, list) else [values])
         for run in whole
     ]
-    return whole + spoilt
+    entries = [_entry(path, entry) for entry in rendered]
+    return whole + spoilt + [run for entry in entries for run in _rendered(path, entry, whole)]
 
 
 def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
@@ -175,3 +217,20 @@ def _spoilt(run: BenchRun, factor: str, value: Any, captures: Path) -> BenchRun:
     words = (run.capture.name, factor, perturbation.label, f"s{run.seed}")
     folder = captures / "_".join(words).replace(" ", "-")
     return replace(run, capture=folder.resolve(), perturbation=perturbation)
+
+
+def _entry(path: Path, table: Mapping[str, Any]) -> RenderedEntry:
+    missing = [field.name for field in fields(RenderedEntry) if field.name not in table]
+    if missing:
+        raise ConfigError(f"{path}: an entry [[rendered]] lacks {missing[0]}")
+    return settings_from_table(RenderedEntry, table, f"{path}: rendered")
+
+
+def _rendered(path: Path, entry: RenderedEntry, whole: list[BenchRun]) -> list[BenchRun]:
+    source = (path.parent / entry.of).resolve()
+    runs = [run for run in whole if run.capture == source]
+    if not runs:
+        raise ConfigError(f"{path}: rendered: {entry.of!r} is none of the captures; list it there")
+    mark = Rendered(source=source, factor=entry.factor, label=entry.value)
+    capture = (path.parent / entry.capture).resolve()
+    return [replace(run, capture=capture, perturbation=mark) for run in runs]

@@ -78,12 +78,12 @@ def carry_out(
 
 def _record(run: BenchRun, folder: Path) -> Record:
     out = result_folder(run, folder)
-    if run.perturbation is not None:
-        run.perturbation.make(run.capture, run.seed)
-    _borrow_stages(run, folder, out)
     try:
+        if run.perturbation is not None:
+            run.perturbation.make(run.capture, run.seed)
+        _borrow_stages(run, folder, out)
         held_out = _textured(run, out) if run.method == PHOTO else _reconstructed(run, out)
-    except _RunError as error:
+    except RobirError as error:
         return run.facts | {"error": str(error), "exit_code": error.exit_code}
     judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
     if judged.returncode != 0:
@@ -133,10 +133,7 @@ def _textured(run: BenchRun, out: Path) -> Record:
     if missing:
         raise _RunError(f"the whole method left no {missing[0]} to start from", 1)
     before = Usage.now()
-    try:
-        scores = texture_photographs(paths, _config(run))
-    except RobirError as error:
-        raise _RunError(str(error), error.exit_code) from error
+    scores = texture_photographs(paths, _config(run))
     about = read_json(paths.run)
     about["seconds"] = {stage: about["seconds"][stage] for stage in STAGES_SHARED}
     about["seconds"]["appearance"] = Usage.now().seconds_since(before)
