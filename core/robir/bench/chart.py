@@ -11,6 +11,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
 from robir.bench.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
 from robir.bench.table import Record, value
@@ -109,6 +110,8 @@ def _draw_panel(
     if score.best == "one":
         axes.axhline(1.0, color="#9aa5b1", linewidth=0.8)
     axes.set_xscale("log")
+    for setter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        setter(StrMethodFormatter("{x:.0f}"))
     axes.set_xlabel("CPU seconds")
     axes.set_title({"high": "higher is better", "low": "lower is better", "one": "1 is best"}[
         score.best

@@ -108,7 +108,7 @@ def heat_map(found: Sequence[Case]) -> str:
         figure = Figure(figsize=size, layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         lost = [[cell[0] for cell in line] for line in cells]
-        _draw_heat(left, lost, "albedo lost (dB)", (-1.0, 8.0), "YlOrRd")
+        _draw_heat(left, lost, "albedo lost (dB)", (-1.0, 10.0), "OrRd")
         shadow = [[cell[1] for cell in line] for line in cells]
         _draw_heat(right, shadow, "shadow ratio (1 is best)", (0.0, 2.0), "PuOr")
         for axes in (left, right):
@@ -204,7 +204,7 @@ def _draw_heat(
     palette: str,
 ) -> None:
     image = np.array([[np.nan if n is None else n for n in line] for line in numbers], float)
-    axes.imshow(image, aspect="auto", vmin=limits[0], vmax=limits[1], cmap=palette, alpha=0.75)
+    axes.imshow(image, aspect="auto", vmin=limits[0], vmax=limits[1], cmap=palette, alpha=0.65)
     axes.set_title(title, fontsize=9)
     digits = 1 if limits[1] > 2 else 2
     for (y, x), number in np.ndenumerate(image):
