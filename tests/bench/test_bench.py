@@ -248,7 +248,7 @@ def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
     assert "| noise | 0.1 | 9.0 | 1.00 | 0 of 1 |" in table
     assert "| jpeg | 90 | 0.0 |" in table
     assert "exit code 3: robir: no masks" in table
-    # the refused run and the noisy one, 9 dB below the median of 22, 22 and 13
+    # the refused run and the noisy one, 9 dB below the unperturbed one
     assert "Of 2 wrong ones" in table
     assert "the program told 2; of 2 sound ones it doubted 0" in table
     assert (out / "captures" / "good_noise_0.1_s0" / "truth" / "mesh.ply").samefile(

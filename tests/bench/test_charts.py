@@ -123,15 +123,12 @@ def test_what_was_told_is_the_error_the_warnings_or_the_trust():
     assert told(record(trust=None)) == []
 
 
-def test_vigilance_counts_against_the_scene_s_median():
-    sound = [record(value_) for value_ in (22.0, 21.0, 22.5, 20.0)]
-    spoilt = [record(15.0, trusted=False), record(15.5), record(16.5, trusted=False), failure()]
-    # the median of the seven scored runs is 20: only those below 14 are wrong
-    assert vigilance(sound + spoilt) == {"wrong": 1, "told": 1, "sound": 7, "alarms": 2}
-    worse = [record(13.9, trusted=False), record(13.0)]
-    # with two more the median is 18.25: wrong are those below 12.25, so none of the scored
-    assert vigilance(sound + spoilt + worse)["wrong"] == 1
-    more = [*sound, *sound, *spoilt, *worse]
-    assert vigilance(more) == {"wrong": 3, "told": 2, "sound": 11, "alarms": 2}
-    other = record(9.0) | {"capture": "b"}
-    assert vigilance([*more, other])["wrong"] == 3
+def test_vigilance_counts_against_the_unperturbed_runs():
+    sound = [record(value_) for value_ in (22.0, 21.0, 20.0)]  # their median is 21
+    noisy = {"factor": "noise", "value": "1"}
+    spoilt = [record(14.9, trusted=False, **noisy), record(14.5, **noisy)]
+    spoilt += [record(15.1, trusted=False, **noisy), record(19.0, **noisy), failure()]
+    assert vigilance(sound + spoilt) == {"wrong": 3, "told": 2, "sound": 5, "alarms": 1}
+    elsewhere = record(9.0, **noisy) | {"capture": "b"}
+    unjudged = record(9.0, trust=None, **noisy)
+    assert vigilance([*sound, *spoilt, elsewhere, unjudged])["wrong"] == 3

@@ -18,7 +18,7 @@ from robir.bench.scores import ALBEDO, SHADOW
 from robir.bench.table import Record, Table, value
 
 MISLED_DECIBEL = 6.0
-"""A run whose albedo is this far below its scene's median counts as wrong."""
+"""A run whose albedo is this far below the median of its scene's unperturbed runs is wrong."""
 
 _KEYS = ("capture", "preset", "method", "seed")
 
@@ -163,22 +163,33 @@ def vigilance(records: Iterable[Record]) -> dict[str, int]:
         those flagged).
     """
     everything = [r for r in records if "error" in r or r.get("trust") is not None]
-    scored = [r for r in everything if "scores" in r]
-    by_scene = {
-        scene: median(value(ALBEDO, r) or 0.0 for r in scored if r["capture"] == scene)
-        for scene in {r["capture"] for r in scored}
-    }
+    usual = _usual_albedo(everything)
     counts = {"wrong": 0, "told": 0, "sound": 0, "alarms": 0}
     for record in everything:
         if "error" in record:
             is_wrong = is_flagged = True
-        else:
-            below = by_scene[record["capture"]] - (value(ALBEDO, record) or 0.0)
+        elif _group(record) in usual:
+            below = usual[_group(record)] - (value(ALBEDO, record) or 0.0)
             is_wrong, is_flagged = below > MISLED_DECIBEL, not record["trust"]["is_trusted"]
+        else:
+            continue
         counts["wrong" if is_wrong else "sound"] += 1
         if is_flagged:
             counts["told" if is_wrong else "alarms"] += 1
     return counts
+
+
+def _usual_albedo(records: Sequence[Record]) -> dict[tuple[str, ...], float]:
+    """Median albedo in dB of the unperturbed runs of each scene, preset and method."""
+    found: dict[tuple[str, ...], list[float]] = {}
+    for record in records:
+        if "scores" in record and not record["factor"]:
+            found.setdefault(_group(record), []).append(value(ALBEDO, record) or 0.0)
+    return {group: median(albedos) for group, albedos in found.items()}
+
+
+def _group(record: Record) -> tuple[str, ...]:
+    return record["capture"], record["preset"], record["method"]
 
 
 def _methods(found: Sequence[Case]) -> list[str]:

@@ -83,7 +83,7 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
     page = Page(
         title="Stability",
         lead=f"{len(tried)} of {len(runs)} runs were tried. Of {counts['wrong']} wrong ones "
-        f"(refused, or more than 6 dB of albedo below their scene's median) the program told "
+        f"(refused, or more than 6 dB of albedo below the unperturbed runs) the program told "
         f"{counts['told']}; of {counts['sound']} sound ones it doubted {counts['alarms']}.",
         rows=[_case_row(folder, case, runs) for case in worst_cases(found)],
         chart_title="Albedo lost and shadow ratio",
