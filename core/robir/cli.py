@@ -163,7 +163,10 @@ def _add_plan(parser: argparse.ArgumentParser, content: str) -> None:
     parser.add_argument("plan", type=Path, metavar="PLAN.toml", help=content)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
     parser.add_argument(
-        "--budget", type=float, metavar="S", help="CPU seconds after which no further run starts"
+        "--budget",
+        type=float,
+        metavar="S",
+        help="CPU seconds after which no further run starts; 0 only draws what is done",
     )
 
 

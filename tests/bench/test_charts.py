@@ -12,7 +12,7 @@ from bench.test_bench import scores
 
 from robir.bench.chart import medians, pareto_front, speed_accuracy
 from robir.bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
-from robir.bench.scores import ALBEDO
+from robir.bench.scores import ALBEDO, SHADOW
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -62,6 +62,10 @@ def test_medians_are_of_each_method_and_preset_and_skip_what_is_missing():
     assert found["ours", "draft"] == (90.0, 23.0)
     assert found["ours", "standard"] == (400.0, 25.0)
     assert found["photo", "draft"] == (60.0, 12.0)
+    ratios = [record(albedo) for albedo in (20.0, 21.0)]
+    for each, ratio in zip(ratios, (0.4, 1.6), strict=True):
+        each["scores"]["shadow"]["ratio"] = ratio
+    assert medians(SHADOW, ratios)["ours", "draft"] == (90.0, pytest.approx(0.6))
     records[-1]["scores"]["albedo"] = {}
     assert ("photo", "draft") not in medians(ALBEDO, records)
 
@@ -118,8 +122,8 @@ def test_a_cause_is_the_score_that_moved(path, value, words):
 
 def test_what_was_told_is_the_error_the_warnings_or_the_trust():
     assert told(failure()) == ["exit code 3: no masks"]
-    assert told(record(warnings=["few views"], trusted=False)) == ["few views"]
-    assert told(record()) == ["the result is to be trusted"]
+    assert told(record(warnings=["few views"], trusted=False)) == ["Few views."]
+    assert told(record()) == ["The result is to be trusted."]
     assert told(record(trust=None)) == []
 
 

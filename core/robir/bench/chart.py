@@ -95,7 +95,8 @@ def _draw_panel(
         curve = sorted(point for key, point in found.items() if key[0] == method)
         axes.plot(*_columns(curve), label=method, markersize=8, linewidth=1.2, **style)
     middle = list(found.values())
-    front = [middle[i] for i in pareto_front([(s, score.badness(v)) for s, v in middle])]
+    sign = -1.0 if score.best == "high" else 1.0
+    front = [middle[i] for i in pareto_front([(s, sign * v) for s, v in middle])]
     axes.plot(
         *_columns(front),
         linestyle="--",
@@ -107,23 +108,23 @@ def _draw_panel(
         label="Pareto front",
         zorder=0,
     )
-    if score.best == "one":
-        axes.axhline(1.0, color="#9aa5b1", linewidth=0.8)
     axes.set_xscale("log")
     for setter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
         setter(StrMethodFormatter("{x:.0f}"))
     axes.set_xlabel("CPU seconds")
-    axes.set_title({"high": "higher is better", "low": "lower is better", "one": "1 is best"}[
-        score.best
-    ], fontsize=8, loc="right")  # fmt: skip
-    axes.set_ylabel(score.title)
+    wanted = "higher is better" if score.best == "high" else "lower is better"
+    axes.set_title(wanted, fontsize=8, loc="right")
+    axes.set_ylabel(f"{score.title}, distance from 1" if score.best == "one" else score.title)
     axes.grid(visible=True, which="both", color="#e3e7eb", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def _point(score: Score, record: Record) -> tuple[float, float] | None:
+    """Seconds and score; of a ratio how far it is from 1, since medians of ratios cancel."""
     seconds, found = value(SECONDS, record), value(score, record)
-    return None if seconds is None or found is None else (seconds, found)
+    if seconds is None or found is None:
+        return None
+    return seconds, score.badness(found) if score.best == "one" else found
 
 
 def _columns(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:

@@ -151,8 +151,8 @@ def told(record: Record) -> list[str]:
     if "error" in record:
         return [f"exit code {record['exit_code']}: {record['error']}"]
     trust = record["trust"]
-    said = list(record["warnings"])
-    return said or (["the result is to be trusted"] if trust and trust["is_trusted"] else [])
+    said = [f"{warning[:1].upper()}{warning[1:].rstrip('.')}." for warning in record["warnings"]]
+    return said or (["The result is to be trusted."] if trust and trust["is_trusted"] else [])
 
 
 def vigilance(records: Iterable[Record]) -> dict[str, int]:

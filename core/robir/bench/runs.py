@@ -64,7 +64,7 @@ def carry_out(
             say(f"{number}/{len(runs)} {run.name}: done before")
             continue
         used = Usage.now().seconds_since(begin)["cpu"]
-        if budget is not None and used + (mean(spent) if spent else 0.0) > budget:
+        if budget is not None and used + (mean(spent) if spent else 0.0) >= budget:
             left = sum("scores" not in records.get(run.name, {}) for run in runs)
             say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
             return
