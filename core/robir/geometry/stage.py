@@ -30,7 +30,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 
-REVISION = 2
+REVISION = 3
 """Raised whenever the same input gives another result."""
 
 
@@ -126,7 +126,7 @@ def reconstruct(
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
     """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
     mesh = largest_pieces(extract(field.lattice, field.sdf))
-    return fill_holes(decimate(taubin(mesh, 10), face_budget))
+    return fill_holes(decimate(taubin(mesh, 5), face_budget))
 
 
 def hull_of(photos: list[Photo], views: int) -> HullCarver:
