@@ -71,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_relight(subparsers)
     _add_evaluate(subparsers)
     _add_bench(subparsers)
+    _add_stability(subparsers)
     _add_selftest(subparsers)
     return parser
 
@@ -124,6 +125,7 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
         metavar="FILE",
         help="lat-long .hdr or .exr, or the name of one that Blender ships, such as city",
     )
+    parser.add_argument("--views", help="held_out (default), train, all, or names with commas")
     parser.add_argument("--rotation", type=float, help="degrees about the up axis")
     parser.add_argument(
         "--turntable", type=_positive, metavar="N", help="frames of a turning light"
@@ -142,10 +144,30 @@ def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
 
 
 def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser("bench", help="run a list of captures and tabulate their scores")
+    parser = subparsers.add_parser(
+        "bench", help="run captures x methods and chart speed against accuracy"
+    )
     parser.set_defaults(command=commands.bench)
-    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="captures, seeds and variants")
+    _add_plan(parser, "captures, methods and seeds")
+
+
+def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "stability", help="spoil captures one factor at a time and chart what that costs"
+    )
+    parser.set_defaults(command=commands.stability)
+    _add_plan(parser, "as for bench, with a table [factors]")
+
+
+def _add_plan(parser: argparse.ArgumentParser, content: str) -> None:
+    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help=content)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
+    parser.add_argument(
+        "--budget",
+        type=float,
+        metavar="S",
+        help="CPU seconds after which no further run starts; 0 only draws what is done",
+    )
 
 
 def _add_selftest(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

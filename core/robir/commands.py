@@ -7,14 +7,18 @@ import json
 import sys
 import traceback
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, UsageError
-from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
+from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.presets import PRESETS
+
+if TYPE_CHECKING:
+    from robir.bench.plan import BenchRun
 
 
 def reconstruct(options: Namespace) -> int:
@@ -36,8 +40,18 @@ def reconstruct(options: Namespace) -> int:
             is_resume=options.resume,
         )
         run(request, display, load_stages())
+    if options.progress != "json":
+        _say_trust(JobPaths(options.out))
     print(options.out.resolve())
     return 0
+
+
+def _say_trust(paths: JobPaths) -> None:
+    """Say on standard error how the program's own quality check ended."""
+    if paths.report_json.exists():
+        is_trusted = read_json(paths.report_json)["trust"]["is_trusted"]
+        doubt = f"quality check failed: see the warnings, or {paths.report}"
+        print("quality check passed" if is_trusted else doubt, file=sys.stderr)
 
 
 def check(options: Namespace) -> int:
@@ -94,7 +108,7 @@ def relight(options: Namespace) -> int:
     from robir.pipeline.faults import stop_requested
 
     words = ["relight", str(paths.root), "--environment", str(options.environment)]
-    for name in ("rotation", "turntable", "samples", "max_side"):
+    for name in ("views", "rotation", "turntable", "samples", "max_side"):
         value = getattr(options, name)
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
@@ -131,19 +145,40 @@ def selftest(options: Namespace) -> int:
 
 
 def bench(options: Namespace) -> int:
-    """Run a plan and tabulate its scores; prints the table's path."""
-    from robir.bench.plan import read_plan
-    from robir.bench.runs import carry_out, read_scores
-    from robir.bench.table import markdown
+    """Run a plan, chart and tabulate its scores; prints the page's path.
 
-    runs = read_plan(options.plan)
-    table = options.out / "scores.md"
-    carry_out(runs, options.out, lambda line: print(line, file=sys.stderr, flush=True))
+    Its exit code is the largest of its runs'.
+    """
+    from robir.bench.page import write_bench
+    from robir.bench.plan import read_plan
+
+    return max(_carried_out(read_plan(options.plan), write_bench, options))
+
+
+def stability(options: Namespace) -> int:
+    """Run a plan on captures spoilt one factor at a time; prints the page's path.
+
+    A spoilt capture may well be refused; only a bug is a failure of the sweep.
+    """
+    from robir.bench.page import write_stability
+    from robir.bench.plan import read_sweep
+
+    runs = read_sweep(options.plan, options.out)
+    return 1 if 1 in _carried_out(runs, write_stability, options) else 0
+
+
+def _carried_out(runs: list[BenchRun], write: Callable[..., Path], options: Namespace) -> set[int]:
+    """Do the runs and write their page; the exit codes of those that were tried."""
+    from robir.bench.runs import carry_out, read_scores
+
+    def say(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    carry_out(runs, options.out, options.budget, say)
     records = read_scores(options.out)
-    with replacing(table) as temporary:
-        temporary.write_text(markdown(records[run.name] for run in runs), encoding="utf-8")
-    print(table.resolve())
-    return 0 if all("error" not in records[run.name] for run in runs) else 1
+    print(write(options.out, runs, records).resolve())
+    tried = [records[run.name] for run in runs if run.name in records]
+    return {0, *(record["exit_code"] for record in tried if "error" in record)}
 
 
 def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:

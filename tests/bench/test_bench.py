@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans, their runs, and the table of scores."""
+"""Plans, their runs, and what bench and stability sweep leave behind."""
 
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from evaluation import sphere_run
 
 from robir import cli
 from robir.bench import runs as bench_runs
-from robir.bench.plan import VARIANTS, read_plan
+from robir.bench.plan import METHODS, OURS, read_plan, read_sweep
 from robir.bench.runs import carry_out, read_scores
 from robir.bench.scores import score_lines
-from robir.bench.table import markdown
+from robir.bench.table import bench_tables
 from robir.config import resolve
 from robir.errors import ConfigError
-from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.presets import PRESETS
 
 
@@ -29,7 +32,10 @@ def write_plan(folder: Path, text: str) -> Path:
 
 def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") -> dict:
     return {
-        "albedo": {"psnr_linear": {"per_channel_lsq": albedo, "raw": albedo - 2.0}},
+        "albedo": {
+            "psnr_linear": {"per_channel_lsq": albedo, "raw": albedo - 2.0},
+            "scale": {"per_channel_lsq": [1.0, 1.0, 1.0]},
+        },
         "photo_as_albedo": {"psnr_linear": {"per_channel_lsq": 12.0}},
         "shadow": {"ratio": shadow},
         "light": {"strongest_lobe_degrees": None},
@@ -41,34 +47,62 @@ def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") ->
     }
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_ablation_is_a_setting_that_exists_and_differs(name, preset):
+def test_every_method_is_settings_that_exist_and_differ(name, preset):
     base = PRESETS[preset]()
-    changed = resolve(base, None, VARIANTS[name])
-    assert (changed == base) == (name == "full")
+    changed = resolve(base, None, METHODS[name])
+    assert (changed == base) == (name in (OURS, "photo"))
 
 
 def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
     path = write_plan(
         tmp_path,
-        'captures = ["a", "b"]\nseeds = [0, 1]\nvariants = ["no visibility", "full"]\n'
+        'captures = ["a", "b"]\nseeds = [0, 1]\nmethods = ["no visibility", "ours"]\n'
         'settings = ["export.renders=false"]',
     )
     planned = read_plan(path)
     assert len(planned) == 8
-    assert [run.variant for run in planned[:2]] == ["full", "no visibility"]
+    assert [run.method for run in planned[:2]] == ["ours", "no visibility"]
     assert planned[1].settings == ("export.renders=false", "transport.use_visibility=false")
     assert planned[1].name == "a_draft_no-visibility_0"
     assert planned[0].capture == tmp_path / "a"
     assert len({run.name for run in planned}) == 8
 
 
+def test_a_sweep_runs_the_captures_as_they_are_and_then_every_value(tmp_path):
+    path = write_plan(
+        tmp_path,
+        'captures = ["a", "b"]\nseeds = [3]\n[factors]\nviews = [10, 5]\nmask = "dilate 2"',
+    )
+    planned = read_sweep(path, tmp_path / "out")
+    assert len(planned) == 2 * (1 + 2 + 1)
+    assert [run.perturbation for run in planned[:2]] == [None, None]
+    last = planned[-1]
+    assert last.capture == tmp_path / "out/captures/b_mask_dilate-2_s3"
+    assert (last.perturbation.source, last.perturbation.value) == (tmp_path / "b", "dilate 2")
+    assert last.facts["capture"] == "b"
+    assert planned[2].perturbation.value == 10.0
+    assert len({run.name for run in planned}) == 8
+
+
+def test_a_sweep_takes_captures_rendered_otherwise(tmp_path):
+    entry = '[[rendered]]\nof = "a"\nfactor = "ground"\nvalue = "none"\ncapture = "c"\n'
+    planned = read_sweep(write_plan(tmp_path, f'captures = ["a", "b"]\n{entry}'), tmp_path)
+    assert [run.capture.name for run in planned] == ["a", "b", "c"]
+    facts = planned[-1].facts
+    assert (facts["capture"], facts["factor"], facts["value"]) == ("a", "ground", "none")
+    text = f'captures = ["b"]\n{entry}'
+    with pytest.raises(ConfigError, match="'a' is none of the captures"):
+        read_sweep(write_plan(tmp_path, text), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("seeds = [0]", "captures is missing"),
-        ('captures = ["a"]\nvariants = ["no light"]', "'no light' is unknown; known: full"),
+        ('captures = ["a"]\nmethods = ["no light"]', "'no light' is unknown; known: ours"),
+        ('captures = ["a"]\nmethods = ["photo"]', "list that too"),
         ('captures = ["a"]\npresets = ["best"]', "'best' is unknown"),
         ('captures = ["a"]\nseeds = ["0"]', "must be a whole number"),
         ('captures = ["x/a", "y/a"]', "two captures are called 'a'"),
@@ -79,8 +113,22 @@ def test_wrong_plans_are_refused_in_words(tmp_path, text, words):
         read_plan(write_plan(tmp_path, text))
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('captures = ["a"]', "factors is missing"),
+        ('captures = ["a"]\n[factors]\nfog = [1]', "'fog' is unknown; known: views"),
+        ('captures = ["a"]\n[[rendered]]\nof = "a"\nvalue = "x"', "lacks factor"),
+        ('captures = ["a"]\n[factors]\nviews = ["few"]', "'few' is not a number of views"),
+    ],
+)
+def test_wrong_sweeps_are_refused_in_words(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=words):
+        read_sweep(write_plan(tmp_path, text), tmp_path)
+
+
 class FakeRobir:
-    """Stands for the command line; one capture always fails."""
+    """Stands for the command line: a perfect sphere as the result; captures "bad" fail."""
 
     def __init__(self) -> None:
         self.commands: list[tuple[str, ...]] = []
@@ -89,15 +137,19 @@ class FakeRobir:
         self.commands.append(words)
         if words[0] == "evaluate":
             albedo = 18.0 if "no-visibility" in words[1] else 22.0
+            albedo = 13.0 if "noise" in words[1] else albedo
             return subprocess.CompletedProcess(words, 0, json.dumps(scores(albedo)), "")
-        if words[1].endswith("bad"):
+        if words[1].endswith("bad") or "views_1" in words[1]:
             return subprocess.CompletedProcess(words, 3, "", "working\nrobir: no masks\n")
         paths = JobPaths(Path(words[3]))
-        for stage in STAGES:
-            write_json(paths.manifest(stage), {"made by": list(words)})
+        shutil.rmtree(paths.root, ignore_errors=True)
+        sphere_run.make_run(paths.root)
+        write_json(paths.manifest("export"), {"made by": list(words)})
         paths.config.write_text("seed = 0\n")
         seconds = {stage: {"wall": 1.0, "cpu": 2.0} for stage in STAGES}
         write_json(paths.run, {"seconds": seconds, "peak_memory_bytes": {"geometry": 2e9}})
+        trust = {"is_trusted": "noise" not in words[1], "doubts": []}
+        write_json(paths.report_json, {"held_out": {"psnr": 25.0}, "trust": trust})
         return subprocess.CompletedProcess(words, 0, "", "")
 
 
@@ -108,21 +160,36 @@ def robir(monkeypatch) -> FakeRobir:
     return fake
 
 
-def test_a_failing_run_stops_nothing_and_done_runs_are_not_repeated(tmp_path, robir, capsys):
-    plan = write_plan(tmp_path, 'captures = ["good", "bad"]\nvariants = ["full", "no visibility"]')
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    return sphere_run.make_truth(tmp_path_factory.mktemp("bench") / "good")
+
+
+def test_a_failing_run_stops_nothing_and_done_runs_are_not_repeated(
+    tmp_path, robir, capture, capsys
+):
+    plan = write_plan(
+        tmp_path, f'captures = ["{capture}", "bad"]\nmethods = ["ours", "no visibility"]'
+    )
     words = ["bench", str(plan), "-o", str(tmp_path / "out")]
-    assert cli.main(words) == 1
-    table = Path(capsys.readouterr().out.strip()).read_text()
-    assert "| draft, full: median | 22.0 | 10.0 | 20.0 | 1.00 | - |" in table
+    assert cli.main(words) == 3
+    page = Path(capsys.readouterr().out.strip())
+    table = page.with_name("scores.md").read_text()
+    assert "| draft, ours: median | 22.0 | 10.0 | 20.0 | 1.00 | - |" in table
     assert "| draft, no visibility: worst | 18.0 |" in table
-    assert "- bad_draft_full_0: robir: no masks" in table
+    assert "| bad_draft_ours_0 | 3 | robir: no masks |" in table
+    text = page.read_text()
+    assert text.count("data:image/png") == 4  # photograph, truth, two albedos
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
     first = len(robir.commands)
-    assert cli.main(words) == 1
+    assert cli.main(words) == 3
     assert [command[0] for command in robir.commands[first:]] == ["reconstruct"] * 2
 
 
-def test_an_ablation_starts_from_what_it_shares_with_the_whole(tmp_path, robir):
-    plan = write_plan(tmp_path, 'captures = ["good"]\nvariants = ["full", "one sharp lobe"]')
+def test_a_method_starts_from_what_it_shares_with_the_whole(tmp_path, robir, capture):
+    plan = write_plan(
+        tmp_path, f'captures = ["{capture}"]\nmethods = ["ours", "one sharp lobe", "photo"]'
+    )
     original = robir.__call__
 
     def look_first(*words: str) -> subprocess.CompletedProcess[str]:
@@ -134,20 +201,101 @@ def test_an_ablation_starts_from_what_it_shares_with_the_whole(tmp_path, robir):
         return original(*words)
 
     bench_runs._robir = look_first
-    carry_out(read_plan(plan), tmp_path / "out", lambda _line: None)
-    assert len(read_scores(tmp_path / "out")) == 2
+    carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
+    records = read_scores(tmp_path / "out")
+    assert len(records) == 3
+    photo = records["good_draft_photo_0"]
+    assert set(photo["seconds"]) == {"capture", "geometry", "appearance"}
+    assert photo["cpu_seconds"] == 4.0 + photo["seconds"]["appearance"]["cpu"]
+    assert photo["held_out"]["views"] == 3
+
+
+def test_a_budget_leaves_runs_for_the_next_call(tmp_path, robir, capture, monkeypatch):
+    clock = iter(range(0, 10**6, 100))
+
+    class Ticking:
+        """Every reading is 100 CPU seconds later."""
+
+        @classmethod
+        def now(cls):
+            self = cls()
+            self.cpu = next(clock)
+            return self
+
+        def seconds_since(self, earlier):
+            return {"cpu": float(self.cpu - earlier.cpu), "wall": 0.0}
+
+    monkeypatch.setattr(bench_runs, "Usage", Ticking)
+    plan = write_plan(tmp_path, f'captures = ["{capture}"]\nseeds = [0, 1, 2, 3]')
+    said: list[str] = []
+    out = tmp_path / "out"
+    carry_out(read_plan(plan), out, 250.0, said.append)
+    assert len(read_scores(out)) == 1  # 100 before the first, 300 before the second
+    assert said[-1] == "300 CPU-s of 250 are spent; 3 runs are left for next time"
+    carry_out(read_plan(plan), out, None, said.append)
+    assert len(read_scores(out)) == 4
+    assert sum(words[0] == "reconstruct" for words in robir.commands) == 4
+
+
+def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
+    factors = "views = [1]\nnoise = [0.1]\njpeg = [90]"
+    plan = write_plan(tmp_path, f'captures = ["{capture}"]\n[factors]\n{factors}')
+    out = tmp_path / "out"
+    assert cli.main(["stability", str(plan), "-o", str(out)]) == 0  # a refusal is no bug
+    page = Path(capsys.readouterr().out.strip())
+    table = page.with_name("stability.md").read_text()
+    assert "| views | 1 | - | - | 1 of 1 |" in table
+    assert "| noise | 0.1 | 9.0 | 1.00 | 0 of 1 |" in table
+    assert "| jpeg | 90 | 0.0 |" in table
+    assert "exit code 3: robir: no masks" in table
+    # the refused run and the noisy one, 9 dB below the unperturbed one
+    assert "Of 2 wrong ones" in table
+    assert "the program told 2; of 2 sound ones it doubted 0" in table
+    assert (out / "captures" / "good_noise_0.1_s0" / "truth" / "mesh.ply").samefile(
+        capture / "truth" / "mesh.ply"
+    )
+
+
+def test_a_capture_that_cannot_be_spoilt_stops_nothing(tmp_path, robir):
+    plan = write_plan(tmp_path, 'captures = ["nowhere"]\n[factors]\njpeg = [90]')
+    carry_out(read_sweep(plan, tmp_path / "out")[1:], tmp_path / "out", None, lambda _line: None)
+    (record,) = read_scores(tmp_path / "out").values()
+    assert record["exit_code"] == 3
+    assert "cannot be spoilt" in record["error"]
+    assert not robir.commands
+
+
+def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):
+    run = sphere_run.make_run(tmp_path / "whole")
+    from robir.bench.photo import texture_photographs
+
+    config = resolve(PRESETS["draft"](), None, ["appearance.texture_size=128"])
+    paths = JobPaths(tmp_path / "photo")
+    for stage in ("capture", "geometry"):
+        shutil.copytree(run.stage(stage), paths.stage(stage))
+    held_out = texture_photographs(paths, config)
+    assert held_out["psnr"] > 20  # its texture is the photograph
+    for stage in ("transport", "export"):
+        write_json(paths.manifest(stage), {"stage": stage})
+    assert cli.main(["evaluate", str(paths.root), "--truth", str(capture)]) == 0
+    found = read_json(paths.scores)
+    albedo = found["albedo"]["psnr_linear"]["per_channel_lsq"]
+    photo = found["photo_as_albedo"]["psnr_linear"]["per_channel_lsq"]
+    # the photographs' blend is as far from the albedo as the photographs are
+    assert albedo == pytest.approx(photo, abs=1.0)
+    assert found["mask_iou"] == 1.0
 
 
 def test_worst_follows_the_direction_of_each_score():
-    facts = {"preset": "draft", "variant": "full", "capture": "a", "seed": 0, "cpu_seconds": 90.0}
+    facts = {"preset": "draft", "method": "ours", "capture": "a", "seed": 0, "cpu_seconds": 90.0}
     records = [
         facts | {"name": str(index), "scores": scores(*values)}
         for index, values in enumerate([(20.0, 0.9), (24.0, 1.3, "standard"), (22.0, None)])
     ]
-    lines = markdown(records).splitlines()
+    lines = bench_tables(records)[0].markdown().splitlines()
     median, worst = (next(x for x in lines if f": {name} |" in x) for name in ("median", "worst"))
-    assert median.startswith("| draft, full: median | 22.0 | 10.0 | 20.0 | 1.10 |")
-    assert worst.startswith("| draft, full: worst | 20.0 | 8.0 | 18.0 | 1.30 |")
+    assert median.startswith("| draft, ours: median | 22.0 | 10.0 | 20.0 | 1.10 |")
+    assert worst.startswith("| draft, ours: worst | 20.0 | 8.0 | 18.0 | 1.30 |")
     assert median.endswith("| 2/3 |")
 
 

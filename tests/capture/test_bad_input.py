@@ -171,7 +171,7 @@ def test_bad_intrinsics(studio, key, value):
 
 @pytest.mark.parametrize(
     "change",
-    [{"camera_model": "OPENCV_FISHEYE"}, {"camera_model": "EQUIRECTANGULAR"}, {"is_fisheye": True}],
+    [{"camera_model": "FISHEYE624"}, {"camera_model": "EQUIRECTANGULAR"}, {"orthographic": True}],
 )
 def test_other_projections(studio, change):
     edit(studio / "transforms.json", lambda content: content.update(change))
@@ -191,11 +191,23 @@ def test_a_truncated_colmap_model(sparse, name):
     refused(sparse, "sparse/0", "truncated")
 
 
-def test_a_fisheye_colmap_model(odd_shots, tmp_path):
+@pytest.mark.parametrize(
+    "model",
+    [
+        "FOV",
+        "THIN_PRISM_FISHEYE",
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        "SIMPLE_DIVISION",
+        "DIVISION",
+        "EUCM",
+        "EQUIRECTANGULAR",
+    ],
+)
+def test_colmap_models_that_are_not_read(model, odd_shots, tmp_path):
     writers.colmap(tmp_path, odd_shots, binary=False)
     path = tmp_path / "sparse/0/cameras.txt"
-    path.write_text("3 OPENCV_FISHEYE 48 48 58 63 22 25 0.1 0 0 0\n")
-    refused(tmp_path, "OPENCV_FISHEYE", "colmap image_undistorter")
+    path.write_text(f"3 {model} 48 48 58 63 22 25 0.1 0 0 0\n")
+    refused(tmp_path, model, "colmap image_undistorter")
 
 
 @pytest.mark.parametrize(("level", "word"), [(0, "black"), (255, "white")])

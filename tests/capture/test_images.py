@@ -25,6 +25,8 @@ DISTORTIONS = {
     "pincushion": Distortion(radial=(0.2, 0.05, 0.01, 0.002)),
     "tangential": Distortion(radial=(-0.1, 0.0, 0.0, 0.0), tangential=(0.01, -0.02)),
     "rational": Distortion(radial=(0.3, 0.1, 0.02, 0.0), rational=(0.5, 0.1, 0.03)),
+    "skewed": Distortion(radial=(-0.1, 0.0, 0.0, 0.0), tangential=(0.01, 0.0), skew=0.05),
+    "fisheye": Distortion(radial=(0.05, -0.02, 0.01, 0.002), is_fisheye=True),
 }
 
 
@@ -101,13 +103,15 @@ def _opencv_distort(x, y, lens):
     d1, d2, d3 = lens.rational
     p1, p2 = lens.tangential
     r = np.hypot(x, y)
+    if lens.is_fisheye:
+        angle = np.arctan(r)
+        bent = angle + k1 * angle**3 + k2 * angle**5 + k3 * angle**7 + k4 * angle**9
+        return x * bent / np.maximum(r, 1e-12), y * bent / np.maximum(r, 1e-12)
     ratio = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6 + k4 * r**8) / (
         1 + d1 * r**2 + d2 * r**4 + d3 * r**6
     )
-    return (
-        x * ratio + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2),
-        y * ratio + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y,
-    )
+    down = y * ratio + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y
+    return x * ratio + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2) + lens.skew * down, down
 
 
 def _pattern(x, y):
@@ -152,6 +156,66 @@ def test_a_lens_that_folds_is_refused():
             camera,
             Distortion(radial=(-40.0, 0.0, 0.0, 0.0)),
         )
+
+
+COLMAP_LENSES = {
+    "SIMPLE_RADIAL 120 100 60 60 50 0.1": Distortion(radial=(0.1, 0.0, 0.0, 0.0)),
+    "RADIAL 120 100 60 60 50 0.1 0.2": Distortion(radial=(0.1, 0.2, 0.0, 0.0)),
+    "OPENCV 120 100 60 60 60 50 1 2 3 4": Distortion(
+        radial=(1.0, 2.0, 0.0, 0.0), tangential=(3.0, 4.0)
+    ),
+    "FULL_OPENCV 120 100 60 60 60 50 1 2 3 4 5 6 7 8": Distortion(
+        radial=(1.0, 2.0, 5.0, 0.0), tangential=(3.0, 4.0), rational=(6.0, 7.0, 8.0)
+    ),
+    "SIMPLE_FISHEYE 120 100 60 60 50": Distortion(is_fisheye=True),
+    "FISHEYE 120 100 60 60 60 50": Distortion(is_fisheye=True),
+    "SIMPLE_RADIAL_FISHEYE 120 100 60 60 50 0.1": Distortion(
+        radial=(0.1, 0.0, 0.0, 0.0), is_fisheye=True
+    ),
+    "RADIAL_FISHEYE 120 100 60 60 50 0.1 0.2": Distortion(
+        radial=(0.1, 0.2, 0.0, 0.0), is_fisheye=True
+    ),
+    "OPENCV_FISHEYE 120 100 60 60 60 50 1 2 3 4": Distortion(
+        radial=(1.0, 2.0, 3.0, 4.0), is_fisheye=True
+    ),
+}
+
+
+@pytest.mark.parametrize("line", COLMAP_LENSES)
+def test_colmap_lenses(line, shots, tmp_path):
+    writers.colmap(tmp_path, shots, binary=False)
+    (tmp_path / "sparse/0/cameras.txt").write_text(f"3 {line}\n")
+    lens = read_frames(tmp_path).frames[0].lens
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (60, 60, 60, 50)
+    assert lens.distortion == COLMAP_LENSES[line]
+
+
+TRANSFORMS_LENSES = [
+    ({"k1": 0.1, "k4": 0.2}, Distortion(radial=(0.1, 0.0, 0.0, 0.2))),
+    ({"k3": 0.1, "k4": 0.2, "k6": 0.3}, Distortion(radial=(0, 0, 0.1, 0), rational=(0.2, 0, 0.3))),
+    ({"camera_model": "FULL_OPENCV", "k4": 0.2}, Distortion(rational=(0.2, 0, 0))),
+    (
+        {"camera_model": "OPENCV_FISHEYE", "k4": 0.2},
+        Distortion(radial=(0, 0, 0, 0.2), is_fisheye=True),
+    ),
+    ({"is_fisheye": True}, Distortion(is_fisheye=True)),
+    (
+        {"distortion_params": [1, 2, 3, 4, 5, 6]},
+        Distortion(radial=(1, 2, 3, 4), tangential=(5, 6)),
+    ),
+]
+
+
+@pytest.mark.parametrize(("keys", "expected"), TRANSFORMS_LENSES)
+@pytest.mark.parametrize("of_the_file", [True, False])
+def test_transforms_lenses(keys, expected, of_the_file, shots, tmp_path):
+    writers.nerfstudio(tmp_path, shots)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    for entry in [content] if of_the_file else content["frames"]:
+        entry |= keys
+    path.write_text(json.dumps(content))
+    assert {frame.lens.distortion for frame in read_frames(tmp_path).frames} == {expected}
 
 
 @pytest.mark.parametrize("form", ["colmap", "nerfstudio"])

@@ -13,6 +13,7 @@ from robir.capture.config import CaptureConfig
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SMALL = CaptureConfig(max_side=96)
+ALARMS = {"blurred", "brightness-changes", "moving-light", "turntable"}
 
 pytestmark = pytest.mark.skipif(
     not DATA.is_dir(), reason=f"REAL CAPTURES NOT TESTED: the data folder {DATA} is absent"
@@ -32,6 +33,9 @@ def test_scissors_neus():
     # World frame of world_mat: millimetres, with the promised sphere about (-27, -44, 741).
     assert np.linalg.norm(capture.bounds.centre - [-27.0, -44.0, 740.6]) < 100
     assert 150 < capture.bounds.radius <= 256.1
+    # One side was photographed, sharply, under a lamp and an exposure that stayed.
+    assert levels(findings)["coverage-gap"] == "warning"
+    assert not ALARMS & levels(findings).keys()
 
 
 def test_milk_carton_llff_is_matted_and_ordered_by_text():
@@ -42,6 +46,8 @@ def test_milk_carton_llff_is_matted_and_ordered_by_text():
     order = next(finding for finding in findings if finding.code == "pose-order")
     assert "names as text" in order.message
     assert capture.bounds.radius < 2.3
+    # The same sides are bright in some photographs and in shadow in others.
+    assert ALARMS & levels(findings).keys() == {"brightness-changes"}
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+APPLIED = np.array([[0.0, 1.0, 0.0, 0.2], [1.0, 0.0, 0.0, -4.0], [0.0, 0.0, -1.0, 1.5]])
+"""World transform that nerfstudio's converter applied, before a scale of 0.3."""
 
 
 def save_pictures(folder: Path, shots: Sequence[Shot], names: Sequence[str], alpha: bool) -> None:
@@ -56,6 +58,14 @@ def nerf_synthetic(root: Path, shots: Sequence[Shot], tests: int = 0) -> Path:
     return root
 
 
+def applied(pose: np.ndarray) -> np.ndarray:
+    """A pose as nerfstudio's converters turn and scale it."""
+    result = np.eye(4)
+    result[:3] = APPLIED @ pose
+    result[:3, 3] *= 0.3
+    return result
+
+
 def nerfstudio(root: Path, shots: Sequence[Shot], per_frame: bool = False) -> Path:
     """Photographs with mask_path; intrinsics shared or in every frame."""
     names = [f"frame_{i:05d}.png" for i in range(len(shots))]
@@ -70,14 +80,23 @@ def nerfstudio(root: Path, shots: Sequence[Shot], per_frame: bool = False) -> Pa
         "w": lens.width,
         "h": lens.height,
     }
-    content = {"camera_model": "OPENCV", "applied_scale": 0.3, "frames": []}
+    content = {
+        "camera_model": "OPENCV",
+        "applied_transform": APPLIED.tolist(),
+        "applied_scale": 0.3,
+        "scale": 0.5,
+        "offset": [1, 2, 3],
+        "aabb_scale": 16,
+        "orientation_override": "up",
+        "frames": [],
+    }
     content |= {} if per_frame else keys
     for shot, name in zip(shots, names, strict=True):
         content["frames"].append(
             {
                 "file_path": f"images/{name}",
                 "mask_path": f"mattes/{name}",
-                "transform_matrix": shot.camera.camera_to_world.tolist(),
+                "transform_matrix": applied(shot.camera.camera_to_world).tolist(),
             }
             | (keys if per_frame else {})
         )

@@ -20,6 +20,7 @@ from robir.geometry.lattice import Lattice, interpolate, resample
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.sampling import Occupancy, march
+from robir.geometry.simplify import decimate
 from robir.geometry.stage import hull_of, reconstruct
 from robir.geometry.surface import distance_to_mesh, extract
 from robir.maths.volume import log_survival, weights
@@ -152,6 +153,21 @@ def test_taubin_keeps_the_volume_of_a_noisy_sphere() -> None:
     radius = np.linalg.norm(smooth.vertices, axis=1)
     assert radius.std() < 0.002
     assert radius.mean() == pytest.approx(0.5, abs=0.002)
+
+
+def test_decimation_spends_its_triangles_on_the_ball_and_not_on_the_flat_ground() -> None:
+    lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), 96)
+    nodes = lattice.nodes()
+    slab = (nodes[:, 2] + 0.31).abs() - 0.1
+    rim = torch.hypot(nodes[:, 0], nodes[:, 1]) - 0.75
+    middle = torch.tensor([0.0, 0.0, 0.1])
+    sdf = torch.minimum((nodes - middle).norm(dim=1) - 0.32, torch.maximum(slab, rim))
+    mesh = decimate(extract(lattice, sdf), 1200)
+    assert 1150 < len(mesh.faces) <= 1200
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    above = centres[centres[:, 2] > -0.1]
+    # one call of the library from the dense mesh is off by 0.0021 to 0.0026
+    assert np.abs(np.linalg.norm(above - middle.numpy(), axis=1) - 0.32).mean() < 0.0018
 
 
 def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:

@@ -152,3 +152,23 @@ def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("error: ")
     assert cli.main(["check", str(tmp_path), "--json"]) == 3
     assert json.loads(capsys.readouterr().out)["accepted"] is False
+
+
+def test_relight_hands_everything_asked_for_to_blender(
+    stages, capture, tmp_path, monkeypatch, capsys
+):
+    from robir.export import blender
+
+    out = tmp_path / "out"
+    assert reconstruct(capture, out) == 0
+    asked: list[str] = []
+
+    def run_headless(words, _show):
+        asked.extend(words)
+        return blender.Outcome(files=(tmp_path / "a.png",), notes=(), wall=1.0, cpu=1.0)
+
+    monkeypatch.setattr(blender, "run_headless", run_headless)
+    words = ["--environment", "city", "--views", "r_000,r_001", "--max-side", "64"]
+    assert cli.main(["relight", str(out), *words]) == 0
+    assert asked == ["relight", str(out), *words]
+    assert capsys.readouterr().out.endswith(f"{tmp_path / 'a.png'}\n")

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from robir.errors import ConfigError
 
 FAMILIES = ("standard", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
+"""Candidates, simplest first."""
+
+KNOWN_FAMILIES = (*FAMILIES, "log")
+"""All that may be asked for; the last, a sigmoid, serves comparisons only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +42,11 @@ class AppearanceConfig:
 
     def __post_init__(self) -> None:
         """Refuse unknown families and sizes that cannot work."""
-        unknown = sorted(set(self.families) - set(FAMILIES))
+        unknown = sorted(set(self.families) - set(KNOWN_FAMILIES))
         if unknown or not self.families:
             raise ConfigError(
                 f"appearance.families is {list(self.families)}; it must name some of "
-                f"{', '.join(FAMILIES)}"
+                f"{', '.join(KNOWN_FAMILIES)}"
             )
         for name, low in (
             ("num_soft_lobes", 4),

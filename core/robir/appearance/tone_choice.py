@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from robir.appearance.config import AppearanceConfig
+from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.light import log_ratio
 from robir.appearance.problem import Problem, Scene, make_problem
 from robir.appearance.solver import Light, find_suns, fit
-from robir.maths.tone import families
+from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 
@@ -136,7 +136,7 @@ def rank_tone_curves(
         Candidates, the chosen one first, then by score; and the histogram's evidence.
     """
     evidence = clipping_evidence(scene.transport.observations)
-    allowed = [curve for curve in families() if curve.name in config.families]
+    allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
     verdict = evidence.verdict
     fitting = [
         curve for curve in allowed if verdict is None or (curve.name == PLAIN) == verdict

@@ -10,10 +10,17 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
-from robir.bench.plan import BenchRun
-from robir.jobs.paths import STAGES, JobPaths, read_json, replacing
+from robir.bench.plan import OURS, PHOTO, BenchRun
+from robir.config import RunConfig, resolve
+from robir.errors import RobirError
+from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
+from robir.pipeline.usage import Usage
+from robir.presets import PRESETS
+
+Record = dict[str, Any]
 
 
 def scores_file(folder: Path) -> Path:
@@ -21,70 +28,146 @@ def scores_file(folder: Path) -> Path:
     return folder / "scores.jsonl"
 
 
-def read_scores(folder: Path) -> dict[str, dict[str, Any]]:
+def result_folder(run: BenchRun, folder: Path) -> Path:
+    """Where a run's result lies."""
+    return folder / "runs" / run.name
+
+
+def picture_file(run: BenchRun, folder: Path) -> Path:
+    """The pictures of a run beside the truth; see `robir.bench.pictures`."""
+    return folder / "pictures" / f"{run.name}.png"
+
+
+def read_scores(folder: Path) -> dict[str, Record]:
     """Record of each run that was tried, by name."""
     file = scores_file(folder)
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     return {record["name"]: record for record in map(json.loads, lines)}
 
 
-def carry_out(runs: Sequence[BenchRun], folder: Path, say: Callable[[str], None]) -> None:
+def carry_out(
+    runs: Sequence[BenchRun], folder: Path, budget: float | None, say: Callable[[str], None]
+) -> None:
     """Do every run that has no score yet; one that fails is recorded and stops nothing.
 
     Args:
         runs: What to do, in order.
         folder: Of the results and `scores.jsonl`.
+        budget: CPU seconds that this call may take, or None. A run that would probably exceed
+            it, by the mean of those before, is left for the next call.
         say: Takes a line about each run.
     """
     records = read_scores(folder)
+    begin, spent = Usage.now(), []
     for number, run in enumerate(runs, 1):
         if "scores" in records.get(run.name, {}):
             say(f"{number}/{len(runs)} {run.name}: done before")
             continue
+        used = Usage.now().seconds_since(begin)["cpu"]
+        if budget is not None and used + (mean(spent) if spent else 0.0) >= budget:
+            left = sum("scores" not in records.get(run.name, {}) for run in runs)
+            say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
+            return
         records[run.name] = _record(run, folder)
+        spent.append(Usage.now().seconds_since(begin)["cpu"] - used)
         with replacing(scores_file(folder)) as temporary:
             lines = (json.dumps(record) + "\n" for record in records.values())
             temporary.write_text("".join(lines), encoding="utf-8")
         say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
 
 
-def _record(run: BenchRun, folder: Path) -> dict[str, Any]:
-    out = folder / "runs" / run.name
-    facts = {
-        "name": run.name,
-        "capture": run.capture.name,
-        "preset": run.preset,
-        "variant": run.variant,
-        "seed": run.seed,
+def _record(run: BenchRun, folder: Path) -> Record:
+    out = result_folder(run, folder)
+    try:
+        if run.perturbation is not None:
+            run.perturbation.make(run.capture, run.seed)
+        _borrow_stages(run, folder, out)
+        held_out = _textured(run, out) if run.method == PHOTO else _reconstructed(run, out)
+    except RobirError as error:
+        return run.facts | {"error": str(error), "exit_code": error.exit_code}
+    judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
+    if judged.returncode != 0:
+        return run.facts | {"error": _last_line(judged.stderr), "exit_code": judged.returncode}
+    scores = json.loads(judged.stdout)
+    _draw(run, folder, scores)
+    about = read_json(JobPaths(out).run)
+    report = JobPaths(out).report_json
+    told = read_json(report).get("trust") if report.exists() else None
+    return run.facts | {
+        "seconds": about["seconds"],
+        "cpu_seconds": sum(stage["cpu"] for stage in about["seconds"].values()),
+        "peak_gigabytes": max(about["peak_memory_bytes"].values()) / 1e9,
+        "warnings": [warning["message"] for warning in about.get("warnings", [])],
+        "trust": told,
+        "held_out": held_out,
+        "scores": scores,
     }
-    _borrow_stages(run, folder, out)
+
+
+class _RunError(RobirError):
+    """A run ended without a result."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def _reconstructed(run: BenchRun, out: Path) -> Record:
+    """Run the pipeline; scores of its re-rendered held-out views."""
     changes = [word for setting in run.settings for word in ("--set", setting)]
     fitted = _robir(
         "reconstruct", str(run.capture), "-o", str(out), "--preset", run.preset,
         "--seed", str(run.seed), "--resume", "--progress", "plain", *changes,
     )  # fmt: skip
     if fitted.returncode != 0:
-        return facts | {"error": _last_line(fitted.stderr)}
-    judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
-    if judged.returncode != 0:
-        return facts | {"error": _last_line(judged.stderr)}
-    about = read_json(JobPaths(out).run)
-    return facts | {
-        "seconds": about["seconds"],
-        "cpu_seconds": sum(stage["cpu"] for stage in about["seconds"].values()),
-        "peak_gigabytes": max(about["peak_memory_bytes"].values()) / 1e9,
-        "scores": json.loads(judged.stdout),
-    }
+        raise _RunError(_last_line(fitted.stderr), fitted.returncode)
+    return read_json(JobPaths(out).report_json)["held_out"]
+
+
+def _textured(run: BenchRun, out: Path) -> Record:
+    """Texture the borrowed surface with the photographs; scores of its held-out views."""
+    from robir.bench.photo import STAGES_SHARED, texture_photographs
+
+    paths = JobPaths(out)
+    missing = [stage for stage in STAGES_SHARED if not paths.manifest(stage).exists()]
+    if missing:
+        raise _RunError(f"the whole method left no {missing[0]} to start from", 1)
+    before = Usage.now()
+    scores = texture_photographs(paths, _config(run))
+    about = read_json(paths.run)
+    about["seconds"] = {stage: about["seconds"][stage] for stage in STAGES_SHARED}
+    about["seconds"]["appearance"] = Usage.now().seconds_since(before)
+    about["warnings"] = []
+    for stage in STAGES[STAGES.index("appearance") :]:
+        write_json(paths.manifest(stage), {"stage": stage, "method": PHOTO})
+    write_json(paths.run, about)
+    return scores
+
+
+def _config(run: BenchRun) -> RunConfig:
+    return resolve(PRESETS[run.preset](), None, run.settings)
+
+
+def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
+    """Keep a picture for the page; a result that cannot be drawn still has its scores."""
+    from robir.bench.pictures import draw_result
+
+    scale = scores["albedo"]["scale"]["per_channel_lsq"]
+    draw_result(JobPaths(result_folder(run, folder)), run.capture, scale, picture_file(run, folder))
 
 
 def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
-    """Start an ablation from the whole method's folder: what it shares is then done before."""
-    whole = JobPaths(folder / "runs" / replace(run, variant="full").name)
-    if out.exists() or not whole.run.exists():
+    """Start a method from the whole method's folder: what it shares is then done before.
+
+    The borrowed stages keep their seconds, so every method is charged for all it needs.
+    """
+    whole = JobPaths(result_folder(replace(run, method=OURS), folder))
+    if run.method == OURS or out.exists() or not whole.run.exists():
         return
     part = JobPaths(out.with_name(f".{out.name}"))
     shutil.rmtree(part.root, ignore_errors=True)
-    for stage in STAGES[:-1]:
+    stages = ("capture", "geometry", "transport") if run.method == PHOTO else STAGES[:-1]
+    for stage in stages:
         if whole.manifest(stage).exists():
             shutil.copytree(whole.stage(stage), part.stage(stage))
     shutil.copy(whole.config, part.config)

@@ -68,11 +68,17 @@ SCORES = (
 )
 """Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
 
+ALBEDO, SHADOW = SCORES[0], SCORES[3]
+
 COSTS = (
+    Score(title="re-render (dB)", path="held_out.psnr", best="high", digits=1),
     Score(title="CPU-s", path="cpu_seconds", best="low", digits=0),
     Score(title="peak GB", path="peak_gigabytes", best="low", digits=2),
 )
-"""What a run cost, as the bench records it beside the scores."""
+"""What the bench records of a run beside the scores: how its own re-render of held-out photographs
+compares with them, and what it cost."""
+
+RERENDER, SECONDS = COSTS[0], COSTS[1]
 
 
 def score_lines(scores: Mapping[str, Any]) -> list[str]:

@@ -1,74 +1,111 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scores of a bench as Markdown: a row a run, then median and worst of each variant."""
+"""The scores of a bench as tables: median and worst of each method, then a row a run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 from robir.bench.scores import COSTS, SCORES, Score
 
+Record = dict[str, Any]
+
 _CLIPPING = "standard"
 
 
-def markdown(records: Iterable[dict[str, Any]]) -> str:
-    """Two tables: all runs, and the summary of each preset and variant."""
-    done, failed = [], []
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table for Markdown and HTML alike.
+
+    Attributes:
+        title: Heading.
+        head: Titles of the columns.
+        rows: Cells as shown.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table with its heading."""
+        lines = [self.head, ["---"] * len(self.head), *self.rows]
+        return "\n".join([f"## {self.title}", "", *("| " + " | ".join(x) + " |" for x in lines)])
+
+
+def bench_tables(records: Iterable[Record]) -> list[Table]:
+    """Summary of each preset and method, all runs, and those that failed."""
+    done, failed = split(records)
+    titles = [column.title for column in (*SCORES, *COSTS)]
+    tables = [
+        Table(
+            title="Over all runs",
+            head=["preset, method", *titles, "clipping told right"],
+            rows=_summary(done),
+        ),
+        Table(
+            title="Runs",
+            head=["capture", "preset", "method", "seed", *titles, "tone curve"],
+            rows=[_run_row(record) for record in done],
+        ),
+    ]
+    return tables + ([failures(failed)] if failed else [])
+
+
+def failures(failed: Sequence[Record]) -> Table:
+    """Runs without a result and what they said."""
+    return Table(
+        title="Failed",
+        head=["run", "exit code", "said"],
+        rows=[[r["name"], str(r["exit_code"]), r["error"].replace("|", "/")] for r in failed],
+    )
+
+
+def split(records: Iterable[Record]) -> tuple[list[Record], list[Record]]:
+    """Records with scores, and those of runs that failed."""
+    done: list[Record] = []
+    failed: list[Record] = []
     for record in records:
         (failed if "error" in record else done).append(record)
-    titles = [column.title for column in (*SCORES, *COSTS)]
-    head = ["capture", "preset", "variant", "seed", *titles, "tone curve"]
-    rows = [_run_row(record) for record in done]
-    parts = [
-        "# Scores",
-        "",
-        *_table(["over all runs", *titles, "clipping told right"], _summary(done)),
-    ]
-    parts += ["", "## Runs", "", *_table(head, rows)]
-    if failed:
-        parts += ["", "## Failed", "", *(f"- {r['name']}: {r['error']}" for r in failed)]
-    return "\n".join(parts) + "\n"
+    return done, failed
 
 
-def _run_row(record: dict[str, Any]) -> list[str]:
+def value(score: Score, record: Record) -> float | None:
+    """A score or a cost of a run that was scored."""
+    return score.value(record if score in COSTS else record["scores"])
+
+
+def _run_row(record: Record) -> list[str]:
     tone = record["scores"]["tone_curve"]
     return [
-        *(str(record[key]) for key in ("capture", "preset", "variant", "seed")),
-        *(score.text(_value(score, record)) for score in (*SCORES, *COSTS)),
+        *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+        *(score.text(value(score, record)) for score in (*SCORES, *COSTS)),
         f"{tone['family']} / {tone['true_view_transform']}",
     ]
 
 
-def _summary(records: Sequence[dict[str, Any]]) -> list[list[str]]:
-    groups = dict.fromkeys((record["preset"], record["variant"]) for record in records)
+def _summary(records: Sequence[Record]) -> list[list[str]]:
+    groups = dict.fromkeys((record["preset"], record["method"]) for record in records)
     rows = []
-    for preset, variant in groups:
-        members = [r for r in records if (r["preset"], r["variant"]) == (preset, variant)]
+    for preset, method in groups:
+        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
         right = sum(_is_clipping_told_right(record) for record in members)
         for name in ("median", "worst"):
             cells = [_summarised(score, members, name) for score in (*SCORES, *COSTS)]
-            rows.append([f"{preset}, {variant}: {name}", *cells, f"{right}/{len(members)}"])
+            rows.append([f"{preset}, {method}: {name}", *cells, f"{right}/{len(members)}"])
     return rows
 
 
-def _summarised(score: Score, members: Sequence[dict[str, Any]], name: str) -> str:
-    values = [value for r in members if (value := _value(score, r)) is not None]
+def _summarised(score: Score, members: Sequence[Record], name: str) -> str:
+    values = [found for r in members if (found := value(score, r)) is not None]
     if not values:
         return "-"
     return score.text(median(values) if name == "median" else max(values, key=score.badness))
 
 
-def _value(score: Score, record: dict[str, Any]) -> float | None:
-    return score.value(record if score in COSTS else record["scores"])
-
-
-def _is_clipping_told_right(record: dict[str, Any]) -> bool:
+def _is_clipping_told_right(record: Record) -> bool:
     """Whether a curve that clips is told from one that rolls off."""
     tone = record["scores"]["tone_curve"]
     return (tone["family"] == _CLIPPING) == (tone["true_view_transform"].lower() == _CLIPPING)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = [head, ["---"] * len(head), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]

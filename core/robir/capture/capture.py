@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ class Finding:
         message: What was found, where.
         cure: What to do about it.
         files: File names concerned, at most a dozen.
+        numbers: What was measured, plain values for JSON; the check that makes a finding says
+            which.
     """
 
     level: Literal["note", "warning", "error"]
@@ -66,6 +68,7 @@ class Finding:
     message: str
     cure: str = ""
     files: tuple[str, ...] = ()
+    numbers: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robir.capture.files import IMAGE_FOLDERS
 from robir.capture.frames import (
     MAX_NUMBER,
     OPENGL_FROM_OPENCV,
@@ -22,6 +23,7 @@ from robir.capture.frames import (
     Frame,
     FrameSet,
     Lens,
+    checked_lens,
     unique_names,
 )
 from robir.capture.refusal import CaptureRefusedError, note, refuse
@@ -41,10 +43,14 @@ _MODELS = {
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
-"""Camera models by number: name, count of parameters."""
-
-_IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
+"""Camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +127,7 @@ def _suffix(folder: Path) -> str | None:
 def _image_folder(source: Path, model: Path, names: list[str]) -> Path:
     """The folder that holds most of the photographs; `images` where none holds any."""
     places = [source, *(parent for parent in list(model.parents)[:3] if parent != source)]
-    folders = [place / name for place in places for name in _IMAGE_FOLDERS]
+    folders = [place / name for place in places for name in IMAGE_FOLDERS]
     counts = [sum((folder / name).is_file() for name in names) for folder in folders]
     return folders[int(np.argmax(counts))]
 
@@ -250,7 +256,6 @@ def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Arra
 
 def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
     """Intrinsics from a camera model's parameters, or a refusal that names the model."""
-    distortion = Distortion()
     match name, values:
         case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", (fx, cx, cy, *rest):
             fy = fx
@@ -261,6 +266,13 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
             distortion = Distortion(
                 radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2)
             )
+        case "SIMPLE_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE", (fx, cx, cy, *rest):
+            fy = fx
+            k1, k2 = (*rest, 0.0, 0.0)[:2]
+            distortion = Distortion(radial=(k1, k2, 0.0, 0.0), is_fisheye=True)
+        case "FISHEYE" | "OPENCV_FISHEYE", (fx, fy, cx, cy, *rest):
+            k1, k2, k3, k4 = (*rest, *[0.0] * 4)[:4]
+            distortion = Distortion(radial=(k1, k2, k3, k4), is_fisheye=True)
         case _:
             raise refuse(
                 "camera-model",
@@ -268,12 +280,5 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
                 "Undistort the photographs with `colmap image_undistorter` and give that folder.",
                 path.name,
             )
-    is_sane = all(abs(value) < MAX_NUMBER for value in values)
-    if not is_sane or min(fx, fy) <= 0 or min(width, height) < 1:
-        raise refuse(
-            "bad-intrinsics",
-            f"{path}: a {name} camera of {width}x{height} pixels has the parameters {values}",
-            "Estimate the cameras again.",
-            path.name,
-        )
-    return Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
+    lens = Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
+    return checked_lens(lens, path, f"a {name} camera")

@@ -20,6 +20,10 @@ MIN_VIEWS = 3
 FEW_VIEWS = 12
 """Below this many views, hidden sides stay guesses."""
 
+FAR = 2000.0
+"""Distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
+steps are 1.2e-4 radii there."""
+
 _OBJECT = 128
 _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
 
@@ -323,6 +327,16 @@ def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
                 "Check that poses and masks belong together; "
                 "masks should hold one object, not its surroundings.",
                 *inside,
+            )
+        )
+    far = float(np.linalg.norm(bounds.centre))
+    if far > FAR * bounds.radius:
+        found.append(
+            warning(
+                "far-from-origin",
+                f"The object lies {far:.6g} from the origin and is {2 * bounds.radius:.4g} wide: "
+                "files that hold 32-bit numbers cannot tell its details apart there",
+                "Export the cameras in local coordinates (not longitude and latitude, not UTM).",
             )
         )
     return found

@@ -6,8 +6,11 @@ nerfstudio write it. With (x, y) the undistorted image point at focal length one
 r2 = x^2 + y^2:
 
     q  = (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4) / (1 + d1 r2 + d2 r2^2 + d3 r2^3)
-    x' = q x + 2 p1 x y + p2 (r2 + 2 x^2)
+    x' = q x + 2 p1 x y + p2 (r2 + 2 x^2) + s y'
     y' = q y + p1 (r2 + 2 y^2) + 2 p2 x y
+
+A fisheye lens first replaces the radius by the angle, (x, y) by (x, y) atan(r) / r; with the
+polynomial that is the model of Kannala and Brandt, which OpenCV and COLMAP call OPENCV_FISHEYE.
 """
 
 from __future__ import annotations
@@ -40,29 +43,39 @@ class Distortion:
         radial: k1, k2, k3, k4 of the numerator.
         rational: d1, d2, d3 of the denominator (OpenCV's k4, k5, k6).
         tangential: p1, p2.
+        skew: s, how far a step down moves along the row.
+        is_fisheye: Whether the radius is the angle to the axis, not its tangent.
     """
 
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     rational: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
+    skew: float = 0.0
+    is_fisheye: bool = False
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """All numbers."""
+        return (*self.radial, *self.rational, *self.tangential, self.skew)
 
     @property
     def is_null(self) -> bool:
         """Whether the lens distorts nothing."""
-        return not any((*self.radial, *self.rational, *self.tangential))
+        return not self.is_fisheye and not any(self.parameters)
 
     def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Distorted image points of undistorted ones, both at focal length one, y down."""
         k1, k2, k3, k4 = self.radial
         d1, d2, d3 = self.rational
         p1, p2 = self.tangential
+        if self.is_fisheye:
+            radius = np.maximum(np.hypot(x, y), 1e-12)
+            x, y = x * np.arctan(radius) / radius, y * np.arctan(radius) / radius
         r2 = x * x + y * y
         q = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
         q = q / (1 + r2 * (d1 + r2 * (d2 + r2 * d3)))
-        return (
-            q * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            q * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        )
+        down = q * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return q * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + self.skew * down, down
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,6 +196,40 @@ class FrameSet:
     sphere: Sphere | None = None
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     findings: tuple[Finding, ...] = ()
+
+
+def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
+    """A lens whose numbers are finite and whose sizes and focal lengths are positive.
+
+    Args:
+        lens: Intrinsics as read.
+        path: File they come from.
+        whose: The photograph or camera they belong to.
+
+    Returns:
+        The lens itself.
+
+    Raises:
+        CaptureError: If a number makes no sense.
+    """
+    sizes = [value for value in (lens.width, lens.height) if value is not None]
+    focals = [value for value in (lens.fx, lens.fy, lens.angle_x) if value is not None]
+    others = [value for value in (lens.cx, lens.cy) if value is not None]
+    numbers = (*sizes, *focals, *others, *lens.distortion.parameters)
+    if (
+        not all(abs(value) < MAX_NUMBER for value in numbers)
+        or min((*sizes, *focals), default=1) <= 0
+    ):
+        size = "x".join(f"{value:g}" for value in sizes) or "unknown size"
+        raise refuse(
+            "bad-intrinsics",
+            f"{path}: {whose} has {size} pixels, a focal length of "
+            f"{' and '.join(f'{value:g}' for value in focals)} and the lens parameters "
+            f"{(*others, *lens.distortion.parameters)}",
+            "Estimate the cameras again, or export them again.",
+            path.name,
+        )
+    return lens
 
 
 def pose_fault(pose: Array) -> str | None:

@@ -69,6 +69,15 @@ def read_photo(path: Path, declared: tuple[int, int] | None) -> Photo:
         return _photo(picture, path, turned)
 
 
+def photo_size(path: Path) -> tuple[int, int] | None:
+    """Width and height of a photograph as stored, from its header; None if it has none."""
+    try:
+        with Image.open(path) as picture:
+            return picture.size
+    except _DAMAGE:
+        return None
+
+
 def read_mask(path: Path) -> Bytes:
     """Read a mask: alpha where it varies, else brightness; 255 is the object.
 
@@ -216,7 +225,7 @@ def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
         "distortion",
         "The lens distortion folds the picture over itself: "
         f"radial {distortion.radial}, rational {distortion.rational}, "
-        f"tangential {distortion.tangential}",
+        f"tangential {distortion.tangential}, skew {distortion.skew:g}",
         "Undistort the photographs (for example with `colmap image_undistorter`) "
         "and give that folder.",
     )

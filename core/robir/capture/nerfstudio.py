@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""nerfstudio and instant-ngp captures: one transforms.json."""
+"""nerfstudio and instant-ngp captures: one transforms.json.
+
+nerfstudio's converters turn and scale the world of the program that found the poses and say so:
+with A the 3x4 "applied_transform" and s the "applied_scale", a point p of that program lies at
+s A (p, 1) in the file (nerfstudio_dataparser.py: `transform_matrix @ applied_transform`,
+`scale_factor *= applied_scale`). Both are undone here, so that the result stands where the
+capture's own point cloud does. What trainers apply on loading ("scale", "offset", "aabb_scale",
+"orientation_override") has not been applied to the file's poses and is left alone.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robir.capture import transforms
-from robir.capture.frames import Frame, FrameSet, unique_names
+from robir.capture.files import is_number
+from robir.capture.frames import Array, Frame, FrameSet, unique_names
 from robir.capture.refusal import note, refuse, warning
 
 FORMAT = "nerfstudio"
 NAME = "transforms.json"
 
-_TRAINER_FRAMES = ("applied_transform", "applied_scale", "scale", "offset", "orientation_override")
+_APPLIED = ("applied_transform", "applied_scale")
 
 
 def read(path: Path) -> FrameSet:
@@ -23,7 +35,7 @@ def read(path: Path) -> FrameSet:
         path: The transforms file.
 
     Returns:
-        Frames with OpenGL poses in the file's own frame.
+        Frames with OpenGL poses in the frame from before `applied_transform`.
 
     Raises:
         CaptureError: If the file is damaged, a key is missing or only some frames have masks.
@@ -37,6 +49,7 @@ def read(path: Path) -> FrameSet:
         for key in ("test_filenames", "val_filenames")
         for name in content.get(key, [])
     }
+    undo = _undoing(path, content)
     frames = []
     for index, name in enumerate(unique_names(relatives)):
         entry, relative = entries[index], relatives[index]
@@ -49,7 +62,7 @@ def read(path: Path) -> FrameSet:
                 relative=relative,
                 mask=None if mask is None else root / str(mask),
                 lens=transforms.lens(path, content, entry, where),
-                camera_to_world=transforms.pose(path, entry, where),
+                camera_to_world=undo(transforms.pose(path, entry, where)),
                 split="test" if relative in tests else "train",
             )
         )
@@ -62,12 +75,13 @@ def read(path: Path) -> FrameSet:
             *without,
         )
     findings = []
-    present = [key for key in _TRAINER_FRAMES if key in content]
-    if present:
+    applied = [key for key in _APPLIED if key in content]
+    if applied:
         findings.append(
             note(
-                "trainer-frame",
-                f"{path.name} holds {', '.join(present)}; poses are kept as the file gives them",
+                "applied-transform",
+                f"{path.name} holds {' and '.join(applied)}; poses were taken back to the frame "
+                "and unit from before",
             )
         )
     if any(entry.get("rolling_shutter", content.get("rolling_shutter")) for entry in entries):
@@ -79,3 +93,31 @@ def read(path: Path) -> FrameSet:
             )
         )
     return FrameSet(root=root, format=FORMAT, frames=tuple(frames), findings=tuple(findings))
+
+
+def _undoing(path: Path, content: dict[str, Any]) -> Callable[[Array], Array]:
+    """What takes a camera-to-world matrix of the file back to the frame before the transform."""
+    scale = content.get("applied_scale", 1.0)
+    try:
+        applied = np.array(content.get("applied_transform", np.eye(4)), dtype=np.float64)
+    except (TypeError, ValueError):
+        applied = np.zeros(0)
+    turn = np.zeros((3, 3)) if applied.shape not in ((3, 4), (4, 4)) else applied[:3, :3]
+    size = float(np.cbrt(np.linalg.det(turn))) if np.isfinite(applied).all() else 0.0
+    good = size > 1e-9 and np.allclose(turn @ turn.T, size * size * np.eye(3), atol=1e-4 * size**2)
+    if not good or not is_number(scale) or scale <= 0:
+        raise refuse(
+            "bad-transform",
+            f'{path}: "applied_transform" and "applied_scale" do not turn, scale and move space',
+            "Write a 3x4 matrix without shear or mirror, and a positive number; "
+            "or leave both out to keep the poses as the file gives them.",
+            path.name,
+        )
+
+    def undo(pose: Array) -> Array:
+        original = np.eye(4)
+        original[:3, :3] = turn.T @ pose[:3, :3] / size
+        original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
+        return original
+
+    return undo

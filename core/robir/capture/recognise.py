@@ -7,18 +7,36 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from robir.capture import colmap, llff, nerf_synthetic, nerfstudio, neus, transforms
+from robir.capture import (
+    colmap,
+    llff,
+    meshroom,
+    metashape,
+    nerf_synthetic,
+    nerfstudio,
+    neus,
+    polycam,
+    reality_scan,
+    transforms,
+)
 from robir.capture import masks as mask_files
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
+from robir.capture.coverage import check_coverage
+from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
+from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
+
+_CHECKS = (check_place, check_coverage, check_sharpness, check_light)
+"""What is looked at once the object's place is known."""
 
 
 def read_frames(source: Path) -> FrameSet:
@@ -47,11 +65,10 @@ def read_frames(source: Path) -> FrameSet:
 def _reader(source: Path) -> Callable[[], FrameSet] | None:
     """What reads a folder or a file of poses, or None; the first of these that fits."""
     if source.is_file():
-        if transforms.looks_like(source) and source.name != nerf_synthetic.TRAIN:
-            return partial(nerfstudio.read, source)
-        if source.suffix == ".npz" and neus.is_camera_file(source):
-            return partial(neus.read, source)
-        return None
+        return _file_reader(source)
+    keyframes = polycam.find(source)
+    if keyframes is not None:
+        return partial(polycam.read, keyframes)
     if (source / nerf_synthetic.TRAIN).is_file():
         return partial(nerf_synthetic.read, source)
     if (source / nerfstudio.NAME).is_file():
@@ -63,7 +80,25 @@ def _reader(source: Path) -> Callable[[], FrameSet] | None:
         return partial(llff.read, source / llff.NAME)
     if colmap.find_models(source):
         return partial(colmap.read, source)
-    return None
+    readers = (_file_reader(path) for path in sorted(source.iterdir()) if path.is_file())
+    return next((reader for reader in readers if reader is not None), None)
+
+
+def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
+    """What reads a file of poses, told by what the file holds."""
+    match path.suffix.lower():
+        case ".json" | ".sfm" if meshroom.looks_like(path):
+            return partial(meshroom.read, path)
+        case ".json" if path.name != nerf_synthetic.TRAIN and transforms.looks_like(path):
+            return partial(nerfstudio.read, path)
+        case ".npz" if neus.is_camera_file(path):
+            return partial(neus.read, path)
+        case ".csv" | ".txt" if reality_scan.looks_like(path):
+            return partial(reality_scan.read, path)
+        case ".xml" if metashape.looks_like(path):
+            return partial(metashape.read, path)
+        case _:
+            return None
 
 
 def _not_recognised(source: Path) -> CaptureRefusedError:
@@ -85,7 +120,9 @@ def _not_recognised(source: Path) -> CaptureRefusedError:
     ]
     known = (
         "transforms_train.json, transforms.json, a COLMAP model (sparse/0), "
-        "cameras_sphere.npz or poses_bounds.npy"
+        "cameras_sphere.npz, poses_bounds.npy, Polycam's keyframes, RealityScan's "
+        "internal/external camera parameters (CSV), Metashape's cameras (XML) "
+        "or Meshroom's cameras.sfm"
     )
     if not photographs:
         return refuse(
@@ -123,6 +160,7 @@ def read_capture(
     frames = read_frames(source)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
+    findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
     if masks is None:
         masks = _folder_of_masks(frames)
@@ -144,7 +182,8 @@ def read_capture(
     findings += about
     if bounds is None:
         raise CaptureRefusedError(findings)
-    findings += check_place(views, bounds)
+    for check in _CHECKS:
+        findings += check(views, bounds)
     progress(1.0, "capture read")
     return Capture(
         source=source,

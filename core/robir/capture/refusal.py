@@ -7,6 +7,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
+from typing import Any
 
 from robir.capture.capture import Finding
 from robir.errors import CaptureError
@@ -61,11 +62,20 @@ def error(code: str, message: str, cure: str, *files: str) -> Finding:
     return Finding(level="error", code=code, message=message, cure=cure, files=files[:MAX_FILES])
 
 
-def warning(code: str, message: str, cure: str, *files: str) -> Finding:
+def warning(code: str, message: str, cure: str, *files: str, **numbers: Any) -> Finding:
     """A finding that lowers the result."""
-    return Finding(level="warning", code=code, message=message, cure=cure, files=files[:MAX_FILES])
+    return Finding(
+        level="warning",
+        code=code,
+        message=message,
+        cure=cure,
+        files=files[:MAX_FILES],
+        numbers=numbers,
+    )
 
 
-def note(code: str, message: str, *files: str) -> Finding:
+def note(code: str, message: str, *files: str, **numbers: Any) -> Finding:
     """A finding that informs."""
-    return Finding(level="note", code=code, message=message, files=files[:MAX_FILES])
+    return Finding(
+        level="note", code=code, message=message, files=files[:MAX_FILES], numbers=numbers
+    )

@@ -1,29 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entries of transforms JSON files, shared by NeRF-synthetic, nerfstudio and instant-ngp.
 
-Poses are camera-to-world with OpenGL axes, which is our own convention, and stay in the frame of
-the file: `applied_transform`, `scale` and `offset`, which trainers use, are not applied.
+Poses are camera-to-world with OpenGL axes, which is our own convention, and pixel centres lie at
+half integers (nerfstudio, cameras.py: `get_image_coords`).
+
+Lens parameters follow nerfstudio's `get_distortion_params`: k1..k4 are the polynomial, p1 and p2
+the tangential part, "distortion_params" is the list (k1, k2, k3, k4, p1, p2). A file that holds k5
+or k6, or names FULL_OPENCV, means OpenCV's rational model, where k4, k5 and k6 stand below the
+line. With OPENCV_FISHEYE (instant-ngp: "is_fisheye") the polynomial is one of the angle.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array, Distortion, Lens
+from robir.capture.files import head, is_number, load_json
+from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
 from robir.capture.refusal import CaptureRefusedError, refuse
 
-PINHOLE_MODELS = frozenset(
-    {"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"}
+_RATIONAL_MODEL = "FULL_OPENCV"
+_FISHEYE_MODELS = frozenset(
+    {"OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 )
-"""Camera models whose parameters are fl_x, fl_y, cx, cy, k1..k4, p1, p2."""
+_MODELS = _FISHEYE_MODELS | {
+    "OPENCV",
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "PERSPECTIVE",
+    _RATIONAL_MODEL,
+}
+"""Camera models whose parameters are fl_x, fl_y, cx, cy, k1..k6, p1, p2."""
 
 _OTHER_PROJECTIONS = (
-    "is_fisheye",
     "equirectangular",
     "latlong",
     "orthographic",
@@ -43,15 +57,7 @@ def load(path: Path) -> dict[str, Any]:
     Raises:
         CaptureError: If it is no JSON or has no frames.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
-        raise refuse(
-            "bad-transforms",
-            f"{path} is not readable as JSON ({fault})",
-            "Write the file again.",
-            path.name,
-        ) from None
+    content = load_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not all(isinstance(entry, dict) for entry in frames):
         raise missing_key(path, "frames", "the file")
@@ -59,13 +65,8 @@ def load(path: Path) -> dict[str, Any]:
 
 
 def looks_like(path: Path) -> bool:
-    """Whether a file is JSON with frames, or claims to be by its name."""
-    if not path.is_file() or path.suffix.lower() != ".json":
-        return False
-    if path.stem.lower().startswith("transforms"):
-        return True
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return '"transform_matrix"' in file.read(65536)
+    """Whether a JSON file has frames, or claims to have by its name."""
+    return path.stem.lower().startswith("transforms") or '"transform_matrix"' in head(path)
 
 
 def missing_key(path: Path, key: str, where: str) -> CaptureRefusedError:
@@ -123,16 +124,16 @@ def lens(path: Path, content: dict[str, Any], entry: dict[str, Any], where: str)
 
     Raises:
         CaptureError: If there is no focal length, a number is no number, or the projection is
-            not a pinhole with Brown-Conrady distortion.
+            neither a pinhole nor an equidistant fisheye.
     """
-    _refuse_other_projections(path, content, entry, where)
+    stated = content | entry
+    model = _camera_model(path, stated, where)
 
     def number(key: str) -> float | None:
-        value = entry.get(key, content.get(key))
+        value = stated.get(key)
         if value is None:
             return None
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not abs(value) < MAX_NUMBER:
+        if not is_number(value):
             raise refuse(
                 "bad-intrinsics",
                 f'{path}: "{key}" of {where} is {value!r}, not a finite number',
@@ -155,8 +156,9 @@ def lens(path: Path, content: dict[str, Any], entry: dict[str, Any], where: str)
     fx, angle_x = positive("fl_x"), positive("camera_angle_x")
     if fx is None and (angle_x is None or angle_x >= math.pi):
         raise missing_key(path, "fl_x (or camera_angle_x)", f"{where} and from the file")
+    if "distortion_params" in stated:
+        stated |= _listed_parameters(path, stated["distortion_params"], where)
     width, height = positive("w"), positive("h")
-    k1, k2, k3, k4 = (number(f"k{i}") or 0.0 for i in range(1, 5))
     return Lens(
         width=None if width is None else int(width),
         height=None if height is None else int(height),
@@ -166,22 +168,45 @@ def lens(path: Path, content: dict[str, Any], entry: dict[str, Any], where: str)
         cy=number("cy"),
         angle_x=angle_x,
         angle_y=positive("camera_angle_y"),
-        distortion=Distortion(
-            radial=(k1, k2, k3, k4), tangential=(number("p1") or 0.0, number("p2") or 0.0)
-        ),
+        distortion=_distortion(model, {k: number(k) or 0.0 for k in _PARAMETERS}),
     )
 
 
-def _refuse_other_projections(
-    path: Path, content: dict[str, Any], entry: dict[str, Any], where: str
-) -> None:
-    model = str(entry.get("camera_model", content.get("camera_model", "OPENCV"))).upper()
-    found = next((k for k in _OTHER_PROJECTIONS if entry.get(k, content.get(k))), None)
-    if model not in PINHOLE_MODELS or found:
+_PARAMETERS = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")
+
+
+def _distortion(model: str, found: dict[str, float]) -> Distortion:
+    k1, k2, k3, k4, p1, p2, k5, k6 = (found[key] for key in _PARAMETERS)
+    if k5 or k6 or model == _RATIONAL_MODEL:
+        return Distortion(radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2))
+    return Distortion(
+        radial=(k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=model in _FISHEYE_MODELS
+    )
+
+
+def _listed_parameters(path: Path, values: object, where: str) -> dict[str, float]:
+    if not isinstance(values, list) or len(values) > 6 or not all(map(is_number, values)):
+        raise refuse(
+            "bad-intrinsics",
+            f'{path}: "distortion_params" of {where} is {values!r}, not six numbers',
+            "Write k1, k2, k3, k4, p1, p2.",
+            path.name,
+        )
+    return dict(zip(_PARAMETERS, values, strict=False))
+
+
+def _camera_model(path: Path, stated: dict[str, Any], where: str) -> str:
+    """Name of the camera model, or a refusal of other projections."""
+    model = str(stated.get("camera_model", "OPENCV")).upper()
+    if stated.get("is_fisheye"):
+        model = "OPENCV_FISHEYE"
+    other = next((key for key in _OTHER_PROJECTIONS if stated.get(key)), None)
+    if model not in _MODELS or other:
         raise refuse(
             "camera-model",
-            f"{path}: the camera model of {where} is {found or model}, which is not supported",
+            f"{path}: the camera model of {where} is {other or model}, which is not supported",
             "Undistort the photographs to a pinhole camera (for example with "
             "`colmap image_undistorter`) and give that folder.",
             path.name,
         )
+    return model

@@ -22,6 +22,7 @@ from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.light import RecoveredLight
 from robir.evaluation.photos import mean_scores, photo_scores, read_picture
 from robir.evaluation.sheet import display_codes, layer_pictures
+from robir.export.trust import quality
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
@@ -219,6 +220,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "device": run["device"],
         "preset": run["preset"],
         "seed": run["seed"],
+        "trust": quality(capture, products.mesh, products.arrays, held_out["psnr"]),
         "held_out": held_out,
         "cycles": cycles,
         "tone_curve": curve,

@@ -25,7 +25,7 @@ from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
 
-REVISION = 2
+REVISION = 3
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -79,6 +79,8 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             },
         ),
     )
+    for doubt in numbers["trust"]["doubts"]:
+        report.warn(f"the result is not to be trusted: {doubt}")
     report.progress(1.0, "exported")
     return _manifest_metrics(mesh, rendering, numbers)
 
@@ -180,6 +182,7 @@ class _Work:
 def _manifest_metrics(mesh: Mesh, rendering: Rendering, numbers: dict[str, Any]) -> dict[str, Any]:
     metrics: dict[str, Any] = {
         "faces": len(mesh.faces),
+        "is_trusted": numbers["trust"]["is_trusted"],
         "rendering_cpu_seconds": round(rendering.seconds["cpu"], 2),
         "rendering_wall_seconds": round(rendering.seconds["wall"], 2),
     }

@@ -14,6 +14,7 @@ from robir.errors import CaptureError
 from robir.geometry.backdrop import Backdrop
 from robir.geometry.clean import largest_pieces, restore_missing
 from robir.geometry.config import GeometryConfig
+from robir.geometry.facets import flattened
 from robir.geometry.field import Field
 from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
@@ -30,7 +31,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 
-REVISION = 2
+REVISION = 3
 """Raised whenever the same input gives another result."""
 
 
@@ -125,8 +126,8 @@ def reconstruct(
 
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
     """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
-    mesh = largest_pieces(extract(field.lattice, field.sdf))
-    return fill_holes(decimate(taubin(mesh, 10), face_budget))
+    mesh = taubin(largest_pieces(extract(field.lattice, field.sdf)), 5)
+    return fill_holes(decimate(flattened(mesh, field.lattice.cell), face_budget))
 
 
 def hull_of(photos: list[Photo], views: int) -> HullCarver:

@@ -2,7 +2,8 @@
 """Tone curve families, from linear Rec.709 radiance to sRGB display codes and back: the one door.
 
 `families()` lists the candidates, simplest first; `curve_from_name` rebuilds one from what
-tone_curve.json holds. See tone_curve.py for the conventions all of them share.
+tone_curve.json holds, and knows the sigmoid that only comparisons use. See tone_curve.py for the
+conventions all of them share.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ from robir.maths.tone_curve import (
     linear_from_srgb,
     srgb_from_linear,
 )
-from robir.maths.tone_formula import AcesToneCurve, KhronosNeutralToneCurve, StandardToneCurve
+from robir.maths.tone_formula import (
+    AcesToneCurve,
+    KhronosNeutralToneCurve,
+    LogToneCurve,
+    StandardToneCurve,
+)
 from robir.maths.tone_table import AgxToneCurve, FilmicToneCurve, load_tables
 
 __all__ = [
@@ -32,6 +38,7 @@ __all__ = [
     "AgxToneCurve",
     "FilmicToneCurve",
     "KhronosNeutralToneCurve",
+    "LogToneCurve",
     "StandardToneCurve",
     "as_samples",
     "cube_text",
@@ -67,7 +74,7 @@ def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) ->
     Raises:
         ConfigError: If the family is unknown or the parameters are not its own.
     """
-    known = {curve.name: curve for curve in families()}
+    known = {curve.name: curve for curve in (*families(), LogToneCurve())}
     if name not in known:
         raise ConfigError(f"tone curve family '{name}' is unknown; known are {', '.join(known)}")
     curve, given = known[name], dict(parameters or {})

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What bench and stability sweep leave behind: chart, Markdown, one self-contained page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from robir.bench.chart import speed_accuracy
+from robir.bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
+from robir.bench.pictures import tile
+from robir.bench.plan import BenchRun
+from robir.bench.runs import picture_file
+from robir.bench.scores import ALBEDO
+from robir.bench.table import Record, Table, bench_tables, failures, split, value
+from robir.jobs.paths import replacing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """Pictures side by side.
+
+    Attributes:
+        title: What the row shows.
+        tiles: Label and data address of each picture.
+        notes: Paragraphs below.
+    """
+
+    title: str
+    tiles: Sequence[tuple[str, str]]
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A page: pictures first, then the chart, then the tables.
+
+    Attributes:
+        title: Heading.
+        lead: One paragraph.
+        rows: Pictures.
+        chart_title: Heading of the chart.
+        chart: SVG text.
+        tables: Below.
+    """
+
+    title: str
+    lead: str
+    rows: Sequence[Row]
+    chart_title: str
+    chart: str
+    tables: Sequence[Table]
+
+
+def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
+    """Write chart.svg, scores.md and index.html of a bench; returns the page."""
+    tried = [records[run.name] for run in runs if run.name in records]
+    done, _failed = split(tried)
+    page = Page(
+        title="Speed against accuracy",
+        lead=f"{len(done)} of {len(runs)} runs are scored. Albedos are scaled to the truth channel "
+        "by channel; every method is charged for all stages it needs, shared or not.",
+        rows=_method_rows(folder, [run for run in runs if "scores" in records.get(run.name, {})]),
+        chart_title="CPU seconds against accuracy",
+        chart=speed_accuracy(done),
+        tables=bench_tables(tried),
+    )
+    return _write(folder, "scores.md", page)
+
+
+def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
+    """Write chart.svg, stability.md and index.html of a sweep; returns the page."""
+    tried = [records[run.name] for run in runs if run.name in records]
+    found = cases(tried)
+    counts = vigilance(tried)
+    _done, failed = split(tried)
+    page = Page(
+        title="Stability",
+        lead=f"{len(tried)} of {len(runs)} runs were tried. Of {counts['wrong']} wrong ones "
+        f"(refused, or more than 6 dB of albedo below the unperturbed runs) the program told "
+        f"{counts['told']}; of {counts['sound']} sound ones it doubted {counts['alarms']}.",
+        rows=[_case_row(folder, case, runs) for case in worst_cases(found)],
+        chart_title="Albedo lost and shadow ratio",
+        chart=heat_map(found),
+        tables=[
+            heat_table(found),
+            _worst_table(worst_cases(found)),
+            *([failures(failed)] if failed else []),
+        ],
+    )
+    return _write(folder, "stability.md", page)
+
+
+def _write(folder: Path, markdown: str, page: Page) -> Path:
+    html = Environment(
+        loader=PackageLoader("robir.bench"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template("page.html")
+    parts = [f"# {page.title}", page.lead, f"![{page.chart_title}](chart.svg)"]
+    texts = {
+        "chart.svg": page.chart,
+        markdown: "\n\n".join([*parts, *(table.markdown() for table in page.tables)]) + "\n",
+        "index.html": html.render(page=page),
+    }
+    for name, text in texts.items():
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return folder / "index.html"
+
+
+def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[Row]:
+    """Photograph, truth and each method's albedo, a row each capture, preset and seed."""
+    rows = []
+    for key in dict.fromkeys((run.capture, run.preset, run.seed) for run in runs):
+        members = [run for run in runs if (run.capture, run.preset, run.seed) == key]
+        first = picture_file(members[0], folder)
+        tiles = [(name, _inline(first, name)) for name in ("photograph", "true albedo")]
+        tiles += [(run.method, _inline(picture_file(run, folder), "albedo")) for run in members]
+        rows.append(Row(title=f"{key[0].name}, {key[1]}, seed {key[2]}", tiles=tiles))
+    return rows
+
+
+def _case_row(folder: Path, case: Case, runs: Sequence[BenchRun]) -> Row:
+    """The worst case of a factor: what was given, what came out, what was said."""
+    spoilt = next(run for run in runs if run.name == case.record["name"])
+    tiles = []
+    if "scores" in case.record:
+        file = picture_file(spoilt, folder)
+        labels = {"photograph": "photograph", "true albedo": "true albedo", "albedo": "its albedo"}
+        tiles = [(label, _inline(file, name)) for name, label in labels.items()]
+    if case.base is not None:
+        base = next(run for run in runs if run.name == case.base["name"])
+        tiles.append(("albedo unperturbed", _inline(picture_file(base, folder), "albedo")))
+    return Row(
+        title=f"{case.record['factor']} {case.record['value']}: {case.record['capture']}, "
+        f"{case.record['method']}, {_lost(case)}",
+        tiles=tiles,
+        notes=[cause(case), "The program said: " + (" ".join(told(case.record)) or "nothing.")],
+    )
+
+
+def _worst_table(worst: Sequence[Case]) -> Table:
+    return Table(
+        title="The worst case of each factor",
+        head=["factor", "value", "capture", "albedo", "what happened", "what the program said"],
+        rows=[
+            [
+                *case.row,
+                case.record["capture"],
+                _lost(case),
+                cause(case).replace("|", "/"),
+                (" ".join(told(case.record)) or "nothing").replace("|", "/"),
+            ]
+            for case in worst
+        ],
+    )
+
+
+def _lost(case: Case) -> str:
+    if "error" in case.record:
+        return "failed"
+    now = ALBEDO.text(value(ALBEDO, case.record))
+    return f"{now} dB" if case.lost is None else f"{now} dB, {case.lost:.1f} lost"
+
+
+def _inline(picture: Path, name: str) -> str:
+    stream = io.BytesIO()
+    Image.fromarray(tile(picture, name)).save(stream, format="PNG")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

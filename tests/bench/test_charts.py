@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The charts' numbers: Pareto front, losses, what is said, how watchful the program is."""
+
+from __future__ import annotations
+
+import copy
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from bench.test_bench import scores
+
+from robir.bench.chart import medians, pareto_front, speed_accuracy
+from robir.bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
+from robir.bench.scores import ALBEDO, SHADOW
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", trusted=True, **changes):
+    return {
+        "name": f"a_{factor}_{value}_{method}_{albedo}",
+        "capture": "a",
+        "preset": "draft",
+        "method": method,
+        "seed": 0,
+        "factor": factor,
+        "value": value,
+        "cpu_seconds": seconds,
+        "peak_gigabytes": 0.8,
+        "held_out": {"psnr": 24.0},
+        "warnings": [],
+        "trust": {"is_trusted": trusted},
+        "scores": scores(albedo),
+    } | changes
+
+
+def failure(factor="views", value="1"):
+    kept = ("name", "capture", "preset", "method", "seed", "factor", "value")
+    whole = record(factor=factor, value=value)
+    return {name: whole[name] for name in kept} | {"error": "no masks", "exit_code": 3}
+
+
+def test_the_front_holds_exactly_what_nothing_beats():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        points = [tuple(point) for point in rng.integers(0, 8, (12, 2)).astype(float)]
+        front = pareto_front(points)
+        values = {points[index] for index in front}
+        beaten = {
+            p for p in points if any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
+        }
+        assert values == set(points) - beaten
+        assert len(values) == len(front)
+        assert [points[i] for i in front] == sorted(values)
+
+
+def test_medians_are_of_each_method_and_preset_and_skip_what_is_missing():
+    records = [record(20.0), record(23.0, seconds=110.0), record(30.0, seconds=70.0)]
+    records += [record(25.0, preset="standard", seconds=400.0), record(12.0, "photo", 60.0)]
+    found = medians(ALBEDO, records)
+    assert found["ours", "draft"] == (90.0, 23.0)
+    assert found["ours", "standard"] == (400.0, 25.0)
+    assert found["photo", "draft"] == (60.0, 12.0)
+    ratios = [record(albedo) for albedo in (20.0, 21.0)]
+    for each, ratio in zip(ratios, (0.4, 1.6), strict=True):
+        each["scores"]["shadow"]["ratio"] = ratio
+    assert medians(SHADOW, ratios)["ours", "draft"] == (90.0, pytest.approx(0.6))
+    records[-1]["scores"]["albedo"] = {}
+    assert ("photo", "draft") not in medians(ALBEDO, records)
+
+
+def test_the_chart_names_every_method_and_is_the_same_twice():
+    records = [record(20.0), record(12.0, "photo", 60.0), record(16.0, "srgb", 85.0)]
+    text = speed_accuracy(records)
+    assert text == speed_accuracy(records)
+    words = "".join(ET.fromstring(text).itertext())
+    for word in ("ours", "photo", "srgb", "Pareto front", "CPU seconds", "re-render (dB)"):
+        assert word in words
+
+
+def test_losses_are_against_the_same_capture_method_and_seed():
+    records = [record(22.0), record(14.0, "photo")]
+    records += [record(19.5, factor="views", value="5"), record(13.0, "photo", 9.0, "views", "5")]
+    records += [record(21.0, factor="noise", value="0.1"), failure()]
+    found = cases(records)
+    assert [case.lost for case in found] == [2.5, 1.0, 1.0, None]
+    assert [case.record["value"] for case in worst_cases(found)] == ["1", "0.1"]
+    rows = heat_table(found).rows
+    assert rows[0] == ["views", "5", "2.5", "1.00", "0 of 1", "1.0", "1.00", "0 of 1"]
+    assert rows[2] == ["views", "1", "-", "-", "1 of 1", "-", "-", "0 of 0"]
+    words = "".join(ET.fromstring(heat_map(found)).itertext())
+    for word in ("views 5", "noise 0.1", "photo", "2.5", "1 of 1 failed"):
+        assert word in words
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("mask_iou", 0.9, "outline is off (IoU 0.900 against 0.990)"),
+        ("normals.mean_degrees", 20.0, "ormals are 20 degrees off against 6"),
+        ("light.strongest_lobe_degrees", 40.0, "sun is 40 degrees off"),
+        ("light.strongest_lobe_degrees", None, "o sun was found"),
+        ("tone_curve.family", "standard", "tone curve, Filmic, was taken for standard"),
+        ("shadow.ratio", 0.4, "hadows stay in the albedo (ratio 0.40 against 1.00)"),
+        ("shadow.ratio", 1.5, "over-corrected"),
+        ("albedo.psnr_linear.raw", 0.0, "stayed as they were"),
+    ],
+)
+def test_a_cause_is_the_score_that_moved(path, value, words):
+    base = record(22.0)
+    base["scores"]["light"]["strongest_lobe_degrees"] = 0.5
+    spoilt = copy.deepcopy(base) | {"factor": "views", "value": "5"}
+    place, (*keys, last) = spoilt["scores"], path.split(".")
+    for key in keys:
+        place = place[key]
+    place[last] = value
+    sentence = cause(cases([base, spoilt])[0])
+    assert words in sentence
+    assert sentence.count(";") == 0
+
+
+def test_what_was_told_is_the_error_the_warnings_or_the_trust():
+    assert told(failure()) == ["exit code 3: no masks"]
+    assert told(record(warnings=["few views"], trusted=False)) == ["Few views."]
+    assert told(record()) == ["The result is to be trusted."]
+    assert told(record(trust=None)) == []
+
+
+def test_vigilance_counts_against_the_unperturbed_runs():
+    sound = [record(value_) for value_ in (22.0, 21.0, 20.0)]  # their median is 21
+    noisy = {"factor": "noise", "value": "1"}
+    spoilt = [record(14.9, trusted=False, **noisy), record(14.5, **noisy)]
+    spoilt += [record(15.1, trusted=False, **noisy), record(19.0, **noisy), failure()]
+    assert vigilance(sound + spoilt) == {"wrong": 3, "told": 2, "sound": 5, "alarms": 1}
+    elsewhere = record(9.0, **noisy) | {"capture": "b"}
+    unjudged = record(9.0, trust=None, **noisy)
+    assert vigilance([*sound, *spoilt, elsewhere, unjudged])["wrong"] == 3

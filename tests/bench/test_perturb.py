@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each way to spoil a capture against what it promises, on a rendered capture of a sphere."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+import torch
+from evaluation import sphere_run
+from PIL import Image
+
+from robir.bench.perturb import FACTORS, Perturbation
+from robir.errors import ConfigError
+from robir.evaluation.metrics import linear_from_srgb
+from robir.evaluation.truth import load_truth, read_exr
+from robir.maths import tone
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """The sphere's capture with radiance in its truth, as the scene generators leave it."""
+    folder = sphere_run.make_truth(tmp_path_factory.mktemp("perturb") / "sphere")
+    for split in ("train", "test"):
+        for file in sorted((folder / split).glob("*.png")):
+            codes = np.asarray(Image.open(file)) / 255.0
+            truth = folder / "truth" / split / f"{file.stem}.exr"
+            planes = read_exr(truth)
+            radiance = linear_from_srgb(codes[..., :3])
+            planes |= {f"radiance.{axis}": radiance[..., i] for i, axis in enumerate("RGB")}
+            sphere_run.save_planes(truth, planes)
+    return folder
+
+
+def spoil(source, out, factor, value, seed=0):
+    folder = out / "spoilt"
+    Perturbation(source=source, factor=factor, value=value).make(folder, seed)
+    return folder
+
+
+def table(folder, split="train"):
+    return json.loads((folder / f"transforms_{split}.json").read_text())
+
+
+def pictures(folder, split="train"):
+    names = [frame["file_path"] for frame in table(folder, split)["frames"]]
+    return [np.asarray(Image.open(folder / f"{name}.png")) for name in names]
+
+
+def poses(folder, split="train"):
+    return np.array([frame["transform_matrix"] for frame in table(folder, split)["frames"]])
+
+
+def test_truth_and_untouched_pictures_are_links_to_the_originals(source, tmp_path):
+    folder = spoil(source, tmp_path, "pose noise", 1.0)
+    for name in ("truth/mesh.ply", "truth/test/r_000.exr", "train/r_000.png", "test/r_002.png"):
+        assert (folder / name).samefile(source / name)
+    assert len(load_truth(folder).views) == 3
+    assert table(folder, "test") == table(source, "test")
+
+
+def test_changing_a_spoilt_capture_leaves_the_original_alone(source, tmp_path):
+    before = {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
+    for index, (factor, value) in enumerate([("tone", "filmic"), ("mask", "erode 2")]):
+        spoil(source, tmp_path / str(index), factor, value)
+    assert before == {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
+
+
+def test_a_finished_capture_is_kept_and_half_of_one_is_not(source, tmp_path):
+    (tmp_path / ".spoilt").mkdir()
+    (tmp_path / ".spoilt" / "half").touch()
+    folder = spoil(source, tmp_path, "views", 3.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["spoilt"]
+    stamp = (folder / "transforms_train.json").stat().st_mtime_ns
+    assert not (folder / "half").exists()
+    spoil(source, tmp_path, "views", 3.0)
+    assert (folder / "transforms_train.json").stat().st_mtime_ns == stamp
+
+
+def test_fewer_views_are_a_subset_of_more_and_far_apart(source, tmp_path):
+    everything = table(source)["frames"]
+    three, two = (
+        table(spoil(source, tmp_path / str(n), "views", float(n)))["frames"] for n in (3, 2)
+    )
+    assert len(three) == 3
+    assert len(two) == 2
+    assert all(frame in everything for frame in three)
+    assert all(frame in three for frame in two)
+    place = poses(tmp_path / "2" / "spoilt")[:, :3, 3]
+    every = poses(source)[:, :3, 3]
+    widest = max(np.linalg.norm(every - place[0], axis=1))
+    assert np.linalg.norm(place[0] - place[1]) == pytest.approx(widest)
+    assert len(list((tmp_path / "3" / "spoilt" / "train").iterdir())) == 3
+
+
+def test_pose_noise_has_its_root_mean_square(source, tmp_path):
+    angles = []
+    for seed in range(40):
+        folder = spoil(source, tmp_path / str(seed), "pose noise", 2.0, seed)
+        before, after = poses(source), poses(folder)
+        np.testing.assert_allclose(after[:, :3, 3], before[:, :3, 3])
+        turn = np.einsum("vji,vjk->vik", before[:, :3, :3], after[:, :3, :3])
+        angles.append(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    found = np.degrees(np.sqrt(np.mean(np.square(angles))))
+    assert found == pytest.approx(2.0, rel=0.06)  # of 240 cameras
+
+
+@pytest.mark.parametrize("kind", ["dilate", "erode", "holes"])
+def test_masks_grow_shrink_or_get_holes(source, tmp_path, kind):
+    folder = spoil(source, tmp_path, "mask", f"{kind} 2")
+    for split in ("train", "test"):
+        for before, after in zip(pictures(source, split), pictures(folder, split), strict=True):
+            np.testing.assert_array_equal(before[..., :3], after[..., :3])
+            old, new = before[..., 3] > 127, after[..., 3] > 127
+            area = np.count_nonzero(new) - np.count_nonzero(old)
+            if kind == "dilate":
+                assert np.all(new[old])
+                rows = np.flatnonzero(old.any(axis=1))
+                assert np.flatnonzero(new.any(axis=1))[[0, -1]].tolist() == [
+                    rows[0] - 2,
+                    rows[-1] + 2,
+                ]
+            else:
+                assert np.all(old[new])
+            assert (area > 0) == (kind == "dilate")
+    if kind == "holes":
+        lost = old & ~new
+        assert 0 < np.count_nonzero(lost) <= 2 * np.pi * (0.04 * 64 + 1) ** 2
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_exposure_starts_from_linear_radiance(source, tmp_path, split):
+    folder = spoil(source, tmp_path, "exposure", -1.0)
+    for before, after in zip(pictures(source, split), pictures(folder, split), strict=True):
+        np.testing.assert_array_equal(before[..., 3], after[..., 3])
+        inside = before[..., 3] > 0
+        linear = linear_from_srgb(before[inside][:, :3] / 255.0)
+        # the sRGB curve of half the light, written out
+        x = 0.5 * linear
+        code = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+        assert np.abs(255 * code - after[inside][:, :3]).max() <= 0.51
+        assert not after[~inside].any()
+
+
+def test_jitter_differs_from_picture_to_picture(source, tmp_path):
+    folder = spoil(source, tmp_path, "jitter", 0.5)
+    stops = []
+    for before, after in zip(pictures(source), pictures(folder), strict=True):
+        rgb = before[..., :3]
+        usable = (before[..., 3] > 0) & (rgb.max(axis=2) < 150) & (rgb.min(axis=2) > 40)
+        usable &= after[..., :3].max(axis=2) < 250
+        ratio = linear_from_srgb(after[usable] / 255.0) / linear_from_srgb(before[usable] / 255.0)
+        stops.append(np.median(np.log2(ratio[:, :3])))
+    assert 0.15 < np.std(stops) < 1.2
+    assert len(np.unique(np.round(stops, 3))) == len(stops)
+
+
+def test_tone_makes_the_pictures_of_the_other_curve_and_says_so(source, tmp_path):
+    folder = spoil(source, tmp_path, "tone", "filmic")
+    assert load_truth(folder).scene["view_transform"] == "Filmic"
+    assert load_truth(source).scene["view_transform"] == "Standard"
+    filmic, standard = (tone.curve_from_name(name) for name in ("filmic", "standard"))
+    before, after = pictures(source)[0], pictures(folder)[0]
+    inside = before[..., 3] > 0
+    linear = standard.linear_from_display(torch.from_numpy(before[inside][:, :3] / 255.0))
+    codes = 255 * filmic.display_from_linear(linear).numpy()
+    assert np.abs(codes - after[inside][:, :3]).max() < 0.51
+
+
+def test_resolution_takes_the_cameras_along(source, tmp_path):
+    folder = spoil(source, tmp_path, "resolution", 32.0)
+    old, new = table(source), table(folder)
+    assert (new["w"], new["h"]) == (32, 32)
+    assert new["fl_x"] == pytest.approx(old["fl_x"] / 2)
+    assert new["camera_angle_x"] == old["camera_angle_x"]
+    assert all(picture.shape == (32, 32, 4) for picture in pictures(folder))
+    assert all(picture.shape == (64, 64, 4) for picture in pictures(folder, "test"))
+    whole = np.asarray(pictures(source)[0], float)
+    quarter = whole[..., 3].reshape(32, 2, 32, 2).mean(axis=(1, 3))
+    assert np.abs(quarter - pictures(folder)[0][..., 3]).max() <= 1
+
+
+def test_jpeg_really_goes_through_a_jpeg(source, tmp_path):
+    folder = spoil(source, tmp_path, "jpeg", 20.0)
+    before, after = pictures(source)[1], pictures(folder)[1]
+    stream = io.BytesIO()
+    Image.fromarray(before[..., :3]).save(stream, "JPEG", quality=20)
+    np.testing.assert_array_equal(np.asarray(Image.open(stream)), after[..., :3])
+    np.testing.assert_array_equal(before[..., 3], after[..., 3])
+    assert np.abs(before[..., :3].astype(int) - after[..., :3]).max() > 8
+
+
+def test_noise_has_its_deviation(source, tmp_path):
+    folder = spoil(source, tmp_path, "noise", 0.03)
+    differences = []
+    for before, after in zip(pictures(source), pictures(folder), strict=True):
+        np.testing.assert_array_equal(before[before[..., 3] == 0], after[before[..., 3] == 0])
+        rgb = before[..., :3]
+        middle = (before[..., 3] > 0) & (rgb.min(axis=2) > 40) & (rgb.max(axis=2) < 215)
+        differences.append((after.astype(float) - before)[middle][:, :3].ravel() / 255)
+    assert np.std(np.concatenate(differences)) == pytest.approx(0.03, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("factor", "value"),
+    [
+        ("fog", 1.0),
+        ("views", 0.0),
+        ("views", "many"),
+        ("mask", "melt 3"),
+        ("mask", "dilate"),
+        ("tone", "sepia"),
+        ("jpeg", 100.0),
+        ("noise", -0.1),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(tmp_path, factor, value):
+    with pytest.raises(ConfigError, match=factor):
+        Perturbation(source=tmp_path, factor=factor, value=value)
+
+
+def test_every_factor_is_in_the_module_s_table():
+    import robir.bench.perturb as module
+
+    assert all(f"| `{name}`" in module.__doc__ for name in FACTORS)

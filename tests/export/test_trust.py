@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quality check trusts a perfect result and doubts each kind of spoilt one for its own sign."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation import sphere_run
+
+from robir.capture.store import load_capture
+from robir.evaluation.layers import load_textures, result_mesh
+from robir.export.trust import SIGNS, quality
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    paths = sphere_run.make_run(tmp_path_factory.mktemp("trust") / "out")
+    capture = load_capture(paths.stage("capture"))
+    return capture, result_mesh(paths, capture.bounds), load_textures(paths)
+
+
+def spoilt_views(capture, change):
+    return replace(capture, views=tuple(replace(v, **change(v)) for v in capture.views))
+
+
+def doubted(capture, mesh, arrays, rerender=25.0):
+    found = quality(capture, mesh, arrays, rerender)
+    names = [
+        name for name, sign in found["signs"].items() if SIGNS[name].is_doubtful(sign["value"])
+    ]
+    assert len(found["doubts"]) == len(names)
+    assert found["is_trusted"] == (not names)
+    return names
+
+
+def test_a_perfect_result_is_trusted_with_all_signs(sound):
+    found = quality(*sound, 25.0)
+    assert found["is_trusted"]
+    assert found["signs"].keys() == SIGNS.keys()
+    assert found["signs"]["outline"]["value"] == 1.0
+    assert found["signs"]["views"]["value"] == 6.0
+    assert found["signs"]["disagreement"]["value"] == pytest.approx(0.1)
+    codes = [v.image_display[v.mask > 127].ravel() for v in sound[0].train]
+    assert found["signs"]["level"]["value"] == pytest.approx(np.concatenate(codes).mean() / 255)
+
+
+def test_holes_in_the_masks_show_in_the_outline(sound):
+    capture, mesh, arrays = sound
+
+    def punch(view):
+        mask = view.mask.copy()
+        mask[24:34, 24:34] = 0
+        return {"mask": mask}
+
+    assert doubted(spoilt_views(capture, punch), mesh, arrays) == ["outline"]
+
+
+def test_turned_cameras_show_in_the_outline(sound):
+    capture, mesh, arrays = sound
+    angle = np.radians(4.0)
+    turn = np.eye(4)
+    turn[[0, 0, 2, 2], [0, 2, 0, 2]] = [np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)]
+
+    def shake(view):
+        pose = view.camera.camera_to_world @ turn
+        return {"camera": replace(view.camera, camera_to_world=pose)}
+
+    assert "outline" in doubted(spoilt_views(capture, shake), mesh, arrays)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "value"), [("disagreement", "uncertainty", 0.3), ("views", "coverage", 2.0)]
+)
+def test_textures_tell_of_disagreement_and_of_few_views(sound, name, array, value):
+    capture, mesh, arrays = sound
+    worse = arrays | {array: np.where(arrays["inside"], value, 0.0).astype(np.float32)}
+    assert doubted(capture, mesh, worse) == [name]
+
+
+@pytest.mark.parametrize(("name", "code"), [("clipped", 255), ("level", 40)])
+def test_burnt_out_and_dark_photographs(sound, name, code):
+    capture, mesh, arrays = sound
+
+    def flood(view):
+        return {"image_display": np.full_like(view.image_display, code)}
+
+    assert doubted(spoilt_views(capture, flood), mesh, arrays) == [name]
+
+
+def test_a_bad_re_render_is_doubted_and_a_missing_one_is_not(sound):
+    assert doubted(*sound, rerender=15.0) == ["rerender"]
+    assert "rerender" not in quality(*sound, None)["signs"]
+
+
+def test_what_no_view_saw_does_not_count(sound):
+    capture, mesh, arrays = sound
+    unseen = arrays | {"coverage": np.zeros_like(arrays["coverage"])}
+    assert doubted(capture, mesh, unseen) == []
