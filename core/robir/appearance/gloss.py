@@ -218,9 +218,10 @@ def estimate_gloss(
     mean = (costs.whole / costs.num_whole.clamp(min=1)[:, None, None]).numpy()
     metal_errors = mean[:, 1, :ROUGHEST_METAL]
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
-    is_metal = metal_samples(mean[:, 0], metal_errors, points[rows])
+    metals = metal_samples(mean[:, 0], metal_errors, points[rows])
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    parts = metal_parts(is_metal, place, (reflections, rays, linear), metal_errors, LEVELS)
+    parts = metal_parts(metals, place, (reflections, rays, linear), metal_errors, LEVELS)
+    is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
     cluster = _clusters(_features(problem, light, seen), num_materials, seed)

@@ -41,6 +41,13 @@ METAL_PRIOR = 30
 DARKEST_METAL = 0.55
 """Brightest channel that every metal reaches at least: titanium, iron and chromium do."""
 
+DARKEST_READING = 0.45
+"""Brightest channel below which a part is no metal, whatever else explains its views badly: a
+wrong mesh does, and is no brighter than paint. A tenth is left to what the light is misjudged."""
+
+LEAST_PART = 8
+"""Samples that a metal part has at least."""
+
 LIKELY_METAL = 0.6
 """Base colour towards which a part without any evidence tends."""
 
@@ -50,7 +57,7 @@ class MetalParts:
     """Connected metal parts.
 
     Attributes:
-        part: (U,) part of every sample, -1 where it is no metal.
+        part: (U,) part of every sample, -1 where it is no metal after all.
         base: (P, 3) base colour, linear Rec.709.
         roughness: (P,) perceptual.
     """
@@ -60,8 +67,10 @@ class MetalParts:
     roughness: Floats
 
 
-def metal_samples(dielectric: Floats, metal: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Samples whose neighbourhood is metal.
+def metal_samples(
+    dielectric: Floats, metal: Floats, points: Floats
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Samples whose neighbourhood may be metal, and those where metal explains it better.
 
     Args:
         dielectric: (U, L) mean display error over each sample's views at every roughness.
@@ -69,7 +78,7 @@ def metal_samples(dielectric: Floats, metal: Floats, points: Floats) -> NDArray[
         points: (U, D) positions, with scaled normals so that neighbours face alike.
 
     Returns:
-        (U,) bool.
+        (U,) bool each, the second within the first.
     """
     count = min(METAL_NEIGHBOURS, len(points))
     around = cKDTree(points).query(points, k=count)[1].reshape(len(points), count)
@@ -77,12 +86,15 @@ def metal_samples(dielectric: Floats, metal: Floats, points: Floats) -> NDArray[
     best_metal = metal[around].mean(1).min(1)
     excess = best_dielectric - METAL_ERROR
     allowed = best_dielectric * (1 + METAL_TOLERANCE * excess)
-    is_metal = (excess > 0) & (best_metal < allowed)
-    return is_metal[around].mean(1) > 0.5
+    likely, certain = (
+        ((excess > 0) & (best_metal < limit))[around].mean(1) > 0.5
+        for limit in (allowed, best_dielectric)
+    )
+    return likely, likely & certain
 
 
 def metal_parts(
-    is_metal: NDArray[np.bool_],
+    samples: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     place: tuple[Floats, float],
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
@@ -90,8 +102,11 @@ def metal_parts(
 ) -> MetalParts:
     """Gather metal samples into parts and read what each is made of.
 
+    A part reaches as far as its samples may be metal, but there must be some that metal explains
+    better than paint, and these must be bright enough: views also differ where the mesh is wrong.
+
     Args:
-        is_metal: (U,) bool.
+        samples: (U,) bool each, from `metal_samples`.
         place: Positions (U, 3), unit frame, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
         errors: (U, L) mean display error of each sample as metal at every level.
@@ -100,29 +115,36 @@ def metal_parts(
     Returns:
         The parts.
     """
-    rows = np.flatnonzero(is_metal)
-    part = np.full(len(is_metal), -1)
-    if not len(rows):
-        return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+    likely, certain = samples
+    rows = np.flatnonzero(likely)
     position, spacing = place
-    tree = cKDTree(position[rows])
-    near = tree.query_pairs(METAL_GAP * spacing, output_type="ndarray")
-    links = coo_matrix((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(rows), len(rows)))
-    count, part[rows] = connected_components(links, directed=False)
+    part = np.full(len(likely), -1)
+    if len(rows):
+        near = cKDTree(position[rows]).query_pairs(METAL_GAP * spacing, output_type="ndarray")
+        ones = np.ones(len(near))
+        links = coo_matrix((ones, (near[:, 0], near[:, 1])), shape=(len(rows), len(rows)))
+        _, part[rows] = connected_components(links, directed=False)
     reflections, rays, linear = observed
-    number = part[rays.sample]
-    best = [int(errors[part == index].mean(0).argmin()) for index in range(count)]
-    ratios = np.zeros((len(number), 3), np.float32)
-    for level in set(best):
-        white = reflections.radiance(rays, levels[level])[:, 1].clamp(min=1e-5)
-        chosen = np.isin(number, np.flatnonzero(np.array(best) == level))
-        ratios[chosen] = (linear / white).numpy()[chosen]
-    everywhere = np.log(np.median(ratios[number >= 0], axis=0).clip(0.05, 1.0))
-    everywhere = 0.5 * (everywhere + np.log(LIKELY_METAL))
-    base = np.zeros((count, 3), np.float32)
-    for index in range(count):
-        own = np.log(np.median(ratios[number == index], axis=0).clip(0.05, 1.0))
-        weight = (part == index).sum() / ((part == index).sum() + METAL_PRIOR)
-        mixed = np.exp(weight * own + (1 - weight) * everywhere)
-        base[index] = mixed * max(1.0, DARKEST_METAL / mixed.max())
-    return MetalParts(part, base, np.array([levels[k] for k in best], np.float32))
+    bases, roughness, sizes = [], [], []
+    whole, part = part, np.full(len(likely), -1)
+    for index in range(whole.max() + 1):
+        inside = certain & (whole == index)
+        if inside.sum() < LEAST_PART:
+            continue
+        level = levels[int(errors[inside].mean(0).argmin())]
+        seen = inside[rays.sample]
+        white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
+        base = np.median((linear / white).numpy()[seen], axis=0)
+        if base.max() >= DARKEST_READING:
+            part[whole == index] = len(bases)
+            bases.append(base)
+            roughness.append(level)
+            sizes.append(inside.sum())
+    if not bases:
+        return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+    log, size = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
+    everywhere = 0.5 * ((size * log).sum(0) / size.sum() + np.log(LIKELY_METAL))
+    weight = size / (size + METAL_PRIOR)
+    base = np.exp(weight * log + (1 - weight) * everywhere)
+    base *= np.maximum(1.0, DARKEST_METAL / base.max(axis=1, keepdims=True))
+    return MetalParts(part, base.astype(np.float32), np.array(roughness, np.float32))
