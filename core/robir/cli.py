@@ -25,6 +25,8 @@ _EXIT_CODES = (
     "5 the fit failed its own quality check, 130 cancelled"
 )
 
+_CAPTURE = "folder of posed images, or of photographs alone, or a video"
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.

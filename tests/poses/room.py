@@ -4,17 +4,49 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from robir.capture.camera import Camera
+from robir.capture.frames import FrameSet
 
 SIZE = (320, 240)
 FOCAL = 340.0
 TARGET = np.array([0.0, 0.0, 0.35])
 RADIUS = 0.6
 """Of the boulder, which is a ball half sunk into the floor."""
+
+COUNT = 20
+"""Photographs of a walk."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Photographs in a folder, and the truth about them.
+
+    Attributes:
+        folder: Holds p00.png and so on, and masks.
+        cameras: Truth.
+        pictures: Pixels.
+        masks: Of the boulder.
+    """
+
+    folder: Path
+    cameras: list[Camera]
+    pictures: list[np.ndarray]
+    masks: list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class Registered:
+    """Frames found, the messages on the way, and the folder they were found in."""
+
+    frames: FrameSet
+    messages: list[str]
+    work: Path
 
 
 def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -42,7 +74,7 @@ def ring(count: int, size: tuple[int, int] = SIZE, focal: float = FOCAL) -> list
 
 
 def photograph(camera: Camera, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Picture (H, W, 3) uint8 and mask (H, W) uint8 of the boulder; the seed decides the pattern."""
+    """Picture (H, W, 3) uint8 and the boulder's mask; the seed decides the pattern."""
     rng = np.random.default_rng(seed)
     lattices = [rng.random((64, 64, 64), dtype=np.float32) for _ in range(2)]
     colours = rng.uniform(0.3, 1.0, (2, 3))

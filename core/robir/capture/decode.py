@@ -91,15 +91,19 @@ def opened(path: Path) -> Iterator[Image.Image]:
 
 
 def exif_values(picture: Image.Image) -> dict[int, object] | None:
-    """EXIF tags of a picture, those of its sub-directory included; None if they are damaged."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
+    """EXIF tags of a picture, those of its sub-directory included.
+
+    Returns:
+        What can be read; None if there is EXIF data but nothing of it can be read.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
             exif = picture.getexif()
             values = dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif))
         except _BAD_EXIF:
             return None
-    return None if said and not values else values
+    return values if values or not picture.info.get("exif") else None
 
 
 def orientation(picture: Image.Image) -> int:

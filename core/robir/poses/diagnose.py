@@ -174,7 +174,7 @@ def _failure(photographs: Sequence[Prepared], links: Links, placed: Sequence[str
     )
     linked = links.matches >= LINK
     if not linked.any():
-        i, j = np.unravel_index(np.argmax(links.matches), links.matches.shape)
+        i, j = divmod(int(np.argmax(links.matches)), len(photographs))
         return error(
             "no-matches",
             f"{outcome}: no two have enough in common; the best pair, {photographs[i].relative} "

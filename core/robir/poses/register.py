@@ -22,7 +22,7 @@ from robir.poses.diagnose import judge, read_links
 from robir.poses.pairs import MAX_EXHAUSTIVE, all_pairs, sequence_pairs
 from robir.poses.photos import VIDEO_SUFFIXES, find_photographs, stray_files
 from robir.poses.prepare import Prepared, prepare
-from robir.poses.solve import Workplace, find_features, map_cameras, match
+from robir.poses.solve import Workplace, find_features, map_cameras, match, refine
 from robir.poses.video import take_frames
 
 if TYPE_CHECKING:
@@ -113,6 +113,9 @@ class _Registration:
         match(self._place, portions, self._seed, self._step("matches", "looking for"))
         telling = self._step("cameras", "placing cameras:")
         models = map_cameras(self._place, len(names), self._seed, telling)
+        if models:
+            telling(1.0, "refining all of them together")
+            models[0] = refine(models[0])
         findings += judge(photographs, read_links(self._place, photographs), models)
         if not any(finding.level == "error" for finding in findings):
             self._write_model(models[0], photographs)

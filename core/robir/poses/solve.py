@@ -8,7 +8,9 @@ progress is told and a request to stop is heard; a portion that is in the databa
 
 from __future__ import annotations
 
+import math
 import os
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -34,6 +36,18 @@ UNKNOWN_FOCAL = 1.2
 
 MIN_MODEL = 3
 """Photographs of the smallest model worth hearing about."""
+
+ROBUST_SCALE = 0.7
+"""Scale of the Cauchy loss in mean reprojection errors: about the median one."""
+
+REFINE_ITERATIONS = 50
+"""Iterations of the last adjustment at most."""
+
+MIN_TO_CENTRE = 15
+"""Photographs of a lens from which on its axis is looked for."""
+
+MAX_OFF_CENTRE = 0.06
+"""A lens's axis this far from the middle, in longer sides, is a wrong solution."""
 
 _THREADS = min(4, os.cpu_count() or 1)
 """Each thread that looks for features holds a pyramid of its own in memory."""
@@ -164,17 +178,58 @@ def map_cameras(
         part.random_seed = seed
     place.models.mkdir(exist_ok=True)
     steps = _Steps(count, progress, pycolmap.CancellationToken())
-    models = pycolmap.incremental_mapping(
-        place.database,
-        place.copies,
-        place.models,
-        options,
-        initial_image_pair_callback=steps.begin,
-        next_image_callback=steps.next,
-        cancellation_token=steps.token,
-    )
+    try:
+        models = pycolmap.incremental_mapping(
+            place.database,
+            place.copies,
+            place.models,
+            options,
+            initial_image_pair_callback=steps.begin,
+            next_image_callback=steps.next,
+            cancellation_token=steps.token,
+        )
+    except InterruptedError:
+        steps.reraise()
+        raise
     steps.reraise()
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+
+
+def refine(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """Adjust all cameras and points together once more, robustly, and centre the lenses.
+
+    The mapper minimises squares, so that a few false matches bend focal length and distortion; and
+    it takes the middle of the picture for the lens's axis. The Cauchy loss cares for the first;
+    for the second there must be enough photographs of each lens.
+
+    Args:
+        model: As mapped; it is left as it is.
+
+    Returns:
+        The refined model.
+    """
+    pycolmap = _pycolmap()
+    counts = Counter(image.camera_id for image in model.images.values() if image.has_pose)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = ROBUST_SCALE * model.compute_mean_reprojection_error()
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.max_num_iterations = REFINE_ITERATIONS
+    # Not pycolmap.bundle_adjustment: that prints, and leaves a log among the temporary files.
+    adjusted = pycolmap.BundleAdjustmentConfig()
+    for image in model.images.values():
+        if image.has_pose:
+            adjusted.add_image(image.image_id)
+    adjusted.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    for centres in (True, False) if min(counts.values()) >= MIN_TO_CENTRE else (False,):
+        options.refine_principal_point = centres
+        refined = pycolmap.Reconstruction(model)
+        pycolmap.create_default_bundle_adjuster(options, adjusted, refined).solve()
+        refined.update_point_3d_errors()
+        if max(_off_centre(refined.camera(number)) for number in counts) <= MAX_OFF_CENTRE:
+            return refined
+    return model
 
 
 class _Steps:
@@ -211,6 +266,15 @@ class _Steps:
             # It must not unwind through the mapper.
             self._fault = self._fault or fault
             self.token.cancel()
+
+
+def _off_centre(camera: pycolmap.Camera) -> float:
+    """How far the lens's axis is from the middle of the picture, in longer sides."""
+    off = (
+        camera.principal_point_x - camera.width / 2,
+        camera.principal_point_y - camera.height / 2,
+    )
+    return math.hypot(*off) / max(camera.width, camera.height)
 
 
 def _enter(database: pycolmap.Database, photographs: Sequence[Prepared]) -> None:
