@@ -17,7 +17,7 @@ from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.refusal import CaptureRefusedError
 from robir.poses import solve
-from robir.poses.prepare import prepare
+from robir.poses.prepare import FEATURE_SIDE, prepare
 from robir.poses.register import register
 
 
@@ -122,7 +122,7 @@ def test_damaged_exif_and_a_panorama_of_50_megapixels(walk: Walk, tmp_path: Path
     assert found["bad-exif"].files == ("p00.jpg",)
     assert "50 megapixels" in found["downscaled"].message
     assert found["panorama"].files == ("pano.jpg",)
-    assert max(entries[-1].width, entries[-1].height) == 1200
+    assert max(entries[-1].width, entries[-1].height) == FEATURE_SIDE
 
 
 def test_without_pycolmap_the_refusal_names_the_extra(walk: Walk, monkeypatch):

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Finding
-from robir.capture.refusal import error, note, warning
+from robir.capture.refusal import MAX_FILES, error, note, warning
+from robir.poses.consistency import Verdict
 from robir.poses.prepare import MIN_PHOTOGRAPHS, MORE_PHOTOGRAPHS, Prepared
 from robir.poses.solve import Workplace
 
@@ -137,6 +138,42 @@ def judge(
             )
         )
     return found
+
+
+def look_alikes(
+    photographs: Sequence[Prepared], first: Verdict, second: Verdict | None
+) -> list[Finding]:
+    """What sides that look alike did to the model, in words.
+
+    Args:
+        photographs: All that were tried.
+        first: On the model made from all matches.
+        second: On the model that is used instead, or None if the first one is used.
+    """
+    if not first.broken:
+        return []
+    names = {photograph.copy: photograph.relative for photograph in photographs}
+    left = (second or first).broken
+    if not left:
+        return [
+            note(
+                "look-alike",
+                "The object looks alike from several sides, and matches of different sides "
+                f"contradicted the surest links between photographs; {len(first.suspects)} pairs "
+                "were left out",
+            )
+        ]
+    between = (f"{names[one]} and {names[two]}" for one, two in left[:MAX_FILES])
+    return [
+        warning(
+            "look-alike",
+            "The object looks alike from several sides, and some photographs may have been put on "
+            f"the wrong one: {len(left)} pairs that have much in common are far apart",
+            "Look at the cameras before you go on. Something that is different on every side, "
+            "such as a newspaper or a few things around the object, tells the sides apart.",
+            *between,
+        )
+    ]
 
 
 def _names(model: pycolmap.Reconstruction, photographs: Sequence[Prepared]) -> list[str]:

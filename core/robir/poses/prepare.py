@@ -19,7 +19,7 @@ from robir.capture.views import Progress
 from robir.jobs.paths import replacing
 from robir.poses.photos import Lens, lens_of
 
-FEATURE_SIDE = 1200
+FEATURE_SIDE = 1000
 """Longer side of the copies in pixels."""
 
 LARGE_MEGAPIXELS = 40.0

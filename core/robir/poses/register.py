@@ -18,7 +18,8 @@ from robir.capture.frames import FrameSet
 from robir.capture.refusal import CaptureRefusedError
 from robir.capture.views import Progress
 from robir.jobs.paths import read_json, write_json
-from robir.poses.diagnose import judge, read_links
+from robir.poses.consistency import forget, hold_against_links
+from robir.poses.diagnose import judge, look_alikes, read_links
 from robir.poses.pairs import MAX_EXHAUSTIVE, all_pairs, sequence_pairs
 from robir.poses.photos import VIDEO_SUFFIXES, find_photographs, stray_files
 from robir.poses.prepare import Prepared, prepare
@@ -106,20 +107,47 @@ class _Registration:
     def _findings(self) -> list[Finding]:
         """Do what has not been done yet; the model is written if there is no error."""
         photographs, findings = self._copies()
-        find_features(self._place, photographs, self._step("features", "looking for"))
         names = [photograph.copy for photograph in photographs]
         in_sequence = self._is_video or len(names) > MAX_EXHAUSTIVE
         portions = sequence_pairs(names) if in_sequence else all_pairs(names)
+        looking = self._step("features", "looking for")
+        find_features(self._place, photographs, sum(map(len, portions)), looking)
         match(self._place, portions, self._seed, self._step("matches", "looking for"))
-        telling = self._step("cameras", "placing cameras:")
-        models = map_cameras(self._place, len(names), self._seed, telling)
-        if models:
-            telling(1.0, "refining all of them together")
-            models[0] = refine(models[0])
+        models, noticed = self._models(photographs)
+        findings += noticed
         findings += judge(photographs, read_links(self._place, photographs), models)
         if not any(finding.level == "error" for finding in findings):
             self._write_model(models[0], photographs)
         return findings
+
+    def _models(
+        self, photographs: Sequence[Prepared]
+    ) -> tuple[list[pycolmap.Reconstruction], list[Finding]]:
+        """Models, the largest refined; where sides that look alike led it astray, anew."""
+        telling = self._step("cameras", "placing cameras:")
+        models = self._mapped(len(photographs), telling)
+        if not models:
+            return [], []
+        verdict = hold_against_links(self._place, photographs, models[0])
+        if not verdict.suspects:
+            return models, look_alikes(photographs, verdict, None)
+        telling(1.0, "once more, without what looks alike from several sides")
+        forget(self._place, verdict.suspects)
+        again = self._mapped(len(photographs), telling)
+        if again:
+            second = hold_against_links(self._place, photographs, again[0])
+            if len(second.broken) < len(verdict.broken):
+                return again, look_alikes(photographs, verdict, second)
+        return models, look_alikes(photographs, verdict, None)
+
+    def _mapped(self, count: int, telling: Progress) -> list[pycolmap.Reconstruction]:
+        """Models from what the database holds, the largest first and refined."""
+        shutil.rmtree(self._place.models, ignore_errors=True)
+        models = map_cameras(self._place, count, self._seed, telling)
+        if models:
+            telling(1.0, "refining all of them together")
+            models[0] = refine(models[0])
+        return models
 
     def _copies(self) -> tuple[list[Prepared], list[Finding]]:
         """Upright copies and what was noticed on the way, from a stopped call if it got so far."""

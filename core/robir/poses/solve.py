@@ -25,8 +25,12 @@ from robir.poses.prepare import Prepared
 if TYPE_CHECKING:
     import pycolmap
 
-MAX_FEATURES = 4096
-"""Features of a photograph at most; the time of matching goes with the square."""
+MIN_FEATURES, MAX_FEATURES = 2048, 8192
+"""Bounds of the number of features looked for in a photograph."""
+
+CHEAP_PAIRS = 2500
+"""Pairs that can be matched at `MIN_FEATURES` in about 100 CPU-seconds; fewer pairs, more
+features, for the time of a pair goes with the square of their number."""
 
 CAMERA_MODEL = "SIMPLE_RADIAL"
 """One focal length and one coefficient of distortion: what few photographs can still fix."""
@@ -91,12 +95,15 @@ def is_available() -> bool:
     return find_spec("pycolmap") is not None
 
 
-def find_features(place: Workplace, photographs: Sequence[Prepared], progress: Progress) -> None:
+def find_features(
+    place: Workplace, photographs: Sequence[Prepared], num_pairs: int, progress: Progress
+) -> None:
     """Bring the features of all copies into the database.
 
     Args:
         place: Work folder with the copies.
         photographs: What the copies are of.
+        num_pairs: Pairs that will be matched.
         progress: Told after every portion.
     """
     pycolmap = _pycolmap()
@@ -105,7 +112,8 @@ def find_features(place: Workplace, photographs: Sequence[Prepared], progress: P
             _enter(database, photographs)
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads = _THREADS
-    options.sift.max_num_features = MAX_FEATURES
+    affordable = round(MIN_FEATURES * math.sqrt(CHEAP_PAIRS / num_pairs))
+    options.sift.max_num_features = min(max(affordable, MIN_FEATURES), MAX_FEATURES)
     names = [photograph.copy for photograph in photographs]
     for first in range(0, len(names), _PORTION):
         progress(first / len(names), f"features of photograph {first + 1} of {len(names)}")
