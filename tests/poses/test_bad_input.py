@@ -76,7 +76,7 @@ def test_repeated_photographs_are_left_out(walk: Walk, tmp_path: Path):
 
 @pytest.mark.pycolmap
 def test_two_objects(tmp_path: Path):
-    cameras = ring(20)[:16:2] + ring(20)[1:16:2]
+    cameras = ring(24)[:16:2] + ring(24)[1:16:2]
     pictures = [photograph(camera, seed=i // 8)[0] for i, camera in enumerate(cameras)]
     refused = refusal_of(save(pictures, tmp_path / "two"), tmp_path / "work")
     found = codes(refused.findings)

@@ -53,6 +53,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
     """
     try:
         import av
+        from av.error import FFmpegError
     except ImportError:
         raise refuse(
             "missing-reader",
@@ -70,7 +71,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
             for best in _sharpest(container, total, progress):
                 taken.append(best)
                 _write(best.frame, folder / f"frame_{best.number:06d}.png")
-    except (av.error.FFmpegError, OSError, ValueError) as fault:
+    except (FFmpegError, OSError, ValueError) as fault:
         raise refuse(
             "bad-video", f"{video} is damaged or cannot be decoded ({fault})", _EXCLUDED, video.name
         ) from None
