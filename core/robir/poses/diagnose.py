@@ -109,6 +109,8 @@ def judge(
     first, total = placed[0], len(photographs)
     rest = [p.relative for p in photographs if p.relative not in set(first)]
     second = [name for name in placed[1] if name in rest] if len(placed) > 1 else []
+    if not second and _are_apart(photographs, links, first, rest):
+        second = rest
     if len(second) >= max(MIN_PHOTOGRAPHS, COMPARABLE * len(first)):
         return [_two_groups(total, first, second)]
     points, fault = models[0].num_points3D(), models[0].compute_mean_reprojection_error()
@@ -180,6 +182,17 @@ def _names(model: pycolmap.Reconstruction, photographs: Sequence[Prepared]) -> l
     """Photographs of a model, in order."""
     posed = {image.name for image in model.images.values() if image.has_pose}
     return [photograph.relative for photograph in photographs if photograph.copy in posed]
+
+
+def _are_apart(
+    photographs: Sequence[Prepared], links: Links, placed: Sequence[str], rest: Sequence[str]
+) -> bool:
+    """Whether those left out are linked with each other but with none that was placed."""
+    rows = {photograph.relative: row for row, photograph in enumerate(photographs)}
+    inside, outside = [rows[name] for name in placed], [rows[name] for name in rest]
+    linked = links.matches >= LINK
+    to_each_other = linked[np.ix_(outside, outside)].any(axis=1)
+    return not linked[np.ix_(outside, inside)].any() and bool(to_each_other.all())
 
 
 def _why(
