@@ -158,11 +158,12 @@ def look_alikes(
     left = (second or first).broken
     if not left:
         return [
-            note(
+            warning(
                 "look-alike",
                 "The object looks alike from several sides, and matches of different sides "
                 f"contradicted the surest links between photographs; {len(first.suspects)} pairs "
-                "were left out",
+                "were left out, which may not be enough",
+                "Look at the cameras before you go on.",
             )
         ]
     between = (f"{names[one]} and {names[two]}" for one, two in left[:MAX_FILES])
