@@ -35,7 +35,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "Install it, or name it: make setup PYTHON=/path/to/python3.11"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { \
 	  rm -rf $(VENV); echo "On Debian or Ubuntu:  sudo apt-get install python3-venv"; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[blender,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[blender,dev,photos]'
 	@touch $@
 
 define CHECK_LIBRARIES

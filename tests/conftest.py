@@ -17,13 +17,17 @@ settings.load_profile("robir")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs Blender or CUDA where there is none."""
+    """Skip what needs Blender, CUDA or pycolmap where there is none."""
+    has_pycolmap = importlib.util.find_spec("pycolmap") is not None
     has_bpy = importlib.util.find_spec("bpy") is not None
     needs_cuda = [item for item in items if item.get_closest_marker("cuda")]
     has_cuda = bool(needs_cuda) and _has_cuda()
     for item in items:
         if item.get_closest_marker("blender") and not has_bpy:
             item.add_marker(pytest.mark.skip(reason="the bpy wheel is not installed"))
+        if item.get_closest_marker("pycolmap") and not has_pycolmap:
+            reason = "POSES NOT TESTED: pycolmap is not installed (pip install 'robir[photos]')"
+            item.add_marker(pytest.mark.skip(reason=reason))
     for item in needs_cuda:
         if not has_cuda:
             item.add_marker(pytest.mark.skip(reason="no CUDA device"))

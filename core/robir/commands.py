@@ -57,11 +57,17 @@ def _say_trust(paths: JobPaths) -> None:
 def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
     from robir.capture.check import check_capture
-    from robir.capture.recognise import read_frames
     from robir.capture.refusal import describe
     from robir.capture.store import plain_view
+    from robir.display import display_for
 
-    capture, findings = check_capture(options.capture, options.masks, RunConfig().capture)
+    with display_for(options.progress) as display:
+
+        def show(fraction: float, message: str) -> None:
+            event = {"kind": "progress", "stage": "check", "message": message}
+            display.event(event, fraction, None)
+
+        capture, findings = check_capture(options.capture, options.masks, RunConfig().capture, show)
     facts: dict[str, Any] = {"accepted": capture is not None}
     if capture is not None:
         facts |= {
@@ -73,9 +79,8 @@ def check(options: Namespace) -> int:
         }
     if options.json:
         if capture is not None:
-            photos = {frame.name: frame.image for frame in read_frames(options.capture).frames}
             facts["cameras"] = [
-                plain_view(view) | {"image": str(photos[view.name].resolve())}
+                plain_view(view) | {"image": str(capture.photographs[view.name].resolve())}
                 for view in capture.views
             ]
         print(json.dumps(facts | {"findings": [asdict(finding) for finding in findings]}))

@@ -73,7 +73,7 @@ def test_kinds_of_masks(kind, tmp_path):
         "one bit": Image.fromarray(truth).convert("1"),
     }[kind]
     picture.save(tmp_path / "mask.png")
-    assert np.array_equal(read_mask(tmp_path / "mask.png"), truth)
+    assert np.array_equal(read_mask(tmp_path / "mask.png", truth.shape[::-1]), truth)
 
 
 def test_masks_of_a_preview_size_are_fitted():

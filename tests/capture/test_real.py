@@ -10,6 +10,7 @@ import pytest
 
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
+from robir.poses import solve
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SMALL = CaptureConfig(max_side=96)
@@ -64,7 +65,8 @@ def test_captures_without_masks_are_checked_and_refused(name, posed):
         assert levels(findings)["unposed-images"] == "warning"
 
 
-def test_photographs_without_poses_are_refused():
+def test_photographs_without_poses_are_refused_where_pycolmap_is_missing(monkeypatch):
+    monkeypatch.setattr(solve, "is_available", lambda: False)
     capture, findings = check_capture(DATA / "banana_photos", None, SMALL)
     assert capture is None
     assert findings[0].code == "no-poses"

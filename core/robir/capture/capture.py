@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -81,6 +82,7 @@ class Capture:
         views: Photographs in the capture's own frame.
         bounds: Bounding sphere of the object.
         findings: What the readers and checks noticed.
+        photographs: File of each view by its name, while it is known; not stored.
     """
 
     source: Path
@@ -88,6 +90,7 @@ class Capture:
     views: tuple[View, ...]
     bounds: Bounds
     findings: tuple[Finding, ...] = field(default=())
+    photographs: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def train(self) -> tuple[View, ...]:

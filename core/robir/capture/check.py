@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
-from robir.capture.recognise import read_capture
+from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import CaptureRefusedError
+from robir.capture.views import Progress, unheard
 
 
 def check_capture(
-    source: Path, masks: Path | None, config: CaptureConfig
+    source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
 ) -> tuple[Capture | None, tuple[Finding, ...]]:
     """Read a capture and say what was noticed; a bad capture is no exception here.
 
@@ -20,12 +22,15 @@ def check_capture(
         source: Folder of the capture, or its file of poses; never written to.
         masks: Folder of masks, or None.
         config: Settings of the capture stage.
+        progress: Told how far reading is.
 
     Returns:
         The capture, or None if errors are among the findings; all findings, errors first.
     """
     try:
-        capture = read_capture(source, masks, config)
+        with tempfile.TemporaryDirectory(prefix="robir-") as folder:
+            workshop = Workshop(folder=Path(folder), seed=0)
+            capture = read_capture(source, masks, config, progress, workshop)
     except CaptureRefusedError as refusal:
         return None, _sorted(refusal.findings)
     return capture, _sorted(capture.findings)

@@ -75,11 +75,12 @@ def find_models(source: Path) -> list[Path]:
     return [folder for folder in folders if _suffix(folder)]
 
 
-def read(source: Path) -> FrameSet:
+def read(source: Path, images: Path | None = None) -> FrameSet:
     """Read the largest sparse model.
 
     Args:
         source: Folder of the capture, or of the model itself.
+        images: Folder that the names of the photographs start from; None looks for it.
 
     Returns:
         Frames and sparse points in the model's own frame.
@@ -90,7 +91,7 @@ def read(source: Path) -> FrameSet:
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
     names = [name for name, _, _ in model.images]
-    images = _image_folder(source, model.folder, names)
+    images = images or _image_folder(source, model.folder, names)
     frames = tuple(
         Frame(
             name=short,

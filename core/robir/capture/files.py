@@ -61,7 +61,7 @@ def head(path: Path, length: int = 65536) -> str:
         return ""
 
 
-def find_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
+def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
     """Photographs that a file of poses names without saying where they are.
 
     They are searched below the file's folder, then beside and directly below that folder. Among

@@ -89,8 +89,9 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in suffixes and path.resolve() not in posed | masks
     ]
-    # NeRF-synthetic keeps depth and normal pictures beside the photographs.
-    if not beside or frames.format == "nerf-synthetic":
+    # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
+    # estimated here, what has none was named then.
+    if not beside or frames.format in ("nerf-synthetic", "photos"):
         return []
     return [
         warning(

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Finding
+from robir.capture.decode import HEIF_SUFFIXES, RAW_SUFFIXES
 from robir.capture.refusal import refuse
 
 Array = NDArray[np.float64]
@@ -147,6 +148,7 @@ class Frame:
         lens: Intrinsics as stated.
         camera_to_world: 4x4, OpenGL axes, as stated; not yet checked.
         split: "test" if the format keeps the view aside, else "train".
+        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
     """
 
     name: str
@@ -156,6 +158,7 @@ class Frame:
     lens: Lens
     camera_to_world: Array
     split: Literal["train", "test"] = "train"
+    is_upright: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -296,5 +299,9 @@ def _has_image_suffix(name: str) -> bool:
     return name.lower().endswith(IMAGE_SUFFIXES)
 
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"),
+    *HEIF_SUFFIXES,
+    *RAW_SUFFIXES,
+)
 """Kinds of photographs that are read."""

@@ -3,25 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image
 from scipy import ndimage
 
 from robir.capture.camera import Camera
+from robir.capture.decode import opened, orientation, upright
 from robir.capture.frames import Distortion
-from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.capture.refusal import refuse
+from robir.errors import CaptureError
 
 Bytes = NDArray[np.uint8]
-
-_EXIF_ORIENTATION = 0x0112
-_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
-"""What Pillow raises for broken files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,12 +27,17 @@ class Photo:
     Attributes:
         image_display: (H, W, 3) uint8, display-referred, straight.
         alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
-        is_turned: Whether the EXIF orientation was applied.
+        orientation: EXIF orientation that was applied, 1 to 8; 1 if none was.
     """
 
     image_display: Bytes
     alpha: Bytes | None
-    is_turned: bool
+    orientation: int
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether an EXIF orientation was applied."""
+        return self.orientation != 1
 
     @property
     def size(self) -> tuple[int, int]:
@@ -44,15 +45,17 @@ class Photo:
         return self.image_display.shape[1], self.image_display.shape[0]
 
 
-def read_photo(path: Path, declared: tuple[int, int] | None) -> Photo:
+def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = False) -> Photo:
     """Read a photograph.
 
     Programs that write poses with an image size ignore the EXIF orientation, so it is applied
-    only if the pixels as stored do not have the declared size, or none is declared.
+    only if the pixels as stored do not have the declared size, or none is declared; or if the
+    poses are known to be for upright photographs.
 
     Args:
-        path: PNG, JPEG, TIFF or whatever else Pillow reads; 8 or 16 bits.
+        path: PNG, JPEG, TIFF or whatever else can be decoded; 8 or 16 bits.
         declared: (width, height) that belongs to the pose, or None.
+        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
 
     Returns:
         The photograph; its size may still differ from the declared one.
@@ -60,40 +63,43 @@ def read_photo(path: Path, declared: tuple[int, int] | None) -> Photo:
     Raises:
         CaptureError: If the file is missing, truncated or no photograph.
     """
-    with _opened(path) as picture:
-        turned = picture.getexif().get(_EXIF_ORIENTATION, 1) not in (0, 1)
-        if turned and picture.size != declared:
-            picture = ImageOps.exif_transpose(picture)
-        else:
-            turned = False
-        return _photo(picture, path, turned)
+    with opened(path) as picture:
+        turn = orientation(picture) if is_upright or picture.size != declared else 1
+        return pixels_of(upright(picture, turn), path, turn)
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:
     """Width and height of a photograph as stored, from its header; None if it has none."""
     try:
-        with Image.open(path) as picture:
+        with opened(path) as picture:
             return picture.size
-    except _DAMAGE:
+    except CaptureError:
         return None
 
 
-def read_mask(path: Path) -> Bytes:
+def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
     """Read a mask: alpha where it varies, else brightness; 255 is the object.
 
-    Masks of zeros and ones are stretched to 0 and 255.
+    Masks of zeros and ones are stretched to 0 and 255. A mask that was drawn on the pixels as
+    stored, and fits the photograph only if turned with it, is turned.
 
     Args:
         path: Mask file.
+        size: Width and height of its photograph.
+        turn: EXIF orientation that was applied to the photograph.
 
     Returns:
-        (H, W) uint8 coverage.
+        (H, W) uint8 coverage, of its own size.
 
     Raises:
         CaptureError: If the file is missing, truncated or no picture.
     """
-    with _opened(path) as picture:
-        photo = _photo(ImageOps.exif_transpose(picture), path, False)
+    with opened(path) as picture:
+        picture = upright(picture, orientation(picture))
+        if turn != 1 and not same_shape(picture.size, size):
+            turned = upright(picture, turn)
+            picture = turned if same_shape(turned.size, size) else picture
+        photo = pixels_of(picture, path)
     mask = photo.image_display.max(axis=2) if photo.alpha is None else photo.alpha
     return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
 
@@ -235,43 +241,17 @@ def _bytes(values: NDArray[np.float32]) -> Bytes:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """A picture file, opened and decoded, or a refusal that names it."""
-    try:
-        picture = Image.open(path)
-    except FileNotFoundError:
-        raise refuse(
-            "missing-images", f"{path} does not exist", "Put it there.", path.name
-        ) from None
-    except UnidentifiedImageError:
-        raise refuse(
-            "unreadable-images",
-            f"{path} is not a photograph that can be read",
-            "Save it as PNG, JPEG or TIFF.",
-            path.name,
-        ) from None
-    except _DAMAGE as fault:
-        raise _damaged(path, fault) from None
-    with picture:
-        try:
-            picture.load()
-        except _DAMAGE as fault:
-            raise _damaged(path, fault) from None
-        yield picture
+def pixels_of(picture: Image.Image, path: Path, turn: int = 1) -> Photo:
+    """Pixels of a decoded picture as 8-bit RGB and alpha.
 
+    Args:
+        picture: As `robir.capture.decode.opened` yields it, turned where it has to be.
+        path: Its file, for messages.
+        turn: EXIF orientation that was applied.
 
-def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
-    return refuse(
-        "unreadable-images",
-        f"{path} is truncated or damaged ({fault})",
-        "Copy it again from the camera, or remove it and its pose.",
-        path.name,
-    )
-
-
-def _photo(picture: Image.Image, path: Path, turned: bool) -> Photo:
-    """Pixels of a decoded picture as 8-bit RGB and alpha."""
+    Raises:
+        CaptureError: If the pixels are no display values.
+    """
     if picture.mode == "F":
         raise refuse(
             "unreadable-images",
@@ -285,15 +265,15 @@ def _photo(picture: Image.Image, path: Path, turned: bool) -> Photo:
         return Photo(
             image_display=np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2),
             alpha=None,
-            is_turned=turned,
+            orientation=turn,
         )
     if not picture.has_transparency_data:
         image = np.array(picture.convert("RGB"))
-        return Photo(image_display=image, alpha=None, is_turned=turned)
+        return Photo(image_display=image, alpha=None, orientation=turn)
     pixels = np.array(picture.convert("RGBA"))
     alpha = np.ascontiguousarray(pixels[:, :, 3])
     return Photo(
         image_display=np.ascontiguousarray(pixels[:, :, :3]),
         alpha=None if alpha.min(initial=255) == 255 else alpha,
-        is_turned=turned,
+        orientation=turn,
     )

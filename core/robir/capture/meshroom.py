@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from robir.capture.files import find_photographs, head, load_json
+from robir.capture.files import head, load_json, locate_photographs
 from robir.capture.frames import (
     MAX_NUMBER,
     OPENGL_FROM_OPENCV,
@@ -77,7 +77,7 @@ def read(path: Path) -> FrameSet:
             "Reconstruct the photographs without rigs.",
             path.name,
         )
-    root, found = find_photographs(path, paths)
+    root, found = locate_photographs(path, paths)
     frames = tuple(
         Frame(
             name=name,

@@ -24,7 +24,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from robir.capture.files import find_photographs, head
+from robir.capture.files import head, locate_photographs
 from robir.capture.frames import (
     OPENGL_FROM_OPENCV,
     Array,
@@ -73,7 +73,7 @@ def read(path: Path) -> FrameSet:
             path.name,
         )
     labels = [camera.get("label", "") for camera in cameras]
-    root, relatives = find_photographs(path, labels)
+    root, relatives = locate_photographs(path, labels)
     lenses = {
         sensor.get("id"): sensor for sensor in chunk.iter("sensor") if sensor.get("id") is not None
     }

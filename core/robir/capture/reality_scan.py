@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robir.capture.files import find_photographs, head
+from robir.capture.files import head, locate_photographs
 from robir.capture.frames import (
     Array,
     Distortion,
@@ -66,7 +66,7 @@ def read(path: Path) -> FrameSet:
         CaptureError: If a column is missing or a value is no number.
     """
     rows = _rows(path)
-    root, relatives = find_photographs(path, [row["name"] for row in rows])
+    root, relatives = locate_photographs(path, [row["name"] for row in rows])
     frames = tuple(
         _frame(path, row, name, root, relative)
         for row, name, relative in zip(rows, unique_names(relatives), relatives, strict=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -25,18 +26,37 @@ from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
 from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
-from robir.capture.frames import IMAGE_SUFFIXES, FrameSet
+from robir.capture.frames import FrameSet
 from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
+from robir.poses import solve
+from robir.poses.photos import find_photographs
+from robir.poses.register import is_video, register
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
 
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
+
+_REGISTERING = 0.9
+"""Share of the progress that finding poses takes where there are none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workshop:
+    """Where the poses of photographs without any are worked out.
+
+    Attributes:
+        folder: Its own; what a stopped call left in it is taken up again.
+        seed: Seed of the estimators.
+    """
+
+    folder: Path
+    seed: int
 
 
 def read_frames(source: Path) -> FrameSet:
@@ -51,6 +71,8 @@ def read_frames(source: Path) -> FrameSet:
     Raises:
         CaptureError: If nothing is there, no format fits, or the poses cannot be read.
     """
+    if is_video(source):
+        raise _no_poses(f"{source} is a video")
     if not source.exists():
         raise refuse("no-capture", f"{source} does not exist", "Give the folder of a capture.")
     reader = _reader(source)
@@ -112,35 +134,51 @@ def _not_recognised(source: Path) -> CaptureRefusedError:
             "Give one of them.",
             *captures,
         )
-    photographs = [
-        path.relative_to(source).as_posix()
-        for folder in (source, *children)
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in IMAGE_SUFFIXES
-    ]
-    known = (
-        "transforms_train.json, transforms.json, a COLMAP model (sparse/0), "
-        "cameras_sphere.npz, poses_bounds.npy, Polycam's keyframes, RealityScan's "
-        "internal/external camera parameters (CSV), Metashape's cameras (XML) "
-        "or Meshroom's cameras.sfm"
-    )
+    photographs = [path.relative_to(source).as_posix() for path in find_photographs(source)]
     if not photographs:
         return refuse(
             "no-capture",
             f"{source} holds no capture: there are neither photographs nor camera poses",
-            f"Give the folder that holds {known}.",
+            f"Give the folder that holds photographs, or {_KNOWN}.",
         )
+    return _no_poses(f"{source} holds {len(photographs)} photographs", *photographs)
+
+
+_KNOWN = (
+    "transforms_train.json, transforms.json, a COLMAP model (sparse/0), "
+    "cameras_sphere.npz, poses_bounds.npy, Polycam's keyframes, RealityScan's "
+    "internal/external camera parameters (CSV), Metashape's cameras (XML) "
+    "or Meshroom's cameras.sfm"
+)
+
+
+def _no_poses(what: str, *photographs: str) -> CaptureRefusedError:
     return refuse(
         "no-poses",
-        f"{source} holds {len(photographs)} photographs but no camera poses",
-        "Estimate the poses first, for example with COLMAP, and give the folder that holds "
-        f"{known}. Masks will be needed as well (--masks DIR).",
+        f"{what} but no camera poses",
+        "Install what finds them: pip install 'robir[photos]'; or estimate them, for example with "
+        f"COLMAP, and give the folder that holds {_KNOWN}. Masks will be needed as well "
+        "(--masks DIR).",
         *photographs,
     )
 
 
+def _lacks_poses(source: Path) -> bool:
+    """Whether this is a video or a folder of photographs and nothing else."""
+    if is_video(source):
+        return True
+    if not source.is_dir() or _reader(source) is not None:
+        return False
+    children = [child for child in source.iterdir() if child.is_dir()]
+    return not any(_reader(child) for child in children) and bool(find_photographs(source))
+
+
 def read_capture(
-    source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
+    source: Path,
+    masks: Path | None,
+    config: CaptureConfig,
+    progress: Progress = unheard,
+    workshop: Workshop | None = None,
 ) -> Capture:
     """Read a capture of any known format and check it.
 
@@ -149,6 +187,7 @@ def read_capture(
         masks: Folder of masks that win over the capture's own, or None.
         config: Settings of the stage.
         progress: Told how far reading is.
+        workshop: Where missing poses are worked out; None refuses captures without poses.
 
     Returns:
         Views in the capture's own frame, the object's bounds, and findings without errors.
@@ -157,7 +196,16 @@ def read_capture(
         CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
             hold everything that was noticed until then.
     """
-    frames = read_frames(source)
+    if workshop is not None and solve.is_available() and _lacks_poses(source):
+        frames = register(
+            source,
+            workshop.folder,
+            workshop.seed,
+            lambda share, text: progress(_REGISTERING * share, text),
+        )
+        progress = _rest_of(progress, _REGISTERING)
+    else:
+        frames = read_frames(source)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
     findings += check_settings([frame.image for frame in frames.frames])
@@ -191,7 +239,13 @@ def read_capture(
         views=views,
         bounds=bounds,
         findings=tuple(findings),
+        photographs={frame.name: frame.image for frame in frames.frames},
     )
+
+
+def _rest_of(progress: Progress, done: float) -> Progress:
+    """What listens to the part of a task that begins when a share of it is done."""
+    return lambda share, text: progress(done + (1 - done) * share, text)
 
 
 def _folder_of_masks(frames: FrameSet) -> Path | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from robir.capture.config import CaptureConfig
 from robir.capture.findings import clipped_share, mask_share
-from robir.capture.recognise import read_capture
+from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
@@ -35,6 +35,7 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
         context.masks,
         context.config,
         lambda fraction, message: context.reporter.progress(0.9 * fraction, message),
+        Workshop(folder=context.paths.registration, seed=context.seed),
     )
     for finding in capture.findings:
         if finding.level == "warning":

@@ -125,7 +125,7 @@ def _load(
 ) -> tuple[View, bool, bool]:
     """A view, whether it has a mask, and whether EXIF turned it."""
     declared = frame.lens.size
-    photo = read_photo(frame.image, declared)
+    photo = read_photo(frame.image, declared, frame.is_upright)
     width, height = photo.size
     if (
         declared is not None
@@ -142,7 +142,7 @@ def _load(
     mask_path = mask_path or frame.mask
     mask = photo.alpha
     if mask_path is not None:
-        drawn = read_mask(mask_path)
+        drawn = read_mask(mask_path, photo.size, photo.orientation)
         mask = fitted_mask(drawn, photo.size)
         if mask is None:
             raise refuse(

@@ -80,6 +80,11 @@ class JobPaths:
         """Where results of another configuration are moved, never deleted."""
         return self.root / "stages" / ".stale"
 
+    @property
+    def registration(self) -> Path:
+        """Work of the capture stage on photographs without poses; it survives a stopped stage."""
+        return self.root / "stages" / ".registration"
+
     def stage(self, name: str) -> Path:
         """Folder of a stage."""
         return self.root / "stages" / name

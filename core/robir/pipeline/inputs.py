@@ -8,25 +8,11 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from robir.capture.frames import IMAGE_SUFFIXES
 from robir.errors import CaptureError
+from robir.poses.register import is_video
 
-_SUFFIXES = frozenset(
-    [
-        ".json",
-        ".npz",
-        ".npy",
-        ".bin",
-        ".txt",
-        ".png",
-        ".jpg",
-        ".jpeg",
-        ".tif",
-        ".tiff",
-        ".bmp",
-        ".webp",
-        ".exr",
-    ]
-)
+_SUFFIXES = frozenset([".json", ".npz", ".npy", ".bin", ".txt", ".exr", *IMAGE_SUFFIXES])
 """Kinds of files a capture is made of; videos and archives beside them do not count."""
 
 _TRUTH = "truth"
@@ -55,7 +41,12 @@ def capture_fingerprint(source: Path, masks: Path | None, out: Path) -> str:
             raise CaptureError(f"the {name} {path} does not exist; check the path")
     digest = hashlib.sha256()
     try:
-        for folder in filter(None, (source if source.is_dir() else source.parent, masks)):
+        if is_video(source):
+            digest.update(file_hash(source).encode())
+            folders = [masks]
+        else:
+            folders = [source if source.is_dir() else source.parent, masks]
+        for folder in filter(None, folders):
             for path in _files(folder, out.resolve()):
                 digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
                 digest.update(file_hash(path).encode())

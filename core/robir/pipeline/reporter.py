@@ -80,6 +80,9 @@ class RunReporter:
     def end(self, stage: str, metrics: dict[str, Any], seconds: dict[str, float]) -> None:
         """A stage has ended well."""
         self._done = min(1.0, self._done + _SHARES[stage])
+        if stage == "capture":
+            # Whether poses had to be found says nothing about how long the rest takes.
+            self._begin, self._offset = time.monotonic(), self._done
         self._metrics |= metrics
         self._announce("finished", message=f"{stage} done", metrics=metrics, seconds=seconds)
 

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Picture files of every kind, opened and decoded: Pillow's own, HEIC and RAW by optional packages.
+
+Where a package is missing, the refusal says how to install it. EXIF data never stops a photograph:
+what is damaged there counts as absent.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from robir.capture.refusal import CaptureRefusedError, refuse
+
+HEIF_SUFFIXES = (".heic", ".heif")
+"""Photographs of phones, decoded by pillow-heif."""
+
+RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2")
+"""Sensor data of cameras, developed by rawpy."""
+
+INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
+"""The cure for a missing optional package, in one place."""
+
+_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
+"""What Pillow raises for broken files."""
+
+_BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
+"""What Pillow raises for broken EXIF data."""
+
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What brings a photograph of each EXIF orientation upright."""
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image.Image]:
+    """A picture file, opened and decoded, or a refusal that names it.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Yields:
+        The picture as stored; RAW files come developed and upright.
+
+    Raises:
+        CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
+            not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        yield _developed(path)
+        return
+    if suffix in HEIF_SUFFIXES:
+        _register_heif(path)
+    with warnings.catch_warnings():
+        # Damaged EXIF data and pictures of 50 to 180 megapixels are no reason to stop.
+        warnings.simplefilter("ignore")
+        try:
+            picture = Image.open(path)
+        except FileNotFoundError:
+            raise refuse(
+                "missing-images", f"{path} does not exist", "Put it there.", path.name
+            ) from None
+        except UnidentifiedImageError:
+            raise refuse(
+                "unreadable-images",
+                f"{path} is not a photograph that can be read",
+                "Save it as PNG, JPEG or TIFF.",
+                path.name,
+            ) from None
+        except _DAMAGE as fault:
+            raise _damaged(path, fault) from None
+    with picture:
+        try:
+            picture.load()
+        except _DAMAGE as fault:
+            raise _damaged(path, fault) from None
+        yield picture
+
+
+def exif_values(picture: Image.Image) -> dict[int, object] | None:
+    """EXIF tags of a picture, those of its sub-directory included.
+
+    Returns:
+        What can be read; None if there is EXIF data but nothing of it can be read.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            exif = picture.getexif()
+            values = dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif))
+        except _BAD_EXIF:
+            return None
+    return values if values or not picture.info.get("exif") else None
+
+
+def orientation(picture: Image.Image) -> int:
+    """EXIF orientation, 1 to 8; 1, which is upright, where nothing sensible is stated."""
+    value = (exif_values(picture) or {}).get(ExifTags.Base.Orientation, 1)
+    return value if isinstance(value, int) and value in _TURNS else 1
+
+
+def upright(picture: Image.Image, orientation: int) -> Image.Image:
+    """The picture turned as an EXIF orientation says."""
+    return picture.transpose(_TURNS[orientation]) if orientation in _TURNS else picture
+
+
+def _register_heif(path: Path) -> None:
+    try:
+        import pillow_heif
+    except ImportError:
+        raise refuse(
+            "missing-reader",
+            f"{path} is a HEIC photograph, which needs the package pillow-heif",
+            f"{INSTALL_PHOTOS}; or save the photographs as JPEG.",
+            path.name,
+        ) from None
+    pillow_heif.register_heif_opener()
+
+
+def _developed(path: Path) -> Image.Image:
+    """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
+
+    Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
+    """
+    try:
+        import rawpy
+    except ImportError:
+        raise refuse(
+            "missing-reader",
+            f"{path} is a RAW photograph, which needs the package rawpy",
+            f"{INSTALL_PHOTOS}; or develop the photographs, all with the same settings.",
+            path.name,
+        ) from None
+    try:
+        with rawpy.imread(str(path)) as raw:
+            pixels = raw.postprocess(
+                half_size=True, use_camera_wb=True, no_auto_bright=True, output_bps=8
+            )
+    except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
+        raise _damaged(path, fault) from None
+    picture = Image.fromarray(pixels)
+    # Most RAW files are TIFF as well, so the lens can be read; the picture is upright already.
+    with suppress(UnidentifiedImageError, *_BAD_EXIF), Image.open(path) as stored:
+        exif = stored.getexif()
+        exif.get_ifd(ExifTags.IFD.Exif)
+        exif.pop(ExifTags.Base.Orientation, None)
+        picture.info["exif"] = exif.tobytes()
+    return picture
+
+
+def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
+    return refuse(
+        "unreadable-images",
+        f"{path} is truncated or damaged ({fault})",
+        "Copy it again from the camera, or remove it and its pose.",
+        path.name,
+    )
