@@ -35,6 +35,7 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
         context.masks,
         context.config,
         lambda fraction, message: context.reporter.progress(0.9 * fraction, message),
+        context.paths.masks,
     )
     for finding in capture.findings:
         if finding.level == "warning":

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks from photographs with poses alone: colours, a common volume, and edges, in turns.
+
+Each round learns the colours of object and background, cuts every photograph along its edges, and
+carves the volume that all cuts allow; its picture in each photograph is where the next round
+expects the object. The turns of colour model and cut are those of GrabCut (Rother, Kolmogorov and
+Blake 2004), the volume ties the photographs together as in Campbell et al. 2010.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.masking.colours import Palette
+from robir.masking.region import Region
+from robir.masking.sight import Layer, Picture, Posed, in_frame, reduced
+from robir.masking.volume import Volume
+from robir.masking.walker import walk
+
+SIDE = 320
+"""Longer side at which masks are made, pixels."""
+
+DISSENT = (0.15, 0.10, 0.07, 0.05)
+"""Share of the photographs that may call a part of the object background, round by round."""
+
+TRUST = (0.62, 0.62, 0.75, 0.85)
+"""Belief in the object that the volume alone can give a pixel, round by round."""
+
+OUTSIDE = 0.02
+"""Belief below which the volume leaves no room for the object."""
+
+SEED = 1.5
+"""Evidence of a surface point of the object in a pixel, natural logarithm of a ratio."""
+
+LEAST_CONTRAST = 0.65
+"""Contrast below which object and background look too alike."""
+
+LEAST_AGREEMENT = 0.75
+"""Agreement below which the masks show no common object."""
+
+ODD = 0.6
+"""Agreement below which a single mask is named."""
+
+RING = 10
+"""Pixels on both sides of an outline by which colours are judged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Guess:
+    """Masks and how far they are to be trusted.
+
+    Attributes:
+        masks: Belief in the object at each pixel, (H, W) float32 in [0, 1], at most `SIDE` long.
+        agreement: (V,) intersection over union of each mask with the volume all masks allow.
+        contrast: (V,) share of the pixels along each outline that colour alone puts on the right
+            side, both sides weighing the same; one half where object and background look alike.
+        region: Where the object was looked for.
+        volume: (N, 3) points that fill what all masks allow, capture frame.
+    """
+
+    masks: tuple[Layer, ...]
+    agreement: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    region: Region
+    volume: NDArray[np.float64]
+
+    def fault(self) -> str | None:
+        """Why the masks are not to be trusted, a clause for the user, or None."""
+        shares = [float((mask > 0.5).mean()) for mask in self.masks]
+        if np.median(shares) < 0.002 or len(self.volume) == 0:
+            return "nothing stands out from the background where the cameras aim"
+        contrast = float(np.median(self.contrast))
+        if contrast < LEAST_CONTRAST:
+            return (
+                "object and background look alike: along the outlines found, colour puts only "
+                f"{100 * contrast:.0f} % of the pixels on the right side"
+            )
+        agreement = float(np.median(self.agreement))
+        if agreement < LEAST_AGREEMENT:
+            return (
+                "what was cut out of the photographs has no common shape: it agrees to "
+                f"{100 * agreement:.0f} %"
+            )
+        return None
+
+    @property
+    def odd(self) -> NDArray[np.bool_]:
+        """(V,) which masks do not agree with the others."""
+        return self.agreement < ODD
+
+
+def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[float], None]) -> Guess:
+    """Cut the object of a region out of photographs.
+
+    Args:
+        views: Photographs with cameras.
+        region: Where the object is.
+        progress: Told the share of the work done.
+
+    Returns:
+        The masks and their agreement.
+    """
+    pictures = reduced(views, SIDE)
+    volume = Volume(region, [picture.camera for picture in pictures])
+    seeds = [_seeds(picture, region) for picture in pictures]
+    priors = [volume.picture(k) for k in range(len(pictures))]
+    palette = Palette(pictures, [_first_lesson(prior) for prior in priors])
+    for number, (dissent, trust) in enumerate(zip(DISSENT, TRUST, strict=True)):
+        masks = []
+        for k, picture in enumerate(pictures):
+            odds = palette.evidence(k, picture.lab.shape[:2]) + seeds[k]
+            belief = 1 / (1 + np.exp(-odds - _log_odds(priors[k], trust)))
+            masks.append(walk(picture.lab, np.where(priors[k] < OUTSIDE, 1e-3, belief)))
+            progress((number + (k + 1) / len(pictures)) / len(DISSENT))
+        volume.carve(masks, dissent)
+        priors = [volume.picture(k) for k in range(len(pictures))]
+        palette = Palette(pictures, masks)
+    return Guess(
+        masks=tuple(masks),
+        agreement=np.array([_overlap(*pair) for pair in zip(masks, priors, strict=True)]),
+        contrast=np.array(
+            [_contrast(mask, palette.evidence(k, mask.shape)) for k, mask in enumerate(masks)]
+        ),
+        region=region,
+        volume=volume.points(),
+    )
+
+
+def _first_lesson(prior: Layer) -> Layer:
+    """Where colours are learnt before the first cut: deep within the region and well outside."""
+    return np.select([prior > 0.75, prior < 0.35], [1.0, 0.0], 0.5).astype(np.float32)
+
+
+def _log_odds(belief: Layer, trust: float) -> Layer:
+    bounded = np.clip(belief, OUTSIDE, trust)
+    return np.log(bounded / (1 - bounded))
+
+
+def _seeds(picture: Picture, region: Region) -> Layer:
+    """Evidence of the object's surface points, (H, W): even hidden ones lie in its silhouette."""
+    camera = picture.camera
+    pixels, depth = camera.project(region.points)
+    column, row = pixels[in_frame(camera, pixels, depth)].astype(np.int64).T
+    count = np.zeros((camera.height, camera.width), dtype=np.float32)
+    np.add.at(count, (row, column), 1)
+    near = cv2.boxFilter(count, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    # a point on its own may be a mistake
+    return np.float32(SEED) * np.clip(near - 1, 0, 2)
+
+
+def _overlap(mask: Layer, prior: Layer) -> float:
+    one, two = mask > 0.5, prior > 0.4
+    return float((one & two).sum() / max((one | two).sum(), 1))
+
+
+def _contrast(mask: Layer, evidence: Layer) -> float:
+    """Share of the pixels along an outline whose colour is on the right side."""
+    inside = (mask > 0.5).astype(np.uint8)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RING + 1, 2 * RING + 1))
+    within = (inside == 1) & (cv2.erode(inside, disc, borderValue=1) == 0)
+    beyond = (inside == 0) & (cv2.dilate(inside, disc) == 1)
+    if not within.any() or not beyond.any():
+        return 0.5
+    return float(0.5 * ((evidence[within] > 0).mean() + (evidence[beyond] < 0).mean()))
