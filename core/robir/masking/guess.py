@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robir.masking.colours import Palette
 from robir.masking.region import Region
-from robir.masking.sight import Layer, Picture, Posed, in_frame, reduced
+from robir.masking.sight import Array, Layer, Picture, Posed, in_frame, reduced, sampled
 from robir.masking.volume import Volume
 from robir.masking.walker import walk
 
@@ -31,11 +31,18 @@ DISSENT = (0.15, 0.10, 0.07, 0.05)
 TRUST = (0.62, 0.62, 0.75, 0.85)
 """Belief in the object that the volume alone can give a pixel, round by round."""
 
+CAUTION = (1.0, 1.0, 0.5, 0.0)
+"""Evidence for the object taken off every pixel, round by round: what both sides may have is
+background until the other photographs say otherwise."""
+
 OUTSIDE = 0.02
 """Belief below which the volume leaves no room for the object."""
 
 SEED = 1.5
 """Evidence of a surface point of the object in a pixel, natural logarithm of a ratio."""
+
+CONTAINED = 0.85
+"""Share of the masks that must contain a surface point of the object."""
 
 LEAST_CONTRAST = 0.65
 """Contrast below which object and background look too alike."""
@@ -107,19 +114,21 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
     """
     pictures = reduced(views, SIDE)
     volume = Volume(region, [picture.camera for picture in pictures])
-    seeds = [_seeds(picture, region) for picture in pictures]
+    points = region.points
     priors = [volume.picture(k) for k in range(len(pictures))]
     palette = Palette(pictures, [_first_lesson(prior) for prior in priors])
     for number, (dissent, trust) in enumerate(zip(DISSENT, TRUST, strict=True)):
         masks = []
+        seeds = [_seeds(picture, points) for picture in pictures]
         for k, picture in enumerate(pictures):
-            odds = palette.evidence(k, picture.lab.shape[:2]) + seeds[k]
+            odds = palette.evidence(k, picture.lab.shape[:2]) - CAUTION[number] + seeds[k]
             belief = 1 / (1 + np.exp(-odds - _log_odds(priors[k], trust)))
             masks.append(walk(picture.lab, np.where(priors[k] < OUTSIDE, 1e-3, belief)))
             progress((number + (k + 1) / len(pictures)) / len(DISSENT))
         volume.carve(masks, dissent)
         priors = [volume.picture(k) for k in range(len(pictures))]
         palette = Palette(pictures, masks)
+        points = _within_masks(region.points, pictures, masks)
     return Guess(
         masks=tuple(masks),
         agreement=np.array([_overlap(*pair) for pair in zip(masks, priors, strict=True)]),
@@ -141,16 +150,31 @@ def _log_odds(belief: Layer, trust: float) -> Layer:
     return np.log(bounded / (1 - bounded))
 
 
-def _seeds(picture: Picture, region: Region) -> Layer:
+def _seeds(picture: Picture, points: Array) -> Layer:
     """Evidence of the object's surface points, (H, W): even hidden ones lie in its silhouette."""
     camera = picture.camera
-    pixels, depth = camera.project(region.points)
+    pixels, depth = camera.project(points)
     column, row = pixels[in_frame(camera, pixels, depth)].astype(np.int64).T
     count = np.zeros((camera.height, camera.width), dtype=np.float32)
     np.add.at(count, (row, column), 1)
     near = cv2.boxFilter(count, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
     # a point on its own may be a mistake
     return np.float32(SEED) * np.clip(near - 1, 0, 2)
+
+
+def _within_masks(points: Array, pictures: Sequence[Picture], masks: Sequence[Layer]) -> Array:
+    """Points that nearly all masks contain, in what looks like a hole or not."""
+    inside, seen = np.zeros(len(points)), np.zeros(len(points))
+    for picture, mask in zip(pictures, masks, strict=True):
+        outlines, _ = cv2.findContours(
+            (mask > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+        )
+        filled = cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
+        pixels, depth = picture.camera.project(points)
+        known = in_frame(picture.camera, pixels, depth)
+        inside += known * sampled(filled, pixels)
+        seen += known
+    return points[inside >= CONTAINED * np.maximum(seen, 1)]
 
 
 def _overlap(mask: Layer, prior: Layer) -> float:
