@@ -35,6 +35,12 @@ CAUTION = (1.0, 1.0, 0.5, 0.0)
 """Evidence for the object taken off every pixel, round by round: what both sides may have is
 background until the other photographs say otherwise."""
 
+SURE = 0.6
+"""Belief from which the volume decides against the colours in the end."""
+
+DEEP = 4
+"""Pixels from the outline of the volume's picture at which it is believed."""
+
 OUTSIDE = 0.02
 """Belief below which the volume leaves no room for the object."""
 
@@ -129,9 +135,12 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
         priors = [volume.picture(k) for k in range(len(pictures))]
         palette = Palette(pictures, masks)
         points = _within_masks(region.points, pictures, masks)
+    agreement = np.array([_overlap(*pair) for pair in zip(masks, priors, strict=True)])
+    # one hole drills through the whole visual hull, so what all others see is put back
+    masks = [_mended(*pair) for pair in zip(masks, priors, strict=True)]
     return Guess(
         masks=tuple(masks),
-        agreement=np.array([_overlap(*pair) for pair in zip(masks, priors, strict=True)]),
+        agreement=agreement,
         contrast=np.array(
             [_contrast(mask, palette.evidence(k, mask.shape)) for k, mask in enumerate(masks)]
         ),
@@ -175,6 +184,13 @@ def _within_masks(points: Array, pictures: Sequence[Picture], masks: Sequence[La
         inside += known * sampled(filled, pixels)
         seen += known
     return points[inside >= CONTAINED * np.maximum(seen, 1)]
+
+
+def _mended(mask: Layer, prior: Layer) -> Layer:
+    """A mask with what lies deep within the picture of the volume put back."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * DEEP + 1, 2 * DEEP + 1))
+    deep = cv2.erode((prior > SURE).astype(np.uint8), disc, borderValue=1) == 1
+    return np.where(deep, np.maximum(mask, prior), mask)
 
 
 def _overlap(mask: Layer, prior: Layer) -> float:
