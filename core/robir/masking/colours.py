@@ -49,8 +49,10 @@ class Palette:
         against = [np.clip(1 - 2 * belief.ravel(), 0, 1) for belief in beliefs]
         own = [_counts(*pair) for pair in zip(self._steps, weights, strict=True)]
         rest = [_counts(*pair) for pair in zip(self._steps, against, strict=True)]
-        behind = _likelihood(np.sum(rest, axis=0))
-        self._object = _likelihood(_without(np.sum(own, axis=0), behind))
+        self._counts = list(zip(own, rest, strict=True))
+        self._all_own, self._all_rest = np.sum(own, axis=0), np.sum(rest, axis=0)
+        behind = _likelihood(self._all_rest)
+        self._object = _likelihood(_without(self._all_own, behind))
         self._rest = [
             (1 - SHARED) * _likelihood(counts) + SHARED * behind if counts.any() else behind
             for counts in rest
@@ -60,6 +62,13 @@ class Palette:
         """Log ratio of object to background at the pixels of a photograph, (H, W)."""
         ratio = np.log(self._object / self._rest[index]).astype(np.float32)
         return np.clip(ratio[self._steps[index]], -SURE, SURE).reshape(shape)
+
+    def evidence_of_others(self, index: int, shape: tuple[int, int]) -> Layer:
+        """The same, (H, W), learnt from all photographs but this one: a fair judge of it."""
+        own, rest = self._counts[index]
+        behind = _likelihood(self._all_rest - rest)
+        front = _likelihood(_without(self._all_own - own, behind))
+        return np.log(front / behind).astype(np.float32)[self._steps[index]].reshape(shape)
 
 
 def _steps(lab: Layer) -> NDArray[np.int32]:

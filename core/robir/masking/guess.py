@@ -56,6 +56,9 @@ LEAST_CONTRAST = 0.65
 LEAST_AGREEMENT = 0.75
 """Agreement below which the masks show no common object."""
 
+MOST = 0.9
+"""Share of the photograph that no object covers in most of them."""
+
 ODD = 0.6
 """Agreement below which a single mask is named."""
 
@@ -70,8 +73,9 @@ class Guess:
     Attributes:
         masks: Belief in the object at each pixel, (H, W) float32 in [0, 1], at most `SIDE` long.
         agreement: (V,) intersection over union of each mask with the volume all masks allow.
-        contrast: (V,) share of the pixels along each outline that colour alone puts on the right
-            side, both sides weighing the same; one half where object and background look alike.
+        contrast: (V,) share of the pixels along each outline that colours learnt from the other
+            photographs put on the right side, both sides weighing the same; one half where object
+            and background look alike.
         region: Where the object was looked for.
         volume: (N, 3) points that fill what all masks allow, capture frame.
     """
@@ -87,6 +91,8 @@ class Guess:
         shares = [float((mask > 0.5).mean()) for mask in self.masks]
         if np.median(shares) < 0.002 or len(self.volume) == 0:
             return "nothing stands out from the background where the cameras aim"
+        if np.median(shares) > MOST:
+            return "everything the cameras see looks like the object"
         contrast = float(np.median(self.contrast))
         if contrast < LEAST_CONTRAST:
             return (
@@ -142,7 +148,10 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
         masks=tuple(masks),
         agreement=agreement,
         contrast=np.array(
-            [_contrast(mask, palette.evidence(k, mask.shape)) for k, mask in enumerate(masks)]
+            [
+                _contrast(mask, palette.evidence_of_others(k, mask.shape))
+                for k, mask in enumerate(masks)
+            ]
         ),
         region=region,
         volume=volume.points(),
