@@ -58,12 +58,12 @@ class Palette:
             for counts in rest
         ]
 
-    def evidence(self, index: int, shape: tuple[int, int]) -> Layer:
+    def evidence(self, index: int, shape: tuple[int, ...]) -> Layer:
         """Log ratio of object to background at the pixels of a photograph, (H, W)."""
         ratio = np.log(self._object / self._rest[index]).astype(np.float32)
         return np.clip(ratio[self._steps[index]], -SURE, SURE).reshape(shape)
 
-    def evidence_of_others(self, index: int, shape: tuple[int, int]) -> Layer:
+    def evidence_of_others(self, index: int, shape: tuple[int, ...]) -> Layer:
         """The same, (H, W), learnt from all photographs but this one: a fair judge of it."""
         own, rest = self._counts[index]
         behind = _likelihood(self._all_rest - rest)
@@ -76,11 +76,11 @@ def _steps(lab: Layer) -> NDArray[np.int32]:
     share = (lab.reshape(-1, 3) - LOWEST) / (HIGHEST - LOWEST)
     bins = np.array(BINS)
     index = np.clip((share * bins).astype(np.int32), 0, bins - 1)
-    return np.ravel_multi_index(tuple(index.T), BINS).astype(np.int32)
+    return np.asarray(np.ravel_multi_index(tuple(index.T), BINS), dtype=np.int32)
 
 
 def _counts(steps: NDArray[np.int32], weights: Layer) -> NDArray[np.float64]:
-    return np.bincount(steps, weights, minlength=int(np.prod(BINS)))
+    return np.bincount(steps, weights, minlength=int(np.prod(BINS))).astype(np.float64)
 
 
 def _likelihood(counts: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from robir.masking.opencv import cv2
 from robir.masking.sight import Bytes, Layer, to_lab
 from robir.masking.walker import walk
 

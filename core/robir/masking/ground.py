@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.masking.opencv import cv2
 from robir.masking.sight import Array, Camera, Layer
 from robir.masking.support import Plane
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from robir.masking.colours import Palette
+from robir.masking.opencv import cv2
 from robir.masking.region import Region
 from robir.masking.sight import Array, Layer, Picture, Posed, in_frame, reduced, sampled
 from robir.masking.volume import Volume
@@ -126,8 +126,8 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
     """
     pictures = reduced(views, SIDE)
     volume = Volume(region, [picture.camera for picture in pictures])
-    points = region.points
     priors = [volume.picture(k) for k in range(len(pictures))]
+    points, masks = region.points, priors
     palette = Palette(pictures, [_first_lesson(prior) for prior in priors])
     for number, (dissent, trust) in enumerate(zip(DISSENT, TRUST, strict=True)):
         masks = []

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.masking.opencv import cv2
 from robir.masking.sight import Array, Camera, Posed
 
 SIDE = 800

@@ -137,8 +137,10 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
     core = _half_spaces(own)
     origin = f"{len(own)} points about the cameras' common focus"
     if core is None:
-        blind = middle + BLIND * distance * np.array(_CORNERS)
-        return _around(blind, _half_spaces(blind), plane, "the cameras' common focus")
+        half = np.full(3, BLIND * distance)
+        blind = middle + half * np.array(_CORNERS)
+        core = _half_spaces_of_box(middle, half)
+        return _around(blind, core, plane, "the cameras' common focus")
     return replace(_around(own, core, plane, origin), points=own)
 
 
@@ -162,7 +164,7 @@ def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array
         own = own[plane.height(own) > 2.0 * plane.tolerance]
     core = _half_spaces(own)
     if core is None:
-        core = _half_spaces(centre + 0.6 * half * np.array(_CORNERS))
+        core = _half_spaces_of_box(centre, 0.6 * half)
     return Region(
         centre=centre,
         axes=np.eye(3),
@@ -210,6 +212,12 @@ def _half_spaces(points: Array) -> Array | None:
         equations = ConvexHull(points).equations
         return np.unique(np.round(equations, 9), axis=0)
     return None
+
+
+def _half_spaces_of_box(centre: Array, half: Array) -> Array:
+    """An upright box as half spaces."""
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    return np.column_stack([normals, -normals @ centre - np.tile(half, 2)])
 
 
 def _around(own: Array, core: Array, plane: Plane | None, origin: str) -> Region:

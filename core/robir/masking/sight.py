@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from robir.masking.opencv import cv2
 
 Array = NDArray[np.float64]
 Layer = NDArray[np.float32]

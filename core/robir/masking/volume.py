@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.masking.opencv import cv2
 from robir.masking.region import Region
 from robir.masking.sight import Array, Camera, Layer, in_frame, sampled
 
