@@ -17,6 +17,7 @@ import pytest
 from addon.blenders import run
 from capture.scene import AIM, cameras, shoot
 from capture.writers import nerf_synthetic, nerfstudio
+from PIL import Image
 
 from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, read_json
@@ -100,6 +101,10 @@ def check_faults(answer, bad, missing):
 def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, tmp_path):
     bad, missing = nerfstudio(tmp_path / "bad", shots[:6]), tmp_path / "missing"
     shutil.rmtree(bad / "mattes")
+    generator = np.random.default_rng(0)
+    for path in sorted((bad / "images").iterdir()):  # nothing that masks could be guessed from
+        noise = generator.integers(0, 255, (48, 48, 3), np.uint8)
+        Image.fromarray(noise).save(path)
     plain = json.loads((bad / "transforms.json").read_text())
     for frame in plain["frames"]:
         del frame["mask_path"]

@@ -226,15 +226,19 @@ def test_flat_masks(studio, level, word):
 def test_no_masks_at_all(odd_shots, tmp_path):
     writers.colmap(tmp_path, odd_shots, binary=True)
     (tmp_path / "masks").rename(tmp_path / "mattes")
-    refused(tmp_path, "no masks", "--masks DIR")
+    guessed = read_capture(tmp_path, None, CaptureConfig())
+    assert "guessed-masks" in {finding.code for finding in guessed.findings}
     capture = read_capture(tmp_path, tmp_path / "mattes", CaptureConfig())
     assert len(capture.views) == 8
+    assert "guessed-masks" not in {finding.code for finding in capture.findings}
 
 
 def test_an_opaque_alpha_is_no_mask(synthetic):
-    for path in (synthetic / "train").iterdir():
-        Image.open(path).convert("RGB").convert("RGBA").save(path)
-    refused(synthetic, "no masks", "--masks DIR")
+    generator = np.random.default_rng(0)
+    for path in sorted((synthetic / "train").iterdir()):
+        noise = generator.integers(0, 255, (48, 48, 3), np.uint8)
+        Image.fromarray(noise).convert("RGBA").save(path)
+    refused(synthetic, "no masks", "could not be guessed", "--masks DIR")
 
 
 def test_masks_for_some_photographs_only(sparse):

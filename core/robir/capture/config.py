@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from robir.errors import ConfigError
 
@@ -18,11 +19,17 @@ class CaptureConfig:
         held_out_every: Every how many-th view is kept aside, at least 2; used only if the
             capture brings no test views of its own.
         max_held_out: Number of views kept aside at most, at least 1.
+        ground: What becomes of the table where masks have to be guessed: "cut" removes it,
+            "keep" leaves a disc of it around the object.
+        box: Where the object is, for captures without masks: centre x, y, z and sides x, y, z
+            along the axes of the capture's own frame, in its unit; empty to look for it.
     """
 
     max_side: int = 400
     held_out_every: int = 8
     max_held_out: int = 8
+    ground: Literal["keep", "cut"] = "cut"
+    box: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
@@ -30,3 +37,8 @@ class CaptureConfig:
             value = getattr(self, name)
             if value < least:
                 raise ConfigError(f"capture.{name} is {value}; it must be at least {least}")
+        if self.box and (len(self.box) != 6 or min(self.box[3:]) <= 0):
+            raise ConfigError(
+                f"capture.box is {list(self.box)}; give centre x, y, z and sides x, y, z, the "
+                "sides above 0"
+            )

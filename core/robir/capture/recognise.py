@@ -31,6 +31,7 @@ from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.sharpness import check_sharpness
+from robir.capture.unmasked import with_guessed_masks
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.poses import solve
 from robir.poses.photos import find_photographs
@@ -38,6 +39,9 @@ from robir.poses.register import is_video, register
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
+
+_FIRST_READING = 0.3
+"""The same where masks have to be guessed as well."""
 
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
@@ -179,6 +183,7 @@ def read_capture(
     config: CaptureConfig,
     progress: Progress = unheard,
     workshop: Workshop | None = None,
+    guesses: Path | None = None,
 ) -> Capture:
     """Read a capture of any known format and check it.
 
@@ -188,6 +193,8 @@ def read_capture(
         config: Settings of the stage.
         progress: Told how far reading is.
         workshop: Where missing poses are worked out; None refuses captures without poses.
+        guesses: Folder to write masks to where the capture has none and they are guessed, or None
+            to keep no files of them.
 
     Returns:
         Views in the capture's own frame, the object's bounds, and findings without errors.
@@ -217,8 +224,23 @@ def read_capture(
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
     except CaptureRefusedError as refusal:
         raise CaptureRefusedError([*findings, *refusal.findings]) from None
-    loaded = load_views(chosen, drawn, config, lambda share, text: progress(_READING * share, text))
+    has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
+    has_masks = has_masks or any(frame.mask for frame, _ in chosen)
+    first = _READING if has_masks else _FIRST_READING
+    loaded = load_views(chosen, drawn, config, lambda share, text: progress(first * share, text))
     findings += loaded.findings
+    if loaded.views and len(loaded.maskless) == len(loaded.views):
+        _stop_on_errors(findings)
+        loaded, about = with_guessed_masks(
+            frames,
+            chosen,
+            loaded,
+            config,
+            guesses,
+            lambda share, text: progress(first + (_READING - first) * share, text),
+        )
+        findings += about
+        _stop_on_errors(findings)
     if loaded.views:
         findings += check_photographs(loaded.views)
     findings += _check_mask_supply(loaded)
@@ -259,9 +281,6 @@ def _folder_of_masks(frames: FrameSet) -> Path | None:
 def _check_mask_supply(loaded: Loaded) -> list[Finding]:
     if not loaded.maskless:
         return []
-    if len(loaded.maskless) == len(loaded.views):
-        message = "The photographs have no masks: nothing says which pixels are the object"
-        return [error("no-masks", message, mask_files.HOW_TO_SUPPLY)]
     return [
         error(
             "missing-masks",

@@ -36,6 +36,7 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
         context.config,
         lambda fraction, message: context.reporter.progress(0.9 * fraction, message),
         Workshop(folder=context.paths.registration, seed=context.seed),
+        context.paths.masks,
     )
     for finding in capture.findings:
         if finding.level == "warning":

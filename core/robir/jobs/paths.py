@@ -56,6 +56,11 @@ class JobPaths:
         return self.root / "preview.png"
 
     @property
+    def masks(self) -> Path:
+        """Masks that were guessed for a capture without masks; the user may look and mend."""
+        return self.root / "masks"
+
+    @property
     def cancel(self) -> Path:
         """Touch this file to ask the run to stop."""
         return self.root / "cancel"

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks for a capture that brings none: guessed, written for the user to mend, accounted for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from PIL import Image
+
+from robir.capture.camera import Camera
+from robir.capture.capture import Finding, Split, View
+from robir.capture.config import CaptureConfig
+from robir.capture.frames import Array, Distortion, Frame, FrameSet, rigid
+from robir.capture.images import Bytes, read_photo
+from robir.capture.masks import HOW_TO_SUPPLY
+from robir.capture.refusal import error, note, warning
+from robir.capture.views import Loaded, Progress, load_views, unheard
+from robir.jobs.paths import replacing
+from robir.masking import matching
+from robir.masking.finish import sharpened
+from robir.masking.ground import disc_about, disc_picture
+from robir.masking.guess import Guess, guess_masks
+from robir.masking.opencv import cv2
+from robir.masking.region import find_region, region_of_box
+from robir.masking.sight import Layer
+
+_ENOUGH_POINTS = 200
+"""Sparse points of a format that make a search for more needless."""
+
+
+def with_guessed_masks(
+    frames: FrameSet,
+    chosen: Sequence[tuple[Frame, Split]],
+    loaded: Loaded,
+    config: CaptureConfig,
+    folder: Path | None,
+    progress: Progress = unheard,
+) -> tuple[Loaded, list[Finding]]:
+    """Guess the masks of photographs that have none.
+
+    Args:
+        frames: What the format says.
+        chosen: Frames that were read, with their split.
+        loaded: The photographs read from them, none with a mask.
+        config: Settings of the stage.
+        folder: Where the masks are written at the photographs' full size and read again, or None
+            to make them at the size of the views only and keep no files.
+        progress: Told the share of this work.
+
+    Returns:
+        Photographs with masks, and findings; an error among them where no masks could be made,
+        and the photographs are then as they came.
+    """
+    progress(0.0, "looking for the object")
+    seen, guess, fault = _guess(frames, chosen, loaded.views, config, progress)
+    if guess is None:
+        return loaded, [
+            error(
+                "no-masks",
+                "The photographs have no masks: nothing says which pixels are the object, and "
+                f"they could not be guessed ({fault})",
+                f"{HOW_TO_SUPPLY} Or say where the object is with the setting "
+                "capture.box=[x, y, z, width, depth, height].",
+            )
+        ]
+    rim = None
+    plane = guess.region.plane
+    if config.ground == "keep" and plane is not None:
+        rim = disc_about(guess.volume, plane)
+    by_name = {frame.name: frame for frame, _ in chosen}
+    written: dict[str, Path] = {}
+    views = []
+    for done, (view, belief) in enumerate(zip(seen, guess.masks, strict=True)):
+        small = view.camera.resized(belief.shape[1], belief.shape[0])
+        disc = None if rim is None else disc_picture(rim, small)
+        if folder is None:
+            views.append(replace(view, mask=_finished(view.image_display, belief, disc)))
+        else:
+            frame = by_name[view.name]
+            written[view.name] = _mask_path(folder, frame.relative)
+            _write(written[view.name], _full_mask(frame, small, belief, disc))
+        progress(0.6 + 0.2 * (done + 1) / len(loaded.views), f"cutting out {view.name}")
+    about = _account(guess, loaded.views, config, folder)
+    if folder is None:
+        return replace(loaded, views=tuple(views), maskless=()), about
+    again = load_views(
+        chosen, written, config, lambda share, text: progress(0.8 + 0.2 * share, text)
+    )
+    return again, about
+
+
+def _guess(
+    frames: FrameSet,
+    chosen: Sequence[tuple[Frame, Split]],
+    views: tuple[View, ...],
+    config: CaptureConfig,
+    progress: Progress,
+) -> tuple[tuple[View, ...], Guess | None, str]:
+    """The views with the poses used, and their masks or why there are none."""
+    points = frames.points
+    if len(points) < _ENOUGH_POINTS:
+        views, points = _triangulated(frames, chosen, views, config)
+    cameras = [view.camera for view in views]
+    if config.box:
+        region = region_of_box(config.box, cameras, points)
+    else:
+        region = find_region(cameras, points)
+    if region is None:
+        return views, None, "the cameras do not aim at a common point"
+    guess = guess_masks(
+        views,
+        region,
+        lambda share: progress(0.1 + 0.5 * share, "telling object from background"),
+    )
+    fault = guess.fault()
+    return views, (guess if fault is None else None), fault or ""
+
+
+def _triangulated(
+    frames: FrameSet,
+    chosen: Sequence[tuple[Frame, Split]],
+    views: tuple[View, ...],
+    config: CaptureConfig,
+) -> tuple[tuple[View, ...], Array]:
+    """Surface points; the views get the order of poses that yields more of them."""
+    every = np.linspace(0, len(chosen) - 1, min(len(chosen), matching.MAX_VIEWS))
+    some = [chosen[k] for k in np.unique(every.round().astype(int))]
+    larger = replace(config, max_side=max(config.max_side, matching.SIDE))
+    features = matching.features(load_views(some, {}, larger, unheard).views)
+    points = matching.triangulated(features)
+    if not frames.other_order:
+        return views, points
+    others = {frame.name: frame for frame in frames.other_order}
+
+    def turned(name: str, camera: Camera) -> Camera:
+        return others[name].lens.camera(
+            rigid(others[name].camera_to_world), camera.width, camera.height
+        )
+
+    moved = [replace(each, camera=turned(each.name, each.camera)) for each in features]
+    other_points = matching.triangulated(moved)
+    if len(other_points) <= len(points):
+        return views, points
+    views = tuple(replace(view, camera=turned(view.name, view.camera)) for view in views)
+    return views, other_points
+
+
+def _account(
+    guess: Guess, views: Sequence[View], config: CaptureConfig, folder: Path | None
+) -> list[Finding]:
+    """What the user is told about guessed masks."""
+    agreement = 100 * float(np.median(guess.agreement))
+    contrast = 100 * float(np.median(guess.contrast))
+    where = (
+        "robir reconstruct writes them into the folder masks of the result, to be looked at"
+        if folder is None
+        else f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
+    )
+    found = [
+        note(
+            "guessed-masks",
+            "The photographs have no masks, so masks were guessed from "
+            f"{guess.region.origin}: they agree with each other to {agreement:.0f} %, colour "
+            f"alone decides {contrast:.0f} % of the pixels along the outlines; {where}",
+        )
+    ]
+    odd = [view.name for view, is_odd in zip(views, guess.odd, strict=True) if is_odd]
+    if odd:
+        found.append(
+            warning(
+                "odd-guesses",
+                f"{len(odd)} of {len(views)} guessed masks disagree with the others",
+                "Look at these masks first, and mend them or leave these photographs out.",
+                *odd,
+            )
+        )
+    if guess.region.plane is None:
+        ground = "No table was found under the object"
+    elif config.ground == "keep":
+        ground = "A disc of the table is kept with the object (capture.ground)"
+    else:
+        ground = "The table under the object is cut away (capture.ground)"
+    return [*found, note("ground", ground)]
+
+
+def _finished(image_display: Bytes, belief: Layer, disc: Layer | None) -> Bytes:
+    """Mask of a photograph, with the disc of ground if one is kept."""
+    mask = sharpened(image_display, belief)
+    if disc is None:
+        return mask
+    size = (mask.shape[1], mask.shape[0])
+    ground = cv2.resize(disc, size, interpolation=cv2.INTER_LINEAR) > 0.5
+    return np.where(ground, np.uint8(255), mask)
+
+
+def _full_mask(frame: Frame, small: Camera, belief: Layer, disc: Layer | None) -> Bytes:
+    """Mask at the size and with the distortion of the photograph itself."""
+    photo = read_photo(frame.image, frame.lens.size)
+    lens = frame.lens
+    if not lens.distortion.is_null:
+        pinhole = lens.camera(small.camera_to_world, *photo.size)
+        pinhole = pinhole.resized(small.width, small.height)
+        x, y = _straight_pixels(pinhole, small, lens.distortion)
+
+        def bent(layer: Layer) -> Layer:
+            return cv2.remap(
+                layer, x, y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+
+        belief, disc = bent(belief), None if disc is None else bent(disc)
+    return _finished(photo.image_display, belief, disc)
+
+
+def _straight_pixels(
+    camera: Camera, straight: Camera, distortion: Distortion
+) -> tuple[Layer, Layer]:
+    """Array indices in the undistorted picture of each pixel of the photograph, (H, W) each."""
+    centres = camera.pixel_centres()
+    bent_x = (centres[:, 0] - camera.cx) / camera.fx
+    bent_y = (centres[:, 1] - camera.cy) / camera.fy
+    x, y = bent_x, bent_y
+    for _ in range(30):  # x = x' - (distortion of x), which contracts for every usable lens
+        there_x, there_y = distortion.apply(x, y)
+        x, y = x + bent_x - there_x, y + bent_y - there_y
+    shape = (camera.height, camera.width)
+    columns = (x * straight.fx + straight.cx - 0.5).reshape(shape)
+    rows = (y * straight.fy + straight.cy - 0.5).reshape(shape)
+    return columns.astype(np.float32), rows.astype(np.float32)
+
+
+def _mask_path(folder: Path, relative: str) -> Path:
+    """File of a mask, so named that `--masks` finds its photograph."""
+    parts = PurePosixPath(relative.replace("\\", "/")).parts
+    kept = [part for part in parts if part not in ("..", ".", "/") and ":" not in part]
+    return folder.joinpath(*kept).with_suffix(".png")
+
+
+def _write(path: Path, mask: Bytes) -> None:
+    with replacing(path) as temporary:
+        Image.fromarray(mask).save(temporary, format="PNG", compress_level=3)
