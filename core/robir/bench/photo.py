@@ -51,7 +51,9 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     inside = face >= 0
     position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
     albedo, coverage = _blended(capture, mesh, position, normal, config.transport.ray_offset)
-    arrays = {name: np.zeros(inside.shape, np.float32) for name in ("roughness", "coverage")}
+    arrays: dict[str, NDArray[Any]] = {
+        name: np.zeros(inside.shape, np.float32) for name in ("roughness", "coverage")
+    }
     arrays["albedo_linear"] = np.zeros((*inside.shape, 3), np.float32)
     arrays["albedo_linear"][inside] = albedo
     arrays["roughness"][inside] = _ROUGHNESS
@@ -91,7 +93,7 @@ def _blended(
 
 
 def _shown_again(
-    capture: Capture, mesh: Mesh, arrays: dict[str, Floats]
+    capture: Capture, mesh: Mesh, arrays: dict[str, NDArray[Any]]
 ) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
     """Held-out views of the texture as it is, RGBA codes by name, and their scores."""
     again, scores = {}, []

@@ -191,7 +191,9 @@ def light_of_camera(sightings: Sightings) -> CameraLight | None:
 def _brightest(weights: Array) -> float:
     """Degrees from the viewing axis to the normal that the fit makes brightest."""
     tilt, turn = np.meshgrid(np.linspace(0.0, 1.2, 13), np.linspace(0.0, 2 * np.pi, 24))
-    faces = np.stack(
-        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=-1
-    ).reshape(-1, 3)
+    faces = (
+        np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=-1)
+        .reshape(-1, 3)
+        .astype(np.float64)
+    )
     return float(np.degrees(tilt.ravel()[np.argmax(harmonics(faces)[:, 1:] @ weights)]))

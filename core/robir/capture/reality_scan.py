@@ -140,7 +140,7 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
     with np.errstate(invalid="ignore"):
         angles = np.radians([-heading, pitch, roll])
         cosine, sine = np.cos(angles), np.sin(angles)
-    about_z = np.array([[cosine[0], -sine[0], 0], [sine[0], cosine[0], 0], [0, 0, 1]])
+    about_z: Array = np.array([[cosine[0], -sine[0], 0], [sine[0], cosine[0], 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, cosine[1], -sine[1]], [0, sine[1], cosine[1]]])
     about_y = np.array([[cosine[2], 0, sine[2]], [0, 1, 0], [-sine[2], 0, cosine[2]]])
     return about_z @ about_x @ about_y

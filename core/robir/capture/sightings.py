@@ -79,7 +79,9 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
     return Sightings(brightness=brightness, normals=turned)
 
 
-def _pixels(view: View, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+def _pixels(
+    view: View, points: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Row and column of points, and whether they are in the picture."""
     camera = view.camera
     pixels, depth = camera.project(points)

@@ -135,16 +135,20 @@ def _triangulated(
         return views, points
     others = {frame.name: frame for frame in frames.other_order}
 
-    def turned(name: str, camera: Camera) -> Camera:
-        return others[name].lens.camera(
-            rigid(others[name].camera_to_world), camera.width, camera.height
-        )
+    def turned(name: str, width: int, height: int) -> Camera:
+        return others[name].lens.camera(rigid(others[name].camera_to_world), width, height)
 
-    moved = [replace(each, camera=turned(each.name, each.camera)) for each in features]
+    moved = [
+        replace(each, camera=turned(each.name, each.camera.width, each.camera.height))
+        for each in features
+    ]
     other_points = matching.triangulated(moved)
     if len(other_points) <= len(points):
         return views, points
-    views = tuple(replace(view, camera=turned(view.name, view.camera)) for view in views)
+    views = tuple(
+        replace(view, camera=turned(view.name, view.camera.width, view.camera.height))
+        for view in views
+    )
     return views, other_points
 
 

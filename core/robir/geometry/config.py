@@ -21,7 +21,7 @@ class GeometryConfig:
         rays: Rays of a step.
         features: Colour features of a node of the field.
         face_budget: Most triangles of the final mesh.
-        unwrap_seconds: Longest time an unwrapping attempt may take, seconds.
+        unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
     """
 
     image_side: int = 200

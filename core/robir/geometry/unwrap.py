@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,9 @@ from robir.geometry.simplify import decimate
 
 ATLAS_SIZE = 1024
 """Pixels of the atlas the charts are packed for; sets the gutter between them."""
+
+CLOCK_FACTOR = 8
+"""Seconds of the clock that a second of processor time may take on a busy machine."""
 
 GUTTER = 3
 """Pixels between charts in that atlas."""
@@ -53,8 +57,17 @@ def xatlas_charts(
     return uvs.astype(np.float32), uv_faces.astype(np.int32)
 
 
-def main(source: str, target: str) -> None:
-    """Entry of the child process: read vertices and faces, write texture coordinates."""
+def main(source: str, target: str, seconds: str) -> None:
+    """Entry of the child process: read vertices and faces, write texture coordinates.
+
+    On a busy machine a second of the clock says nothing, so the system ends the process by its
+    processor time where there is such a limit; Windows has none.
+    """
+    with suppress(ImportError):
+        import resource
+
+        limit = math.ceil(float(seconds))
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     with np.load(source, allow_pickle=False) as arrays:
         uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"])
     np.savez(target, uvs=uvs, uv_faces=uv_faces)
@@ -68,14 +81,16 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
         command = [
             sys.executable,
             "-c",
-            "import sys; sys.path[:0] = sys.argv[3:]; from robir.geometry.unwrap import main; "
-            "main(sys.argv[1], sys.argv[2])",
+            "import sys; sys.path[:0] = sys.argv[4:]; from robir.geometry.unwrap import main; "
+            "main(*sys.argv[1:4])",
             str(source),
             str(target),
+            str(seconds),
             *[entry for entry in sys.path if entry],
         ]
         try:
-            ended = subprocess.run(command, timeout=seconds, capture_output=True, check=False)
+            patience = seconds * CLOCK_FACTOR
+            ended = subprocess.run(command, timeout=patience, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return None
         if ended.returncode != 0 or not target.exists():
@@ -112,7 +127,7 @@ def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
 
     Args:
         mesh: Mesh without texture coordinates.
-        seconds: Longest time of one attempt.
+        seconds: Longest processor time of one attempt.
         warn: Told what was given up.
 
     Returns:
