@@ -103,3 +103,12 @@ def test_the_curve_between_all_others_must_lead_clearly(lead, expected):
     order = [candidate.curve.name for candidate in preferred_order(candidates, None)]
     assert order[0] == expected
     assert sorted(order) == ["filmic", "robir_aces", "standard"]
+
+
+@pytest.mark.parametrize(
+    ("lead", "verdict", "expected"),
+    [(0.15, None, "filmic"), (0.25, None, "standard"), (0.15, True, "standard")],
+)
+def test_the_plain_curve_must_lead_clearly_where_nothing_is_bright(lead, verdict, expected):
+    candidates = [scored("standard", 10.0, 0.0), scored("filmic", 10.0 + lead, 0.1)]
+    assert preferred_order(candidates, verdict)[0].curve.name == expected

@@ -45,6 +45,9 @@ cannot be told apart it errs least under all of them."""
 HEDGE_MARGIN = 3.0
 """Standard errors by which it must lead to be taken for more than that."""
 
+PLAIN_MARGIN = 2.0
+"""The same for the plain curve against those with a shoulder, where nothing is bright."""
+
 BLOCK = 0.2
 """Side of the blocks over which the score's standard error is taken, unit frame."""
 
@@ -195,7 +198,7 @@ def preferred_order(candidates: list[Candidate], verdict: bool | None) -> list[C
     shoulders = [candidate for candidate in ranked if candidate.curve.name != PLAIN]
     if best.curve.name == PLAIN and verdict is None and shoulders:
         lead = shoulders[0].score - best.score
-        best = shoulders[0] if lead <= shoulders[0].standard_error else best
+        best = shoulders[0] if lead <= PLAIN_MARGIN * shoulders[0].standard_error else best
     for candidate in candidates:
         if candidate.curve.name == HEDGE:
             continue
