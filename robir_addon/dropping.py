@@ -12,7 +12,7 @@ from bpy.props import CollectionProperty, StringProperty
 
 from .operators.capture import may_begin, take_capture
 
-SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt")
+SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
 
 
@@ -37,6 +37,7 @@ def capture_folder(file: Path) -> Path | None:
         (suffix == ".json" and stem.startswith("transforms"))
         or (suffix == ".npz" and stem.startswith("cameras"))
         or (suffix == ".npy" and stem == "poses_bounds")
+        or suffix in (".csv", ".xml", ".sfm")  # users name these exports as they like
     )
     return folder if known else None
 
@@ -76,7 +77,8 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
             self.report(
                 {"ERROR"},
                 f"{dropped} holds no cameras of a known format; drop transforms.json, "
-                "cameras.bin, cameras_sphere.npz or poses_bounds.npy",
+                "cameras.bin, cameras_sphere.npz, poses_bounds.npy, or the cameras that RealityScan "
+                "(CSV), Metashape (XML) or Meshroom (SFM) wrote",
             )
             return {"CANCELLED"}
         return take_capture(self, context, folder, way)

@@ -21,12 +21,12 @@ from robir.capture import (
     transforms,
 )
 from robir.capture import masks as mask_files
-from robir.capture.capture import Capture, Finding
+from robir.capture.capture import Capture, Finding, Split
 from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
 from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
-from robir.capture.frames import FrameSet
+from robir.capture.frames import Frame, FrameSet
 from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
@@ -224,23 +224,8 @@ def read_capture(
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
     except CaptureRefusedError as refusal:
         raise CaptureRefusedError([*findings, *refusal.findings]) from None
-    has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
-    has_masks = has_masks or any(frame.mask for frame, _ in chosen)
-    first = _READING if has_masks else _FIRST_READING
-    loaded = load_views(chosen, drawn, config, lambda share, text: progress(first * share, text))
-    findings += loaded.findings
-    if loaded.views and len(loaded.maskless) == len(loaded.views):
-        _stop_on_errors(findings)
-        loaded, about = with_guessed_masks(
-            frames,
-            chosen,
-            loaded,
-            config,
-            guesses,
-            lambda share, text: progress(first + (_READING - first) * share, text),
-        )
-        findings += about
-        _stop_on_errors(findings)
+    loaded, about = _load_masked(frames, chosen, drawn, (config, guesses), progress)
+    findings += about
     if loaded.views:
         findings += check_photographs(loaded.views)
     findings += _check_mask_supply(loaded)
@@ -265,6 +250,34 @@ def read_capture(
     )
 
 
+def _load_masked(
+    frames: FrameSet,
+    chosen: list[tuple[Frame, Split]],
+    drawn: dict[str, Path],
+    how: tuple[CaptureConfig, Path | None],
+    progress: Progress,
+) -> tuple[Loaded, list[Finding]]:
+    """The photographs with their masks, guessed if none has any, and findings."""
+    config, guesses = how
+    has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
+    has_masks = has_masks or any(frame.mask for frame, _ in chosen)
+    first = _READING if has_masks else _FIRST_READING
+    loaded = load_views(chosen, drawn, config, lambda share, text: progress(first * share, text))
+    findings = [*loaded.findings]
+    unusable = any(finding.level == "error" for finding in findings)
+    if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
+        return loaded, findings
+    loaded, about = with_guessed_masks(
+        frames,
+        chosen,
+        loaded,
+        config,
+        guesses,
+        lambda share, text: progress(first + (_READING - first) * share, text),
+    )
+    return loaded, findings + about
+
+
 def _rest_of(progress: Progress, done: float) -> Progress:
     """What listens to the part of a task that begins when a share of it is done."""
     return lambda share, text: progress(done + (1 - done) * share, text)
@@ -279,8 +292,8 @@ def _folder_of_masks(frames: FrameSet) -> Path | None:
 
 
 def _check_mask_supply(loaded: Loaded) -> list[Finding]:
-    if not loaded.maskless:
-        return []
+    if not loaded.maskless or len(loaded.maskless) == len(loaded.views):
+        return []  # where none has a mask they were guessed, or it was said why they cannot be
     return [
         error(
             "missing-masks",

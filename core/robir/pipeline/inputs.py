@@ -12,7 +12,8 @@ from robir.capture.frames import IMAGE_SUFFIXES
 from robir.errors import CaptureError
 from robir.poses.register import is_video
 
-_SUFFIXES = frozenset([".json", ".npz", ".npy", ".bin", ".txt", ".exr", *IMAGE_SUFFIXES])
+_POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
+_SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])
 """Kinds of files a capture is made of; videos and archives beside them do not count."""
 
 _TRUTH = "truth"

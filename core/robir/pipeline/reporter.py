@@ -58,7 +58,7 @@ class RunReporter:
         self._writer = StatusWriter(paths)
         self._stage = ""
         self._offset = 1.0 - sum(_SHARES[stage] for stage in pending)
-        self._done = self._offset
+        self._done = self._total = self._offset
         self._begin = time.monotonic()
         self._last_status = self._last_event = 0.0
 
@@ -95,7 +95,7 @@ class RunReporter:
         """See `robir.jobs.context.Reporter.progress`."""
         if self._paths.cancel.exists():
             raise CancelledError("stopped on request; continue with --resume")
-        total = self._done + _SHARES[self._stage] * min(max(fraction, 0.0), 1.0)
+        total = self._total = self._done + _SHARES[self._stage] * min(max(fraction, 0.0), 1.0)
         left = self._seconds_left(total)
         now = time.monotonic()
         event: dict[str, Any] = {"kind": "progress", "stage": self._stage}
@@ -166,7 +166,8 @@ class RunReporter:
 
     def _emit(self, kind: Kind, **facts: Any) -> None:
         event = self._writer.event(kind, self._stage, **facts)
-        self._display.event(event, self._done, self._seconds_left(self._done))
+        total = max(self._done, self._total)  # a warning comes in the middle of a stage
+        self._display.event(event, total, self._seconds_left(total))
 
     def _seconds_left(self, total: float) -> float | None:
         worked = total - self._offset
