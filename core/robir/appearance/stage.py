@@ -30,7 +30,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 3
+REVISION = 4
 
 TEXTURE_VIEWS = 48
 
@@ -97,9 +97,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _solve(
     scene: Scene, candidate: Candidate, config: AppearanceConfig, seed: int
 ) -> tuple[Problem, Light, Gloss]:
-    """Final light, then gloss, then the light once more without the highlights."""
+    """Final light, then gloss, then the light once more without the highlights, and the gloss again.
+
+    Under the first light a highlight too sharp for any view to show may fit best; the second light
+    is nearer to the truth.
+    """
     light = balance(candidate.problem, polish(candidate.problem, candidate.light, config, seed))
-    gloss, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
+    _, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
     problem = make_problem(scene, candidate.curve, diffuse)
     refitted = fit(
         problem,
@@ -117,7 +121,8 @@ def _solve(
         loss=refitted.loss,
         history=light.history,
     )
-    return problem, final, gloss
+    gloss, diffuse = estimate_gloss(candidate.problem, final, config.num_materials, seed)
+    return make_problem(scene, candidate.curve, diffuse), final, gloss
 
 
 def _bake(
