@@ -97,7 +97,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _solve(
     scene: Scene, candidate: Candidate, config: AppearanceConfig, seed: int
 ) -> tuple[Problem, Light, Gloss]:
-    """Final light, then gloss, then the light once more without the highlights, and the gloss again.
+    """Light, then gloss, then the light once more without the highlights, and the gloss again.
 
     Under the first light a highlight too sharp for any view to show may fit best; the second light
     is nearer to the truth.
