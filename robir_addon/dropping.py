@@ -77,8 +77,8 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
             self.report(
                 {"ERROR"},
                 f"{dropped} holds no cameras of a known format; drop transforms.json, "
-                "cameras.bin, cameras_sphere.npz, poses_bounds.npy, or the cameras that RealityScan "
-                "(CSV), Metashape (XML) or Meshroom (SFM) wrote",
+                "cameras.bin, cameras_sphere.npz, poses_bounds.npy, or the cameras of RealityScan "
+                "(CSV), Metashape (XML) or Meshroom (SFM)",
             )
             return {"CANCELLED"}
         return take_capture(self, context, folder, way)
