@@ -19,7 +19,7 @@ from robir.geometry.rays import RaySampler
 from robir.geometry.regularise import laplacian_step, smoothed
 from robir.geometry.sampling import Occupancy, march
 
-SHARPNESS = (20.0, 160.0)
+SHARPNESS = (30.0, 160.0)
 """NeuS steepness at the start and at the end, for an object of longest side 2."""
 
 MASK_WEIGHT = 0.05

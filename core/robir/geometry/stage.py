@@ -31,7 +31,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 
-REVISION = 4
+REVISION = 5
 """Raised whenever the same input gives another result."""
 
 
