@@ -202,7 +202,7 @@ def _finished(image_display: Bytes, belief: Layer, disc: Layer | None) -> Bytes:
 
 def _full_mask(frame: Frame, small: Camera, belief: Layer, disc: Layer | None) -> Bytes:
     """Mask at the size and with the distortion of the photograph itself."""
-    photo = read_photo(frame.image, frame.lens.size)
+    photo = read_photo(frame.image, frame.lens.size, frame.is_upright)
     lens = frame.lens
     if not lens.distortion.is_null:
         pinhole = lens.camera(small.camera_to_world, *photo.size)
