@@ -25,7 +25,7 @@ _EXIT_CODES = (
     "5 the fit failed its own quality check, 130 cancelled"
 )
 
-_CAPTURE = "folder of posed images, or of photographs alone, or a video"
+_CAPTURE = "folder of posed images or photographs, or a video"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -83,12 +83,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "reconstruct", help="make an asset from a capture", epilog=_EXIT_CODES
     )
     parser.set_defaults(command=commands.reconstruct)
-    parser.add_argument(
-        "capture",
-        type=Path,
-        metavar="CAPTURE",
-        help="folder of posed images or photographs, or a video",
-    )
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=_CAPTURE)
     parser.add_argument("-o", "--out", type=Path, required=True, help="result folder")
     parser.add_argument(
         "--preset",
@@ -117,12 +112,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser("check", help="look at a capture before time is spent on it")
     parser.set_defaults(command=commands.check)
-    parser.add_argument(
-        "capture",
-        type=Path,
-        metavar="CAPTURE",
-        help="folder of posed images or photographs, or a video",
-    )
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=_CAPTURE)
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
     _add_progress(parser)

@@ -7,11 +7,10 @@ import json
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 from capture import app_writers, writers
 from capture.scene import cameras, shoot
-from capture.test_bad_input import edit, refused
+from capture.test_bad_input import edit, refusals_of_damage, refused
 
 from robir.capture.findings import check_frames
 from robir.capture.recognise import read_frames
@@ -230,22 +229,7 @@ def test_lists_of_lens_parameters_that_make_no_sense(values, few, tmp_path):
 @pytest.mark.parametrize("form", FILES)
 def test_random_damage_is_refused_or_harmless(form, few, tmp_path):
     """Flipped, cut and repeated bytes of a file of poses never end in another exception."""
-    path = write(form, tmp_path, few)
-    whole = path.read_bytes()
-    generator = np.random.default_rng(5)
-    refusals = 0
-    for _ in range(60):
-        damaged = bytearray(whole)
-        for _ in range(int(generator.integers(1, 6))):
-            damaged[int(generator.integers(len(damaged)))] = int(generator.integers(256))
-        if generator.random() < 0.3:
-            damaged = damaged[: int(generator.integers(len(damaged)))]
-        path.write_bytes(damaged)
-        try:
-            check_frames(read_frames(tmp_path))
-        except CaptureError:
-            refusals += 1
-    assert refusals > 0
+    assert refusals_of_damage(write(form, tmp_path, few), tmp_path) > 0
 
 
 @pytest.mark.parametrize("form", ["polycam", "meshroom"])

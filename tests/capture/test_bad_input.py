@@ -18,6 +18,25 @@ from robir.capture.recognise import read_capture, read_frames
 from robir.errors import CaptureError
 
 
+def refusals_of_damage(path: Path, root: Path) -> int:
+    """How many of 60 random damages to a file of poses are refused; none ends otherwise."""
+    whole = path.read_bytes()
+    generator = np.random.default_rng(5)
+    refusals = 0
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for _ in range(int(generator.integers(1, 6))):
+            damaged[int(generator.integers(len(damaged)))] = int(generator.integers(256))
+        if generator.random() < 0.3:
+            damaged = damaged[: int(generator.integers(len(damaged)))]
+        path.write_bytes(damaged)
+        try:
+            check_frames(read_frames(root))
+        except CaptureError:
+            refusals += 1
+    return refusals
+
+
 def refused(root: Path, *words: str, masks: Path | None = None) -> str:
     """The message of the refusal; reading and checking agree, and nothing was written."""
     before = _state(root)
@@ -341,19 +360,4 @@ def test_random_damage_is_refused_or_harmless(form, name, odd_shots, tmp_path):
         "nerfstudio": lambda: writers.nerfstudio(tmp_path, odd_shots),
     }[form]
     write()
-    path = tmp_path / name
-    whole = path.read_bytes()
-    generator = np.random.default_rng(5)
-    refusals = 0
-    for _ in range(60):
-        damaged = bytearray(whole)
-        for _ in range(int(generator.integers(1, 6))):
-            damaged[int(generator.integers(len(damaged)))] = int(generator.integers(256))
-        if generator.random() < 0.3:
-            damaged = damaged[: int(generator.integers(len(damaged)))]
-        path.write_bytes(damaged)
-        try:
-            check_frames(read_frames(tmp_path))
-        except CaptureError:
-            refusals += 1
-    assert refusals > 0 or "points3D" in name
+    assert refusals_of_damage(tmp_path / name, tmp_path) > 0 or "points3D" in name

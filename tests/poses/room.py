@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from capture.scene import look_at
 from scipy import ndimage
 
 from robir.capture.camera import Camera
@@ -47,16 +48,6 @@ class Registered:
     frames: FrameSet
     messages: list[str]
     work: Path
-
-
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Camera-to-world with OpenGL axes, z up."""
-    back = (position - target) / np.linalg.norm(position - target)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
-    return pose
 
 
 def ring(count: int, size: tuple[int, int] = SIZE, focal: float = FOCAL) -> list[Camera]:

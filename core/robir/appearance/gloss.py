@@ -29,7 +29,7 @@ from robir.appearance.reflections import (
     view_rays,
 )
 from robir.appearance.solver import Light
-from robir.appearance.statistics import darker_view_weights, linear_observations
+from robir.appearance.statistics import darker_view_weights
 
 Floats = NDArray[np.float32]
 
@@ -151,7 +151,7 @@ def _costs(
     shape = (len(rows), observations.weight.shape[1])
     sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
     display = torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view]
-    linear = problem.curve.linear_from_display(display).float()
+    linear = problem.linear[rows][sample, view]
     clipped = torch.from_numpy(observations.clipped[rows])[sample, view]
     valid = torch.from_numpy(observations.weight[rows] > 0)
 
@@ -251,7 +251,7 @@ def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, seen)
     irradiance = light.amplitudes.irradiance(problem.transfer(sharp, seen))
     albedo = np.pi * problem.radiance.linear[seen] / irradiance.clamp(min=1e-4)
-    linear = linear_observations(observations, problem.curve)[seen].mean(2).clamp(min=1e-4)
+    linear = problem.linear[seen].mean(2).clamp(min=1e-4)
     valid = torch.from_numpy(observations.weight[seen] > 0).float()
     mean = (linear.log() * valid).sum(1) / valid.sum(1)
     spread = (((linear.log() - mean[:, None]) ** 2 * valid).sum(1) / valid.sum(1)).sqrt()
@@ -297,7 +297,7 @@ def _apply(
     scene = problem.scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)
-    diffuse = linear_observations(observations, problem.curve)
+    diffuse = problem.linear.clone()
     floor = np.zeros((num, 3), np.float32)
     kept = np.ones((num, 1), np.float32)
     full_level, full_metal = np.full(num, MATTE, np.float32), np.zeros(num, np.float32)

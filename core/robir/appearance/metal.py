@@ -118,17 +118,16 @@ def metal_parts(
     likely, certain = samples
     rows = np.flatnonzero(likely)
     position, spacing = place
-    part = np.full(len(likely), -1)
+    piece, part = np.full(len(likely), -1), np.full(len(likely), -1)
     if len(rows):
         near = cKDTree(position[rows]).query_pairs(METAL_GAP * spacing, output_type="ndarray")
         ones = np.ones(len(near))
         links = coo_matrix((ones, (near[:, 0], near[:, 1])), shape=(len(rows), len(rows)))
-        _, part[rows] = connected_components(links, directed=False)
+        _, piece[rows] = connected_components(links, directed=False)
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
-    whole, part = part, np.full(len(likely), -1)
-    for index in range(whole.max() + 1):
-        inside = certain & (whole == index)
+    for index in range(piece.max() + 1):
+        inside = certain & (piece == index)
         if inside.sum() < LEAST_PART:
             continue
         level = levels[int(errors[inside].mean(0).argmin())]
@@ -136,7 +135,7 @@ def metal_parts(
         white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
         base = np.median((linear / white).numpy()[seen], axis=0)
         if base.max() >= DARKEST_READING:
-            part[whole == index] = len(bases)
+            part[piece == index] = len(bases)
             bases.append(base)
             roughness.append(level)
             sizes.append(inside.sum())

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -122,14 +122,21 @@ class Problem:
     Attributes:
         scene: The scene.
         curve: The tone curve.
+        linear: (S, V, 3) radiance of every observation.
         radiance: (S) diffuse radiance of all samples.
         indirect: (S, 3) irradiance of all samples from other surfaces.
     """
 
     scene: Scene
     curve: AbstractToneCurve
+    linear: Tensor
     radiance: Radiance
     indirect: Tensor
+
+    def without_highlights(self, diffuse: Tensor) -> Problem:
+        """The problem once the radiance (S, V, 3) without its specular part is known."""
+        observations = self.scene.transport.observations
+        return replace(self, radiance=diffuse_radiance(observations, diffuse))
 
     def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
         """Radiance of some samples."""
@@ -144,17 +151,15 @@ class Problem:
         return Transfer(soft=self.scene.soft[rows], sharp=sharp, indirect=self.indirect[rows])
 
 
-def make_problem(scene: Scene, curve: AbstractToneCurve, diffuse: Tensor | None = None) -> Problem:
+def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     """Undo a tone curve and gather what it makes known.
 
     Args:
         scene: The scene.
         curve: Tone curve to undo.
-        diffuse: (S, V, 3) radiance of every observation without its specular part; None if not
-            known yet.
 
     Returns:
-        The problem.
+        The problem, highlights included.
     """
     observations = scene.transport.observations
     linear = linear_observations(observations, curve)
@@ -164,6 +169,4 @@ def make_problem(scene: Scene, curve: AbstractToneCurve, diffuse: Tensor | None 
     exitant[~total.seen] = HIDDEN_SHARE * exitant[total.seen].median(0).values
     bounce = scene.transport.visibility.bounce
     indirect = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
-    if diffuse is not None:
-        total = diffuse_radiance(observations, diffuse)
-    return Problem(scene=scene, curve=curve, radiance=total, indirect=indirect)
+    return Problem(scene=scene, curve=curve, linear=linear, radiance=total, indirect=indirect)

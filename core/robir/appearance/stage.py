@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
-from robir.appearance.problem import Problem, Scene, make_problem, make_scene
+from robir.appearance.problem import Problem, make_scene
 from robir.appearance.render import AtlasLookup, render_view
 from robir.appearance.solver import Light, balance, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
@@ -74,7 +75,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     candidates, evidence = rank_tone_curves(scene, config, context.seed)
     seconds = {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
-    problem, light, gloss = _solve(scene, candidates[0], config, context.seed)
+    problem, light, gloss = _solve(candidates[0], config, context.seed)
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     inside, values = _bake(problem, light, gloss, (mesh, tracer), capture, config.texture_size)
@@ -95,7 +96,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 
 
 def _solve(
-    scene: Scene, candidate: Candidate, config: AppearanceConfig, seed: int
+    candidate: Candidate, config: AppearanceConfig, seed: int
 ) -> tuple[Problem, Light, Gloss]:
     """Light, then gloss, then the light once more without the highlights, and the gloss again.
 
@@ -104,7 +105,7 @@ def _solve(
     """
     light = balance(candidate.problem, polish(candidate.problem, candidate.light, config, seed))
     _, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
-    problem = make_problem(scene, candidate.curve, diffuse)
+    problem = candidate.problem.without_highlights(diffuse)
     refitted = fit(
         problem,
         light.axes,
@@ -113,16 +114,9 @@ def _solve(
         parsimony=config.parsimony_weight,
         start=light.amplitudes,
     )
-    refitted = balance(problem, refitted)
-    final = Light(
-        axes=refitted.axes,
-        sharpness=refitted.sharpness,
-        amplitudes=refitted.amplitudes,
-        loss=refitted.loss,
-        history=light.history,
-    )
+    final = replace(balance(problem, refitted), history=light.history)
     gloss, diffuse = estimate_gloss(candidate.problem, final, config.num_materials, seed)
-    return make_problem(scene, candidate.curve, diffuse), final, gloss
+    return candidate.problem.without_highlights(diffuse), final, gloss
 
 
 def _bake(

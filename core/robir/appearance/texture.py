@@ -108,8 +108,8 @@ class Blend:
         """
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
-        points = np.concatenate([surfels.position, NORMAL_SCALE * surfels.normal], axis=1)[seen]
-        query = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
+        points = _with_normals(surfels.position, surfels.normal)[seen]
+        query = _with_normals(texels.position, texels.normal)
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
         weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
         self._index = seen[index]
@@ -250,7 +250,7 @@ def _evened(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
     asks more of hue. The corrections, not the albedo, are then blurred: no error varies faster than
     the mesh's do, and texture that is finer stays as the photographs have it.
     """
-    points = np.concatenate([texels.position, NORMAL_SCALE * texels.normal], axis=1)
+    points = _with_normals(texels.position, texels.normal)
     nodes = np.arange(0, len(points), NODE_STEP)
     afar = np.arange(0, len(nodes), NODE_STEP)
     distance, index = _nearest(points[nodes], points[nodes[afar]], 96, EVEN_REACH)
@@ -275,6 +275,11 @@ def _evened(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
     return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
 
 
+def _with_normals(position: Floats, normal: Floats) -> Floats:
+    """Points (N, 6) among which near ones lie close together and face alike."""
+    return np.concatenate([position, NORMAL_SCALE * normal], axis=1)
+
+
 def _nearest(
     points: Floats, among: Floats, count: int, reach: float
 ) -> tuple[Floats, NDArray[np.int64]]:
@@ -292,12 +297,10 @@ class _Reference:
             certain = np.ones(len(albedo), bool)
         chosen = np.flatnonzero(certain)
         self._albedo = albedo[chosen]
-        self._tree = cKDTree(
-            np.concatenate([texels.position[chosen], NORMAL_SCALE * texels.normal[chosen]], axis=1)
-        )
+        self._tree = cKDTree(_with_normals(texels.position[chosen], texels.normal[chosen]))
 
     def _query(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
-        query = np.concatenate([texels.position[rows], NORMAL_SCALE * texels.normal[rows]], axis=1)
+        query = _with_normals(texels.position[rows], texels.normal[rows])
         return self._tree.query(query, k=count, eps=0.2)[1]
 
     def nearest_albedo(self, texels: Texels, rows: NDArray[np.bool_]) -> Floats:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from robir.bench.chart import speed_accuracy
@@ -19,6 +18,7 @@ from robir.bench.plan import BenchRun
 from robir.bench.runs import picture_file
 from robir.bench.scores import ALBEDO
 from robir.bench.table import Record, Table, bench_tables, failures, split, value
+from robir.export.report import page_template
 from robir.jobs.paths import replacing
 
 
@@ -98,13 +98,7 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
 
 
 def _write(folder: Path, markdown: str, page: Page) -> Path:
-    html = Environment(
-        loader=PackageLoader("robir.bench"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("page.html")
+    html = page_template("robir.bench", "page.html")
     parts = [f"# {page.title}", page.lead, f"![{page.chart_title}](chart.svg)"]
     texts = {
         "chart.svg": page.chart,

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.capture import Bounds
-from robir.evaluation.layers import load_textures, result_mesh, view_layers
+from robir.evaluation.layers import load_textures, stored_mesh, view_layers
 from robir.evaluation.metrics import srgb_from_linear
 from robir.evaluation.sheet import display_codes, layer_pictures
 from robir.evaluation.truth import load_truth
-from robir.jobs.paths import JobPaths, read_json, replacing
+from robir.jobs.paths import JobPaths, replacing
 
 TILES = ("photograph", "true albedo", "albedo")
 """What `draw_result` puts side by side, left to right."""
@@ -32,11 +31,7 @@ def draw_result(paths: JobPaths, truth: Path, scale: list[float], picture: Path)
     """
     known = load_truth(truth)
     view = known.views[0]
-    bounds = read_json(paths.stage("capture") / "capture.json")["bounds"]
-    mesh = result_mesh(
-        paths, Bounds(centre=np.array(bounds["centre"]), radius=bounds["radius"], origin="")
-    )
-    ours = view_layers(mesh, load_textures(paths), [view.camera])[0]
+    ours = view_layers(stored_mesh(paths), load_textures(paths), [view.camera])[0]
     tiles = [
         display_codes(view.photo_display, view.hit),
         display_codes(srgb_from_linear(view.albedo), view.hit),

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from robir.evaluation.truth import read_exr
 from robir.maths import tone
+from robir.maths.vectors import farthest_points
 
 Picture = NDArray[np.uint8]
 
@@ -59,12 +60,7 @@ def keep_views(photographs: Photographs, count: float, rng: np.random.Generator)
     """So many views, each next one the farthest from those kept; fewer are a subset of more."""
     frames = photographs.table["frames"]
     place = np.array([frame["transform_matrix"] for frame in frames])[:, :3, 3]
-    kept = [int(rng.integers(len(frames)))]
-    distance = np.linalg.norm(place - place[kept[0]], axis=1)
-    while len(kept) < min(int(count), len(frames)):
-        kept.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(place - place[kept[-1]], axis=1))
-    kept.sort()
+    kept = farthest_points(place, int(count), first=int(rng.integers(len(frames))))
     return replace(
         photographs,
         table=photographs.table | {"frames": [frames[index] for index in kept]},

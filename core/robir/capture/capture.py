@@ -71,6 +71,11 @@ class Finding:
     files: tuple[str, ...] = ()
     numbers: dict[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Finding:
+        """The finding of which `dataclasses.asdict` made plain values."""
+        return cls(**{**plain, "files": tuple(plain["files"])})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:

@@ -92,7 +92,7 @@ def _rounded(vector: Array) -> list[float]:
 
 
 def _spread(count: int) -> Array:
-    """Directions spread evenly over the sphere by the golden angle, (count, 3)."""
+    """Directions spread evenly over the sphere by the golden angle, (count, 3), without torch."""
     steps = np.arange(count) + 0.5
     z = 1 - 2 * steps / count
     turn = np.pi * (3 - np.sqrt(5)) * steps

@@ -58,6 +58,33 @@ def opened(path: Path) -> Iterator[Image.Image]:
         CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
             not installed.
     """
+    with _header(path) as picture:
+        try:
+            picture.load()
+        except _DAMAGE as fault:
+            raise _damaged(path, fault) from None
+        yield picture
+
+
+def stored_size(path: Path) -> tuple[int, int] | None:
+    """Width and height of a picture as `opened` yields it, without decoding what has a header.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Returns:
+        Pixels, or None if it cannot be opened.
+    """
+    try:
+        with _header(path) as picture:
+            return picture.size
+    except CaptureRefusedError:
+        return None
+
+
+@contextmanager
+def _header(path: Path) -> Iterator[Image.Image]:
+    """A picture file whose pixels are read when they are asked for."""
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         yield _developed(path)
@@ -83,10 +110,6 @@ def opened(path: Path) -> Iterator[Image.Image]:
         except _DAMAGE as fault:
             raise _damaged(path, fault) from None
     with picture:
-        try:
-            picture.load()
-        except _DAMAGE as fault:
-            raise _damaged(path, fault) from None
         yield picture
 
 

@@ -15,7 +15,6 @@ from robir.capture.camera import Camera
 from robir.capture.decode import opened, orientation, upright
 from robir.capture.frames import Distortion
 from robir.capture.refusal import refuse
-from robir.errors import CaptureError
 
 Bytes = NDArray[np.uint8]
 
@@ -66,15 +65,6 @@ def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = 
     with opened(path) as picture:
         turn = orientation(picture) if is_upright or picture.size != declared else 1
         return pixels_of(upright(picture, turn), path, turn)
-
-
-def photo_size(path: Path) -> tuple[int, int] | None:
-    """Width and height of a photograph as stored, from its header; None if it has none."""
-    try:
-        with opened(path) as picture:
-            return picture.size
-    except CaptureError:
-        return None
 
 
 def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:

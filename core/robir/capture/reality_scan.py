@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robir.capture.decode import stored_size
 from robir.capture.files import head, locate_photographs
 from robir.capture.frames import (
     Array,
@@ -35,7 +36,6 @@ from robir.capture.frames import (
     checked_lens,
     unique_names,
 )
-from robir.capture.images import photo_size
 from robir.capture.refusal import refuse
 
 FORMAT = "realityscan"
@@ -130,7 +130,7 @@ def _frame(path: Path, row: dict[str, str], name: str, root: Path, relative: str
         name=name,
         image=root / relative,
         relative=relative,
-        lens=checked_lens(_lens(values, photo_size(root / relative)), path, row["name"]),
+        lens=checked_lens(_lens(values, stored_size(root / relative)), path, row["name"]),
         camera_to_world=pose,
     )
 

@@ -31,7 +31,6 @@ from robir.capture.moving_light import check_light
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.sharpness import check_sharpness
-from robir.capture.unmasked import with_guessed_masks
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.poses import solve
 from robir.poses.photos import find_photographs
@@ -267,6 +266,8 @@ def _load_masked(
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
         return loaded, findings
+    from robir.capture.unmasked import with_guessed_masks  # OpenCV, which most captures need not
+
     loaded, about = with_guessed_masks(
         frames,
         chosen,

@@ -70,9 +70,7 @@ def load_capture(folder: Path) -> Capture:
                 radius=float(bounds["radius"]),
                 origin=bounds["origin"],
             ),
-            findings=tuple(
-                Finding(**{**entry, "files": tuple(entry["files"])}) for entry in plain["findings"]
-            ),
+            findings=tuple(Finding.from_plain(entry) for entry in plain["findings"]),
         )
     except (OSError, ValueError, KeyError, TypeError) as fault:
         raise StorageError(

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture.capture import Bounds
 from robir.errors import StorageError
 from robir.evaluation import metrics, surfaces
-from robir.evaluation.layers import Layers, load_textures, result_mesh, view_layers
+from robir.evaluation.layers import Layers, load_textures, stored_mesh, view_layers
 from robir.evaluation.light import light_scores, load_light
 from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.truth import TrueView, Truth, load_truth
@@ -54,11 +53,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
                 f"{file} is missing: only a finished reconstruction can be evaluated; "
                 "run `robir reconstruct` with --resume first"
             )
-    bounds = read_json(capture_file)["bounds"]
-    mesh = result_mesh(
-        paths,
-        Bounds(centre=np.array(bounds["centre"]), radius=bounds["radius"], origin=""),
-    )
+    mesh = stored_mesh(paths)
     layers = view_layers(mesh, load_textures(paths), (view.camera for view in known.views))
     scores: dict[str, Any] = {
         "scene": {name: known.scene[name] for name in ("scene", "ground", "light", "seed")},

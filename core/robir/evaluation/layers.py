@@ -14,7 +14,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Bounds
 from robir.evaluation.surfaces import MeshCaster, sample_texture
 from robir.geometry.mesh import Mesh
-from robir.jobs.paths import JobPaths
+from robir.jobs.paths import JobPaths, read_json
 
 Array = NDArray[np.floating[Any]]
 
@@ -47,6 +47,13 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     vertices = mesh.vertices * bounds.radius + bounds.centre
     return replace(mesh, vertices=vertices.astype(np.float32))
+
+
+def stored_mesh(paths: JobPaths) -> Mesh:
+    """The same, by the bounds that the capture stage stored."""
+    bounds = read_json(paths.stage("capture") / "capture.json")["bounds"]
+    centre = np.array(bounds["centre"])
+    return result_mesh(paths, Bounds(centre=centre, radius=bounds["radius"], origin=""))
 
 
 def load_textures(paths: JobPaths) -> dict[str, Array]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -98,14 +98,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     ]
     numbers = _numbers(paths, products, own)
     write_json(paths.report_json, numbers)
-    page = Environment(
-        loader=PackageLoader("robir.export"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("report.html")
-    text = page.render(
+    text = page_template("robir.export", "report.html").render(
         rows=rows,
         numbers=numbers,
         tone_plot=_inline(paths.tone_plot.read_bytes()),
@@ -184,6 +177,17 @@ def _thumbnail(picture: Picture) -> Picture:
     image = Image.fromarray(picture)
     image.thumbnail((_MAX_SIDE, _MAX_SIDE))
     return np.asarray(image)
+
+
+def page_template(package: str, name: str) -> Template:
+    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped."""
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template(name)
 
 
 def _fine(camera: Camera) -> Camera:

@@ -149,7 +149,11 @@ def find_facets(mesh: Mesh, cell: float) -> list[Facet]:
     Returns:
         The facets; their members do not overlap.
     """
-    skin = _Skin(mesh, cell)
+    return _search(_Skin(mesh, cell))
+
+
+def _search(skin: _Skin) -> list[Facet]:
+    """See `find_facets`."""
     free = np.ones(len(skin.vertices), bool)
     found: list[Facet] = []
     failures = 0
@@ -227,10 +231,10 @@ def flattened(mesh: Mesh, cell: float) -> Mesh:
     Returns:
         A mesh with the same faces.
     """
-    facets = find_facets(mesh, cell)
+    skin = _Skin(mesh, cell)
+    facets = _search(skin)
     if not facets:
         return mesh
-    skin = _Skin(mesh, cell)
     normals = skin.smooth_normals(2)
     distance = np.abs(np.stack([facet.height(skin.vertices) for facet in facets]))
     near = np.stack([skin.grown(f.members, REACH_RINGS) for f in facets])

@@ -42,18 +42,6 @@ def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
     return distance.astype(np.float32)
 
 
-def spread_views(positions: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Indices of at most `count` positions that lie far from each other (farthest first)."""
-    if len(positions) <= count:
-        return np.arange(len(positions))
-    chosen = [0]
-    nearest = np.linalg.norm(positions - positions[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
-    return np.sort(np.asarray(chosen))
-
-
 class HullCarver:
     """Evaluates the visual hull's signed distance.
 

@@ -19,7 +19,7 @@ from robir.geometry.field import Field
 from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
-from robir.geometry.hull import HullCarver, carve, spread_views
+from robir.geometry.hull import HullCarver, carve
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
@@ -30,6 +30,7 @@ from robir.geometry.surface import distance_to_mesh, extract
 from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
+from robir.maths.vectors import farthest_points
 
 REVISION = 5
 """Raised whenever the same input gives another result."""
@@ -133,7 +134,7 @@ def clean_mesh(field: Field, face_budget: int) -> Mesh:
 def hull_of(photos: list[Photo], views: int) -> HullCarver:
     """The visual hull of at most `views` photographs that lie far from each other."""
     positions = np.stack([photo.camera.position for photo in photos])
-    kept = [photos[k] for k in spread_views(positions, views)]
+    kept = [photos[k] for k in farthest_points(positions, views)]
     return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
 
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
@@ -128,3 +130,26 @@ def equirect_solid_angles(
     edge = torch.sin((0.5 - torch.arange(height + 1, dtype=torch.float64) / height) * math.pi)
     row = (edge[:-1] - edge[1:]) * (math.pi / height)
     return row[:, None].repeat(1, 2 * height).to(device=device, dtype=dtype)
+
+
+def farthest_points(
+    positions: NDArray[np.floating], count: int, first: int = 0
+) -> NDArray[np.int64]:
+    """Positions that lie far from each other, each next one the farthest from those chosen.
+
+    Args:
+        positions: (N, 3).
+        count: How many are wanted; fewer are a subset of more.
+        first: Index of the one to begin with.
+
+    Returns:
+        Indices in ascending order; all of them if there are no more than `count`.
+    """
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    chosen = [first]
+    nearest = np.linalg.norm(positions - positions[first], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
+    return np.sort(np.asarray(chosen))

@@ -86,7 +86,7 @@ class _Registration:
             self._place.database.unlink(missing_ok=True)
             for folder in (self._place.copies, self._place.models):
                 shutil.rmtree(folder, ignore_errors=True)
-        findings = [Finding(**{**f, "files": tuple(f["files"])}) for f in read_json(outcome)]
+        findings = [Finding.from_plain(plain) for plain in read_json(outcome)]
         if any(finding.level == "error" for finding in findings):
             raise CaptureRefusedError(findings)
         return self._frames(findings)
@@ -154,7 +154,7 @@ class _Registration:
         listed = self._work / "photographs.json"
         if listed.exists():
             plain = read_json(listed)
-            found = [Finding(**{**f, "files": tuple(f["files"])}) for f in plain["findings"]]
+            found = [Finding.from_plain(entry) for entry in plain["findings"]]
             return [Prepared(**photograph) for photograph in plain["photographs"]], found
         findings = []
         if self._is_video:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.capture import View
+from robir.maths.vectors import farthest_points
 from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
@@ -65,15 +66,8 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     Returns:
         The chosen views in their old order.
     """
-    if len(views) <= count:
-        return views
     positions = np.stack([view.camera.position for view in views])
-    chosen = [0]
-    distance = np.linalg.norm(positions - positions[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
-    return tuple(views[index] for index in sorted(chosen))
+    return tuple(views[index] for index in farthest_points(positions, count))
 
 
 def resize_view(view: View, max_side: int) -> View:
