@@ -139,7 +139,7 @@ def match(
     """
     pycolmap = _pycolmap()
     matching = pycolmap.FeatureMatchingOptions()
-    matching.num_threads = _THREADS
+    matching.num_threads = 1  # the robust estimators draw from one generator a thread
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     total = sum(len(portion) for portion in portions)
