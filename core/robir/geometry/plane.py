@@ -22,6 +22,7 @@ from skimage.measure import find_contours
 from torch import Tensor
 
 from robir.capture.camera import Camera
+from robir.geometry.edge import OutlineRays, level
 from robir.geometry.lattice import Lattice, interpolate
 from robir.geometry.rays import Photo
 
@@ -57,16 +58,12 @@ class SupportPlane:
         return local @ self.axes + self.origin
 
 
-def _outline_rays(photo: Photo) -> tuple[Array, Array, Array]:
-    """Rays through a mask's outline, with the directions out of the mask across the ray.
-
-    Returns:
-        Origins, unit directions and unit outward directions, each (P, 3), unit frame.
-    """
+def _outline_rays(photo: Photo) -> OutlineRays:
+    """Rays through a mask's outline, unit frame."""
     padded = np.pad(photo.coverage, 1)
     curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
     if not curves:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
+        return OutlineRays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
     points, tangents = [], []
     for curve in curves:
         tangent = np.roll(curve, -3, axis=0) - np.roll(curve, 3, axis=0)
@@ -88,24 +85,35 @@ def _outline_rays(photo: Photo) -> tuple[Array, Array, Array]:
     _, aside = photo.camera.rays(np.asarray(image + across, np.float64))
     outward = aside - directions * (aside * directions).sum(1, keepdims=True)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    return origins, directions, outward
+    return OutlineRays(np.broadcast_to(origins, directions.shape), directions, outward)
 
 
-def touching_points(photos: list[Photo], lattice: Lattice, hull: Tensor) -> tuple[Array, Array]:
+def outlines(photos: list[Photo]) -> OutlineRays:
+    """Rays through the outlines of all masks, unit frame."""
+    rays = [_outline_rays(photo) for photo in photos]
+    return OutlineRays(
+        np.concatenate([r.origins for r in rays]),
+        np.concatenate([r.directions for r in rays]),
+        np.concatenate([r.outward for r in rays]),
+    )
+
+
+def touching_points(
+    rays: OutlineRays, lattice: Lattice, hull: Tensor
+) -> tuple[Array, NDArray[np.int64]]:
     """Surface points that the outlines of the masks pin down.
 
     Args:
-        photos: Reduced photographs.
+        rays: Rays through the outlines.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
 
     Returns:
-        Points (P, 3) and unit outward surface normals (P, 3), unit frame.
+        Points (P, 3), unit frame, and the rays (P,) that they lie on.
     """
-    rays = [_outline_rays(photo) for photo in photos]
-    origins, directions, outward = (np.concatenate([r[k] for r in rays]) for k in range(3))
+    origins, directions = rays.origins, rays.directions
     if len(origins) == 0:
-        return origins, outward
+        return origins, np.zeros(0, np.int64)
     middle = -(origins * directions).sum(1)
     steps = np.linspace(-1.1, 1.1, RAY_STEPS)
     distance = middle[:, None] + steps
@@ -121,7 +129,7 @@ def touching_points(photos: list[Photo], lattice: Lattice, hull: Tensor) -> tupl
     centre = (weight * distance).sum(axis=1)
     sharp = (length < 0.12) & (lowest < lattice.cell)
     found = origins + centre[:, None] * directions
-    return found[sharp], outward[sharp]
+    return found[sharp], np.flatnonzero(sharp)
 
 
 def detect(
@@ -138,7 +146,8 @@ def detect(
     Returns:
         The plane, or None where the masks show no flat ground.
     """
-    points, outward = touching_points(photos, lattice, hull)
+    rays = outlines(photos)
+    points, of_ray = touching_points(rays, lattice, hull)
     if len(points) < 100:
         return None
     eyes = np.stack([photo.camera.position for photo in photos])
@@ -148,9 +157,12 @@ def detect(
     normal, offset = found
     # the upper edge is what bears things: outline points whose surface faces up
     height = points @ normal - offset
-    upper = (np.abs(height) < 2.0 * lattice.cell) & (outward @ normal > 0.5)
+    upper = (np.abs(height) < 2.0 * lattice.cell) & (rays.outward[of_ray] @ normal > 0.5)
     if upper.sum() >= 60:
         normal, offset = _refit(points[upper], normal, 0.4 * lattice.cell)
+        middle = np.median(points[upper], axis=0)
+        middle += (offset - middle @ normal) * normal
+        offset += level(rays, of_ray[upper], middle, normal, 0.4 * lattice.cell)
     height = points @ normal - offset
     rim = points[np.abs(height) < 1.2 * lattice.cell]
     plane = _outlined(rim, normal, offset)

@@ -27,12 +27,13 @@ from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.simplify import decimate, fill_holes, with_creases
 from robir.geometry.surface import distance_to_mesh, extract
+from robir.geometry.undercut import undercut
 from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
-REVISION = 5
+REVISION = 6
 """Raised whenever the same input gives another result."""
 
 
@@ -104,14 +105,20 @@ def reconstruct(
     start = hull if ground is None else Backdrop(ground, photos).clear(lattice, hull)
 
     def settle(field: Field) -> None:
+        nonlocal ground
         sdf = field.sdf.detach()
         restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
         sdf.copy_(restored)
+        if ground is not None and not ground.is_flat(field.lattice, sdf):
+            ground = None
         if ground is not None:
             flat = ground.settled(field.lattice, sdf)
             sdf.copy_(ground.flatten(field.lattice, sdf, flat))
 
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
+    if ground is not None:
+        with torch.no_grad():
+            field.sdf.copy_(undercut(ground, photos, field.lattice, field.sdf))
     reporter.progress(0.86, "cleaning the mesh")
     mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
@@ -120,7 +127,7 @@ def reconstruct(
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "none" if plane is None else "flattened",
+        "ground": "none" if ground is None else "flattened",
     }
     return mesh, metrics
 

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Room below overhangs, freed once the surface above them is known.
+
+Below the rim of a plate the fit leaves a wall: the shaded ground behind it has no texture that
+would tell, and smoothing closes what is narrow. But the wall is seen from the side only. What is
+seen from above, the topmost layer of each column, is trusted here; everything between it and the
+ground is doubted, and rays that pass only through what is doubted are asked what they would see
+on the ground. Where they agree with each other and go on the picture of the bare ground about,
+they do see ground. The reasoning is that of space carving (Kutulakos and Seitz 2000, "A theory of
+shape by space carving"), from the ground's side.
+
+Batch letters: V photographs, K columns.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+from torch import Tensor
+
+from robir.geometry.backdrop import LEAST_VIEWS, Array, Mask, clearance, ground_pixels
+from robir.geometry.columns import Columns
+from robir.geometry.ground import HIGHEST, Ground
+from robir.geometry.lattice import Lattice
+from robir.geometry.pixel_rays import PixelRays
+from robir.geometry.rays import Photo
+
+LAYER = 1.6
+"""Thickness of the topmost layer that is trusted, cells."""
+
+AGREEMENT = 0.05
+"""Mean difference from the median display colour of photographs that agree."""
+
+LEAST_SHARE = 0.6
+"""Share of a column's photographs that must agree."""
+
+STEP = 0.04
+"""How far the ground's display colour may leave the range of the colours two columns about."""
+
+
+def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor) -> Tensor:
+    """Free the room between the ground and what hangs over it.
+
+    Args:
+        ground: The ground.
+        photos: Photographs V.
+        lattice: Nodes.
+        sdf: (N,) signed distances of a surface that is sharp already.
+
+    Returns:
+        The new signed distances (N,).
+    """
+    columns, before = ground.columns, sdf.detach().cpu()
+    layer = torch.from_numpy(_topmost(columns, lattice, before))
+    rays = [PixelRays(columns, photo) for photo in photos]
+    open_pixels = [own.unblocked(lattice, layer, np.flatnonzero(own.meets)) for own in rays]
+    colours = _foot_colours(columns, photos, rays, open_pixels)
+    picture = _continued(ground.settled(lattice, before), columns, _agreed(colours))
+    picture[~ground.joined(np.isfinite(picture[..., 0]))] = np.nan
+    masks = ground_pixels(picture, photos, rays)
+    for mask, pixels in zip(masks, open_pixels, strict=True):
+        free = np.zeros(mask.size, bool)
+        free[pixels] = True
+        mask &= free.reshape(mask.shape)
+    height = torch.from_numpy(columns.plane.local(lattice.nodes().double().numpy())[:, 2])
+    near = (before < 2.0 * lattice.cell) & (height > -lattice.cell)
+    room = clearance(columns.plane, photos, lattice.nodes()[near], masks)
+    freed = before.clone()
+    freed[near] = torch.maximum(before[near], room)
+    return freed.to(sdf.device)
+
+
+def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor) -> Mask:
+    """Solid nodes (N,) above the ground in the topmost layer of their column."""
+    top = columns.tops(lattice, sdf, HIGHEST)
+    local = columns.plane.local(lattice.nodes().double().numpy())
+    at = np.round((local[:, :2] - columns.low) / columns.spacing).astype(int)
+    at = np.clip(at, 0, np.array(columns.shape) - 1)
+    depth = top[at[:, 0], at[:, 1]] - local[:, 2]
+    return (sdf.numpy() < 0) & (local[:, 2] > 0.5 * lattice.cell) & (depth < LAYER * lattice.cell)
+
+
+def _foot_colours(
+    columns: Columns,
+    photos: list[Photo],
+    rays: list[PixelRays],
+    open_pixels: list[NDArray[np.int64]],
+) -> Array:
+    """Mean display colours (V, K, 3) of the open pixels that meet each foot; NaN where none."""
+    count = len(columns.feet)
+    colours = np.full((len(photos), count, 3), np.nan)
+    for found, photo, own, pixels in zip(colours, photos, rays, open_pixels, strict=True):
+        foot = own.column[pixels]
+        number = np.bincount(foot, minlength=count)
+        shown = photo.premultiplied_display.reshape(-1, 3)[pixels]
+        for channel in range(3):
+            total = np.bincount(foot, weights=shown[:, channel], minlength=count)
+            found[number > 0, channel] = total[number > 0] / number[number > 0]
+    return colours
+
+
+def _agreed(colours: Array) -> Array:
+    """Median display colours (K, 3) of feet on which the photographs agree; NaN elsewhere."""
+    with warnings.catch_warnings():
+        # feet that no photograph shows have no median
+        warnings.simplefilter("ignore", RuntimeWarning)
+        median = np.nanmedian(colours, axis=0)
+    agree = (np.abs(colours - median).mean(-1) < AGREEMENT).sum(0)
+    shown = np.isfinite(colours[..., 0]).sum(0)
+    median[(agree < LEAST_VIEWS) | (agree < LEAST_SHARE * shown)] = np.nan
+    return median
+
+
+def _continued(bare: Mask, columns: Columns, colours: Array) -> Array:
+    """The picture of the ground, from what is bare on to where its colours go on.
+
+    Args:
+        bare: Columns that are ground, the columns' shape.
+        columns: Columns.
+        colours: (K, 3) display colours of feet, NaN where the photographs do not agree.
+
+    Returns:
+        Display colours, the columns' shape by 3; NaN where nothing is known.
+    """
+    colours = colours.reshape(*columns.shape, 3)
+    picture = np.where(bare[..., None], colours, np.nan)
+    while True:
+        known = np.isfinite(picture[..., :1])
+        window = (5, 5, 1)
+        low = minimum_filter(np.where(known, picture, np.inf), window) - STEP
+        high = maximum_filter(np.where(known, picture, -np.inf), window) + STEP
+        next_to = binary_dilation(known[..., 0], np.ones((3, 3), bool)) & ~known[..., 0]
+        fresh = next_to & columns.inside & ((colours > low) & (colours < high)).all(-1)
+        if not fresh.any():
+            return picture
+        picture[fresh] = colours[fresh]

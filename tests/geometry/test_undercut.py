@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A wall below a rim is taken away, and nothing that stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import trimesh
+
+from robir.geometry.ground import Ground
+from robir.geometry.hull import carve
+from robir.geometry.lattice import Lattice
+from robir.geometry.plane import detect
+from robir.geometry.rays import reduce_view
+from robir.geometry.stage import hull_of
+from robir.geometry.undercut import undercut
+from tests.geometry.scenes import capture_of, disc
+
+TOP = -0.3
+"""Height of the ground's surface."""
+
+
+def grey_below(points: np.ndarray) -> np.ndarray:
+    """Plain ground, darker towards the middle as in shade; red things."""
+    shade = np.clip(0.5 + 0.5 * np.hypot(points[:, 0], points[:, 1]) / 0.9, 0.0, 1.0)
+    ground = shade[:, None] * np.array([150.0, 155.0, 160.0])
+    return np.where(points[:, 2:] > TOP + 0.01, [200.0, 30.0, 20.0], ground)
+
+
+def solid_box(nodes: np.ndarray, half: float, low: float, high: float) -> np.ndarray:
+    """Signed distance, roughly, of an upright cylinder."""
+    radius = np.hypot(nodes[:, 0], nodes[:, 1])
+    return np.maximum(np.maximum(radius - half, nodes[:, 2] - high), low - nodes[:, 2])
+
+
+def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tuple[Lattice, ...]:
+    """The lattice, and values of a made-up surface on a ground before and after the cut.
+
+    Args:
+        scene: What the photographs show.
+        surface: Half width, lower and upper end of the cylinders that were made of it.
+    """
+    capture = capture_of(scene, views=32, side=128, low=0.12, paint=grey_below)
+    photos = [reduce_view(view, 128) for view in capture.views]
+    lattice, hull = carve(hull_of(photos, 48), 64)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    assert plane is not None
+    nodes = lattice.nodes().double().numpy()
+    parts = [solid_box(nodes, 0.9, TOP - 0.1, TOP)]
+    parts += [solid_box(nodes, *part) for part in surface]
+    before = torch.from_numpy(np.min(parts, axis=0)).float()
+    ground = Ground(plane, photos, lattice, hull)
+    return lattice, before, undercut(ground, photos, lattice, before)  # type: ignore[return-value]
+
+
+def drum(half: float, low: float, high: float) -> trimesh.Trimesh:
+    """An upright cylinder."""
+    part = trimesh.creation.cylinder(half, high - low)
+    part.apply_translation([0.0, 0.0, 0.5 * (low + high)])
+    return part
+
+
+def test_a_wall_below_a_rim_is_freed() -> None:
+    plate = [drum(0.12, TOP, TOP + 0.14), drum(0.5, TOP + 0.14, TOP + 0.2)]
+    lattice, before, after = cut(
+        trimesh.util.concatenate([disc(), *plate]), [(0.5, TOP, TOP + 0.2)]
+    )
+    nodes = lattice.nodes().numpy()
+    radius, height = np.hypot(nodes[:, 0], nodes[:, 1]), nodes[:, 2] - TOP
+    wall = (radius > 0.45) & (radius < 0.49) & (height > 0.04) & (height < 0.1)
+    assert (before[wall] < 0).all()
+    assert (after[wall] > 0).float().mean() > 0.6
+    rim = (radius < 0.46) & (np.abs(height - 0.17) < 0.02)
+    assert (after[rim] < 0).all()
+    below = (radius < 0.8) & (height < -0.02) & (height > -0.08)
+    assert (after[below] < 0).all()
+
+
+def test_a_wall_that_is_there_stays() -> None:
+    lattice, _, after = cut(
+        trimesh.util.concatenate([disc(), drum(0.5, TOP, TOP + 0.2)]), [(0.5, TOP, TOP + 0.2)]
+    )
+    nodes = lattice.nodes().numpy()
+    radius, height = np.hypot(nodes[:, 0], nodes[:, 1]), nodes[:, 2] - TOP
+    wall = (radius < 0.47) & (height > 0.03) & (height < 0.17)
+    assert (after[wall] < 0).all()
