@@ -9,7 +9,7 @@ import torch
 import trimesh
 from appearance import synthetic
 
-from robir.appearance.gloss import estimate_gloss
+from robir.appearance.gloss import LEVELS, estimate_gloss, lowest_cost
 from robir.appearance.light import Amplitudes, soft_lobes
 from robir.appearance.problem import make_problem, make_scene
 from robir.appearance.solver import Light
@@ -118,3 +118,20 @@ def test_metal_and_plastic_are_told_apart(ball):
     before = np.nanstd(whole, axis=1) / np.nanmean(whole, axis=1)
     assert np.nanmedian(spread) < 0.25 * np.nanmedian(before)
     assert sum(row["share"] for row in gloss.table) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("costs", "lowest", "highest"),
+    [
+        # a valley, with its bottom between two levels
+        ((9.0, 7.0, 4.0, 3.8, 6.0, 9.0, 11.0), 0.3, 0.42),
+        # no view shows the sharpest, none the roughest: the sharp one is not believed
+        ((6.3, 6.8, 8.2, 8.5, 7.1, 6.5, 6.6), 0.56, 0.8),
+        # it is where it does much better
+        ((3.0, 4.0, 6.0, 7.0, 8.0, 9.0, 9.5), 0.12, 0.12),
+        ((5.0, 4.0, 4.9, 7.0, 8.0, 9.0, 9.5), 0.17, 0.25),
+    ],
+)
+def test_roughness_is_at_the_lowest_cost_that_photographs_can_show(costs, lowest, highest):
+    assert len(costs) == len(LEVELS)
+    assert lowest <= lowest_cost(np.array(costs)) <= highest

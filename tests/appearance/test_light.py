@@ -12,9 +12,9 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import Amplitudes, PairWeights, log_ratio, soft_transfer
-from robir.appearance.problem import make_problem
+from robir.appearance.problem import make_problem, with_hidden
 from robir.appearance.solver import balance, find_suns, fit
-from robir.appearance.statistics import Pairs, neighbour_pairs
+from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs
 from robir.appearance.sun import SunProblem, refine, scan
 from robir.maths.tone import curve_from_name
 
@@ -149,3 +149,27 @@ def test_no_sun_is_found_under_an_even_sky(stage):
     light = find_suns(problem, CONFIG, 0)
     assert len(light.history) == 1
     assert light.axes.shape == (0, 3)
+
+
+def test_what_no_camera_sees_is_as_dark_as_its_corner(stage, problem):
+    """Hidden samples against a solve of the reflections to their end."""
+    scene, total = problem.scene, problem.radiance
+    seen = total.seen.clone()
+    height = torch.from_numpy(stage.surfels.position[:, 2])
+    upright = torch.from_numpy(np.abs(stage.surfels.normal[:, 2]) < 0.5)
+    hidden = upright & (height < 0.2)
+    seen[hidden] = False
+    linear = total.linear.clone()
+    linear[~seen] = 77.0
+    found = with_hidden(scene, Radiance(linear=linear, clipped=total.clipped, seen=seen))
+    assert torch.equal(found[seen], total.linear[seen])
+    sky = scene.soft.sum(1)
+    emitted = (
+        0.3 * total.linear[seen].median(0).values * (sky / sky.quantile(0.99)).clamp(max=1)[:, None]
+    )
+    bounce = 0.3 / np.pi * torch.from_numpy(scene.transport.visibility.bounce.toarray())
+    rows = torch.nonzero(~seen)[:, 0]
+    from_seen = bounce[rows][:, seen] @ total.linear[seen]
+    system = torch.eye(len(rows)) - bounce[rows][:, rows]
+    wanted = torch.linalg.solve(system, emitted[rows] + from_seen)
+    torch.testing.assert_close(found[rows], wanted, rtol=0.01, atol=1e-4)

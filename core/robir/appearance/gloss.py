@@ -48,6 +48,12 @@ ALIKE_NORMAL = 0.06
 ROUGHEST_METAL = 5
 """Levels at which metal is tried: a rougher metal looks like a dielectric of another shade."""
 
+FIRST_SHOWN = 2
+"""First level whose highlight is wide enough for a few dozen views to show it."""
+
+SHARP_LEAD = 0.9
+"""Cost of a sharper level against the best of the rough ones at which it is believed."""
+
 MIN_HIGHLIGHTS = 100
 """Views near a sun's mirror direction that a material must have for its roughness to be judged."""
 
@@ -272,12 +278,21 @@ def _roughness(pooled: _Costs) -> float:
     """Roughness of a cluster of dielectrics from its pooled costs."""
     if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
         return MATTE
-    return _minimum(pooled.highlight.numpy())
+    return lowest_cost(pooled.highlight.numpy())
 
 
-def _minimum(curve: Floats) -> float:
-    """Roughness at the minimum of a parabola through the lowest level and its neighbours."""
+def lowest_cost(curve: Floats) -> float:
+    """Roughness at the minimum of a parabola through the lowest level and its neighbours.
+
+    A highlight too sharp for any view to show and one too wide to stand out predict the same
+    photographs; unless the sharp one does much better it is not believed.
+
+    Args:
+        curve: (L,) costs of the levels.
+    """
     best = int(curve.argmin())
+    if best < FIRST_SHOWN and curve[best] > SHARP_LEAD * curve[FIRST_SHOWN + 1 :].min():
+        best = FIRST_SHOWN + int(curve[FIRST_SHOWN:-1].argmin())
     if best in (0, len(curve) - 1):
         return LEVELS[best]
     around = slice(best - 1, best + 2)

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light import Transfer, soft_transfer
+from robir.appearance.light import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.statistics import (
     Pairs,
     Radiance,
@@ -28,9 +28,14 @@ Floats = NDArray[np.float32]
 PAIR_REACHES = (0.05, 0.12, 0.25)
 """Distances over which albedos are compared, unit frame: below and above the width of a shadow."""
 
-HIDDEN_SHARE = 0.3
-"""Radiance of surfaces that no camera sees, over the median of those that are seen: they lie
-inside and underneath, where little light comes."""
+PARTNERS = 6
+"""Partners of a sample at each of these distances; with half as many the light hangs on chance."""
+
+SKY_SHARE = 0.3
+"""Radiance of a surface in the shade, open to the whole sky, over the median of what is seen."""
+
+BOUNCES = 3
+"""Reflections between surfaces that no camera sees."""
 
 SUN_SAMPLES = 8
 
@@ -111,7 +116,7 @@ def make_scene(
     soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
     seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
     rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
-    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, 3, rng)
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, PARTNERS, rng)
     return Scene(transport, tracer, soft, offset, rows, pairs)
 
 
@@ -165,8 +170,29 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     linear = linear_observations(observations, curve)
     total = diffuse_radiance(observations, linear)
     # What bounces is everything that leaves the surface, highlights aside.
-    exitant = total.linear.clone()
-    exitant[~total.seen] = HIDDEN_SHARE * exitant[total.seen].median(0).values
+    exitant = with_hidden(scene, total)
     bounce = scene.transport.visibility.bounce
     indirect = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
     return Problem(scene=scene, curve=curve, linear=linear, radiance=total, indirect=indirect)
+
+
+def with_hidden(scene: Scene, total: Radiance) -> Tensor:
+    """Radiance (S, 3) of all samples, of those that no camera sees by what reaches them.
+
+    They lie inside and underneath: the less sky they see, the darker they are. What they lack of
+    the sky they get, a little, from each other and from what is seen.
+
+    Args:
+        scene: The scene.
+        total: Radiance of all samples, right where `seen`.
+    """
+    exitant, hidden = total.linear.clone(), ~total.seen
+    open_sky = scene.soft.sum(1)
+    openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[:, None]
+    sky = SKY_SHARE * exitant[total.seen].median(0).values * openness
+    exitant[hidden] = sky[hidden]
+    bounce = scene.transport.visibility.bounce
+    for _ in range(BOUNCES):
+        reflected = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
+        exitant[hidden] = (sky + MEAN_ALBEDO / np.pi * reflected)[hidden]
+    return exitant

@@ -31,7 +31,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 4
+REVISION = 5
 
 TEXTURE_VIEWS = 48
 
