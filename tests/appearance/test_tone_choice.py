@@ -69,6 +69,10 @@ def histogram(codes: list[int]) -> Observations:
         ([100] * 900 + [255] * 5 + [250] * 95, False),
         ([100] * 900 + [250] * 50, False),
         ([100] * 900, None),
+        # a few highlights that nothing leads up to are cut off; one glint is none
+        ([100] * 9990 + [255] * 10, True),
+        ([100] * 9990 + [255] * 10 + [250] * 2, None),
+        ([100] * 9999 + [255], None),
     ],
 )
 def test_verdict_of_the_histogram(codes, verdict):
@@ -107,7 +111,7 @@ def test_the_curve_between_all_others_must_lead_clearly(lead, expected):
 
 @pytest.mark.parametrize(
     ("lead", "verdict", "expected"),
-    [(0.15, None, "filmic"), (0.25, None, "standard"), (0.15, True, "standard")],
+    [(0.25, None, "filmic"), (0.35, None, "standard"), (0.25, True, "standard")],
 )
 def test_the_plain_curve_must_lead_clearly_where_nothing_is_bright(lead, verdict, expected):
     candidates = [scored("standard", 10.0, 0.0), scored("filmic", 10.0 + lead, 0.1)]

@@ -31,7 +31,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 5
+REVISION = 6
 
 TEXTURE_VIEWS = 48
 

@@ -35,6 +35,12 @@ CLIPPED_SHARE = 0.004
 SPIKE_RATIO = 1.5
 """How many times the pixels at 255 must outnumber those at 245 to 254 for a spike."""
 
+FEW_CLIPPED = 3e-4
+"""Share of observations at code 255 that is no glint any more, if next to none lie just below."""
+
+LONE_RATIO = 10.0
+"""How many times those must outnumber the pixels just below."""
+
 PLAIN = "standard"
 """Name of the one curve without a shoulder."""
 
@@ -45,7 +51,7 @@ cannot be told apart it errs least under all of them."""
 HEDGE_MARGIN = 3.0
 """Standard errors by which it must lead to be taken for more than that."""
 
-PLAIN_MARGIN = 2.0
+PLAIN_MARGIN = 3.0
 """The same for the plain curve against those with a shoulder, where nothing is bright."""
 
 BLOCK = 0.2
@@ -71,6 +77,8 @@ class ClippingEvidence:
             return self.clipped_share > SPIKE_RATIO * self.bright_share / 2
         if self.bright_share > 4 * CLIPPED_SHARE:
             return False
+        if self.clipped_share > max(FEW_CLIPPED, LONE_RATIO * self.bright_share):
+            return True
         return None
 
 
