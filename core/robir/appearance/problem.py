@@ -60,6 +60,11 @@ class Scene:
     rows: NDArray[np.int64]
     pairs: Pairs
 
+    def bounced(self, exitant: Tensor) -> Tensor:
+        """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
+        bounce = self.transport.visibility.bounce
+        return torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
+
     def sharp_transfer(self, axes: Floats, sharpness: Floats, rows: NDArray[np.int64]) -> Tensor:
         """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
         surfels = self.transport.surfels
@@ -171,8 +176,7 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     total = diffuse_radiance(observations, linear)
     # What bounces is everything that leaves the surface, highlights aside.
     exitant = with_hidden(scene, total)
-    bounce = scene.transport.visibility.bounce
-    indirect = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
+    indirect = scene.bounced(exitant)
     return Problem(scene=scene, curve=curve, linear=linear, radiance=total, indirect=indirect)
 
 
@@ -191,8 +195,6 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
     openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[:, None]
     sky = SKY_SHARE * exitant[total.seen].median(0).values * openness
     exitant[hidden] = sky[hidden]
-    bounce = scene.transport.visibility.bounce
     for _ in range(BOUNCES):
-        reflected = torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
-        exitant[hidden] = (sky + MEAN_ALBEDO / np.pi * reflected)[hidden]
+        exitant[hidden] = (sky + MEAN_ALBEDO / np.pi * scene.bounced(exitant))[hidden]
     return exitant

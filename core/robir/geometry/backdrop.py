@@ -112,6 +112,23 @@ def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
     return np.where(enough[:, None], common, np.nan)
 
 
+def colours_about(picture: Array, side: int, slack: float) -> tuple[Array, Array]:
+    """Range of the ground's colours about each column.
+
+    Args:
+        picture: Display colours at the feet of the columns, their shape by 3; NaN where unknown.
+        side: Columns along the edge of the square that is looked at.
+        slack: By how much the range is widened at either end, display.
+
+    Returns:
+        Lowest and highest colours, shape of the picture; infinite where nothing is known.
+    """
+    known, window = np.isfinite(picture[..., :1]), (side, side, 1)
+    low = minimum_filter(np.where(known, picture, np.inf), window) - slack
+    high = maximum_filter(np.where(known, picture, -np.inf), window) + slack
+    return low, high
+
+
 def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) -> list[Mask]:
     """Pixels that show ground: their colour is that of the ground where their rays meet it.
 
@@ -123,11 +140,8 @@ def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) ->
     Returns:
         (H, W) of each photograph.
     """
-    known = np.isfinite(picture[..., :1])
-    window = (3, 3, 1)
-    low = minimum_filter(np.where(known, picture, np.inf), window) - SPREAD
-    high = maximum_filter(np.where(known, picture, -np.inf), window) + SPREAD
-    low, high = low.reshape(-1, 3), high.reshape(-1, 3)
+    known = np.isfinite(picture[..., 0])
+    low, high = (end.reshape(-1, 3) for end in colours_about(picture, 3, SPREAD))
     masks = []
     for photo, own in zip(photos, rays, strict=True):
         colour = photo.premultiplied_display.reshape(-1, 3)
@@ -137,28 +151,44 @@ def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) ->
     return masks
 
 
-def clearance(
-    plane: SupportPlane, photos: list[Photo], points: Tensor, masks: list[Mask]
+def near_ground(plane: SupportPlane, lattice: Lattice, sdf: Tensor) -> Tensor:
+    """Nodes (N,) bool that are solid or nearly so and not below the plane."""
+    height = torch.from_numpy(plane.local(lattice.nodes().double().numpy())[:, 2])
+    return (sdf < 2.0 * lattice.cell) & (height > -lattice.cell)
+
+
+def freed(
+    field: tuple[Lattice, Tensor],
+    where: Tensor,
+    plane: SupportPlane,
+    photos: list[Photo],
+    masks: list[Mask],
 ) -> Tensor:
-    """How far points lie within the room that photographs see through.
+    """A field without what stands in the room through which photographs see ground.
 
     Args:
-        plane: The ground's plane.
+        field: Lattice and signed distances (N,), on the CPU.
+        where: (N,) bool, nodes that may be freed.
+        plane: The ground's plane; what lies below it stays.
         photos: Photographs.
-        points: (P, 3), unit frame.
         masks: Pixels of the photographs that show ground.
 
     Returns:
-        (P,), unit frame; negative where too few see through, and below the plane.
+        The new signed distances (N,).
     """
+    lattice, sdf = field
+    points = lattice.nodes()[where]
     height = plane.local(points.double().numpy())[:, 2]
     silhouettes = [
         (~binary_opening(mask, np.ones((3, 3), bool))).astype(np.float32) for mask in masks
     ]
     carver = HullCarver([photo.camera for photo in photos], silhouettes)
     outside = torch.stack(list(carver.by_view(points)))
-    freed = outside.topk(min(LEAST_VIEWS, len(photos)), dim=0).values[-1]
-    return torch.minimum(freed, torch.from_numpy(height).float())
+    seen_through = outside.topk(min(LEAST_VIEWS, len(photos)), dim=0).values[-1]
+    room = torch.minimum(seen_through, torch.from_numpy(height).float())
+    free = sdf.clone()
+    free[where] = torch.maximum(sdf[where], room)
+    return free
 
 
 class Backdrop:
@@ -209,9 +239,7 @@ class Backdrop:
         Returns:
             The new signed distances (N,).
         """
-        plane = self._ground.columns.plane
-        height = torch.from_numpy(plane.local(lattice.nodes().double().numpy())[:, 2])
-        near = (sdf < 2.0 * lattice.cell) & (height > -lattice.cell)
+        near = near_ground(self._ground.columns.plane, lattice, sdf)
         kept = torch.zeros_like(near)
         for _ in range(ROUNDS):
             masks = self.shown()
@@ -232,10 +260,8 @@ class Backdrop:
 
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
-        free = sdf.clone()
-        room = clearance(self._ground.columns.plane, self._photos, lattice.nodes()[where], masks)
-        free[where] = torch.maximum(sdf[where], room)
-        return free
+        plane = self._ground.columns.plane
+        return freed((lattice, sdf), where, plane, self._photos, masks)
 
     def _doubted(
         self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]

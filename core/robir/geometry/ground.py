@@ -106,13 +106,18 @@ class Ground:
         agree = feet_agree(self.columns, low & ~flat, top, self._photos)
         return self._spread((self.start & low) | flat | agree)
 
-    def is_flat(self, lattice: Lattice, sdf: Tensor) -> bool:
+    def is_flat(self, lattice: Lattice, sdf: Tensor, settled: NDArray[np.bool_]) -> bool:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.
 
         The rim of a plate is as flat as that of a ground, and no mask shows the bowl within. The
         fit digs it, though, wherever the photographs differ at the height of the plane.
+
+        Args:
+            lattice: Nodes.
+            sdf: (N,) signed distances.
+            settled: Result of `settled` for them.
         """
-        top = self.columns.tops(lattice, sdf, HIGHEST)[self.settled(lattice, sdf)]
+        top = self.columns.tops(lattice, sdf, HIGHEST)[settled]
         return bool(np.median(top) > -DEEPEST * lattice.cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:

@@ -109,11 +109,12 @@ def reconstruct(
         sdf = field.sdf.detach()
         restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
         sdf.copy_(restored)
-        if ground is not None and not ground.is_flat(field.lattice, sdf):
-            ground = None
         if ground is not None:
-            flat = ground.settled(field.lattice, sdf)
-            sdf.copy_(ground.flatten(field.lattice, sdf, flat))
+            settled = ground.settled(field.lattice, sdf)
+            if ground.is_flat(field.lattice, sdf, settled):
+                sdf.copy_(ground.flatten(field.lattice, sdf, settled))
+            else:
+                ground = None
 
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
     if ground is not None:

@@ -19,10 +19,18 @@ import warnings
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+from scipy.ndimage import binary_dilation
 from torch import Tensor
 
-from robir.geometry.backdrop import LEAST_VIEWS, Array, Mask, clearance, ground_pixels
+from robir.geometry.backdrop import (
+    LEAST_VIEWS,
+    Array,
+    Mask,
+    colours_about,
+    freed,
+    ground_pixels,
+    near_ground,
+)
 from robir.geometry.columns import Columns
 from robir.geometry.ground import HIGHEST, Ground
 from robir.geometry.lattice import Lattice
@@ -66,12 +74,8 @@ def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor)
         free = np.zeros(mask.size, bool)
         free[pixels] = True
         mask &= free.reshape(mask.shape)
-    height = torch.from_numpy(columns.plane.local(lattice.nodes().double().numpy())[:, 2])
-    near = (before < 2.0 * lattice.cell) & (height > -lattice.cell)
-    room = clearance(columns.plane, photos, lattice.nodes()[near], masks)
-    freed = before.clone()
-    freed[near] = torch.maximum(before[near], room)
-    return freed.to(sdf.device)
+    near = near_ground(columns.plane, lattice, before)
+    return freed((lattice, before), near, columns.plane, photos, masks).to(sdf.device)
 
 
 def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor) -> Mask:
@@ -129,11 +133,9 @@ def _continued(bare: Mask, columns: Columns, colours: Array) -> Array:
     colours = colours.reshape(*columns.shape, 3)
     picture = np.where(bare[..., None], colours, np.nan)
     while True:
-        known = np.isfinite(picture[..., :1])
-        window = (5, 5, 1)
-        low = minimum_filter(np.where(known, picture, np.inf), window) - STEP
-        high = maximum_filter(np.where(known, picture, -np.inf), window) + STEP
-        next_to = binary_dilation(known[..., 0], np.ones((3, 3), bool)) & ~known[..., 0]
+        known = np.isfinite(picture[..., 0])
+        low, high = colours_about(picture, 5, STEP)
+        next_to = binary_dilation(known, np.ones((3, 3), bool)) & ~known
         fresh = next_to & columns.inside & ((colours > low) & (colours < high)).all(-1)
         if not fresh.any():
             return picture
