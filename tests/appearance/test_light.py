@@ -98,6 +98,23 @@ def test_a_clipped_sample_is_only_wrong_when_it_comes_out_brighter(clipped, expe
         assert float(PairWeights.of(pairs, flags).loss(log_albedo)) == pytest.approx(expected)
 
 
+def test_the_pair_loss_and_its_gradient_are_those_of_plain_look_ups():
+    generator = torch.Generator().manual_seed(5)
+    first, second = torch.randint(40, (2, 300), generator=generator)
+    pairs = Pairs(first=first, second=second, weight=torch.rand(300, generator=generator))
+    clipped = torch.rand(40, 3, generator=generator) < 0.2
+    log_albedo = torch.randn(40, 3, generator=generator).requires_grad_()
+    difference = log_albedo[first] - log_albedo[second]
+    weight = pairs.weight[:, None]
+    plain = (weight * ~clipped[second] * difference.clamp(min=0)).sum()
+    plain = plain + (weight * ~clipped[first] * (-difference).clamp(min=0)).sum()
+    (expected,) = torch.autograd.grad(plain, log_albedo)
+    loss = PairWeights.of(pairs, clipped).loss(log_albedo)
+    (gradient,) = torch.autograd.grad(3 * loss, log_albedo)
+    torch.testing.assert_close(loss, plain)
+    torch.testing.assert_close(gradient, 3 * expected, rtol=1e-4, atol=1e-5)
+
+
 def test_sun_against_sky_is_recovered(stage, problem):
     axes = synthetic.SUN[None]
     light = fit(problem, axes, np.float32([synthetic.SUN_SHARPNESS]), 100)

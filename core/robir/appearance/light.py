@@ -12,13 +12,16 @@ light without a sun.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from robir.appearance.statistics import Pairs, Radiance
+from robir.maths.adam import Adam
 from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
@@ -115,26 +118,50 @@ class PairWeights:
 
     Attributes:
         pairs: The pairs.
+        subtract: Sparse (P, U), value of a pair's first sample less that of its second. A sparse
+            product and its transpose cost half of an indexed look-up and its gradient.
+        spread: Its transpose.
         darker: (P, 3) weight of the first sample coming out darker.
         brighter: (P, 3) weight of it coming out brighter.
     """
 
     pairs: Pairs
+    subtract: csr_matrix
+    spread: csr_matrix
     darker: Tensor
     brighter: Tensor
 
     @classmethod
     def of(cls, pairs: Pairs, clipped: Tensor) -> PairWeights:
         """Weights for samples of which some channels (U, 3) are clipped."""
+        count = len(pairs.first)
+        ends = np.stack([pairs.first.numpy(), pairs.second.numpy()], axis=1).ravel()
+        signs = np.tile(np.array([1, -1], np.float32), count)
+        subtract = csr_matrix(
+            (signs, ends, np.arange(0, 2 * count + 1, 2)), shape=(count, len(clipped))
+        )
         weight = pairs.weight[:, None]
-        return cls(pairs, weight * ~clipped[pairs.first], weight * ~clipped[pairs.second])
+        darker, brighter = weight * ~clipped[pairs.first], weight * ~clipped[pairs.second]
+        return cls(pairs, subtract, subtract.T.tocsr(), darker, brighter)
 
     def loss(self, log_albedo: Tensor) -> Tensor:
         """Weighted mean over pairs of the absolute differences, summed over channels."""
-        difference = log_albedo[self.pairs.first] - log_albedo[self.pairs.second]
-        return (
-            self.brighter * difference.clamp(min=0) - self.darker * difference.clamp(max=0)
-        ).sum()
+        return _PairLoss.apply(log_albedo, self)
+
+
+class _PairLoss(torch.autograd.Function):
+    """Sum over pairs of weight times absolute difference, whose slope is the signed weight."""
+
+    @staticmethod
+    def forward(ctx: Any, log_albedo: Tensor, weights: PairWeights) -> Tensor:
+        difference = torch.from_numpy(weights.subtract @ log_albedo.detach().numpy())
+        slope = torch.where(difference > 0, weights.brighter, -weights.darker)
+        ctx.spread, ctx.slope = weights.spread, slope
+        return (slope * difference).sum()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return gradients[0] * torch.from_numpy(ctx.spread @ ctx.slope.numpy()), None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +219,7 @@ def solve_amplitudes(
         start = neutral_start(radiance, transfer)
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
-    optimiser = torch.optim.Adam([log_soft, log_sharp], lr=0.06, betas=(0.9, 0.98))
+    optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(4).indices
     loss_value = 0.0
@@ -200,9 +227,6 @@ def solve_amplitudes(
     generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
-        for group in optimiser.param_groups:
-            group["lr"] = 0.06 * (1 - 0.9 * fraction)
-        optimiser.zero_grad()
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
@@ -224,7 +248,8 @@ def solve_amplitudes(
                 log_albedo, radiance.clipped, width, generator
             )
         loss.backward()
-        optimiser.step()
+        rate = 0.06 * (1 - 0.9 * fraction)
+        optimiser.step((rate, rate))
         loss_value = float(neighbour.detach())
     return Amplitudes(soft=log_soft.detach().exp(), sharp=log_sharp.detach().exp()), loss_value
 

@@ -51,10 +51,18 @@ def linear_observations(observations: Observations, curve: AbstractToneCurve) ->
         curve: Tone curve to undo.
 
     Returns:
-        (N, V, 3) float32, linear Rec.709.
+        (N, V, 3) float32, linear Rec.709; anything where the view does not show the sample.
     """
-    display = torch.from_numpy(observations.display.astype(np.float32) / 255)
-    return curve.linear_from_display(display.reshape(-1, 3)).reshape(display.shape).float()
+    display = observations.display
+    if not curve.mixes_channels:
+        codes = (torch.arange(256) / 255)[:, None].expand(-1, 3)
+        table = curve.linear_from_display(codes).float().numpy()
+        return torch.from_numpy(table[display, np.arange(3)])
+    seen = observations.weight > 0
+    linear = torch.zeros(display.shape)
+    known = torch.from_numpy(display[seen].astype(np.float32) / 255)
+    linear[torch.from_numpy(seen)] = curve.linear_from_display(known).float()
+    return linear
 
 
 def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:

@@ -48,6 +48,9 @@ ALIKE, ALIKE_HUE = 0.35, 0.2
 NODE_STEP = 4
 """Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
 
+REFERENCE_STEP = 8
+"""Every so manieth certain texel is looked up, so that a few of them reach far."""
+
 LIGHT_ERROR = 0.05
 """Error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
 has an albedo that nobody knows."""
@@ -295,7 +298,7 @@ class _Reference:
     def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        chosen = np.flatnonzero(certain)
+        chosen = np.flatnonzero(certain)[::REFERENCE_STEP]
         self._albedo = albedo[chosen]
         self._tree = cKDTree(_with_normals(texels.position[chosen], texels.normal[chosen]))
 
@@ -310,9 +313,8 @@ class _Reference:
         return self._albedo[self._query(texels, rows, 4)].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> Floats:
-        """Albedos (M, count, 3) around some texels, thinned out so that they reach far."""
-        index = self._query(texels, rows, 8 * count)
-        return self._albedo[index[:, ::8]]
+        """Albedos (M, count, 3) around some texels."""
+        return self._albedo[self._query(texels, rows, count)]
 
 
 def _settle_edges(

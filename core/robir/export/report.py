@@ -31,7 +31,7 @@ Picture = NDArray[np.uint8]
 
 _MAX_ROWS = 4
 _MARGIN = 1.08
-_MAX_SIDE = 480
+_MAX_SIDE = 320
 _NOT_MEASURED = (
     "albedo, roughness, normals and light against truth: `robir evaluate OUT --truth CAPTURE` "
     "does that for rendered captures",

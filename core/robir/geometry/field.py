@@ -150,7 +150,8 @@ class Field:
             depth = torch.zeros_like(coverage).index_add(0, ray, share * middle)
             points = origins + depth[:, None] * directions
             normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
-        local = interpolate(self.features, self.row[intervals.index.long()], intervals.weight)
+        row = self.row.index_select(0, intervals.index.view(-1)).view_as(intervals.index)
+        local = interpolate(self.features, row, intervals.weight)
         local = 0.5 * (local[start] + local[start + 1]) * share[:, None]
         mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
         rgb = network(mixed, normals, directions)

@@ -18,6 +18,7 @@ from robir.geometry.preview import Renderer
 from robir.geometry.rays import RaySampler
 from robir.geometry.regularise import laplacian_step, smoothed
 from robir.geometry.sampling import Occupancy, march
+from robir.maths.adam import Adam
 
 SHARPNESS = (30.0, 160.0)
 """NeuS steepness at the start and at the end, for an object of longest side 2."""
@@ -35,6 +36,10 @@ SMOOTH_EVERY = 10
 """Steps between the proximal steps on the field."""
 
 
+_FEATURES = 1
+"""Where the optimiser keeps the features."""
+
+
 class _Optimiser:
     """Adam over field and network, whose state follows the rows of the features.
 
@@ -48,38 +53,20 @@ class _Optimiser:
 
     def __init__(self, field: Field, network: ColourNetwork) -> None:
         self._field = field
-        self._adam = torch.optim.Adam(
-            [
-                {"params": [field.sdf], "base": 0.4 * field.lattice.cell},
-                {"params": [field.features], "base": 0.3},
-                {"params": list(network.parameters()), "base": 5e-3},
-            ],
-            betas=(0.9, 0.99),
-            lr=1.0,
-            fused=True,
-        )
+        self._rates = (0.4 * field.lattice.cell, 0.3, *(5e-3 for _ in network.parameters()))
+        self._adam = Adam([field.sdf, field.features, *network.parameters()], (0.9, 0.99))
 
     def follow(self, field: Field, old_rows: Tensor) -> None:
         """Carry the moments of the features over to their new rows."""
-        group = self._adam.param_groups[1]
-        state = self._adam.state.pop(group["params"][0], {})
-        group["params"][0] = field.features
-        if state:
-            fresh = (old_rows == 0)[:, None]
-            for name in ("exp_avg", "exp_avg_sq"):
-                state[name] = torch.where(fresh, 0.0, state[name][old_rows.long()])
-            self._adam.state[field.features] = state
+        self._adam.replace(_FEATURES, field.features, old_rows)
 
     def step(self, loss: Tensor, factor: float) -> None:
         """One step with every learning rate times `factor`."""
-        for group in self._adam.param_groups:
-            group["lr"] = group["base"] * factor
-        self._adam.zero_grad(set_to_none=True)
         loss.backward()
         gradient = self._field.sdf.grad
         assert gradient is not None
         self._field.sdf.grad = smoothed(gradient, self._field.lattice, GRADIENT_PASSES)
-        self._adam.step()
+        self._adam.step([factor * rate for rate in self._rates])
 
 
 def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:

@@ -15,10 +15,10 @@ from torch.nn.functional import max_pool3d, pad
 from robir.geometry.lattice import Lattice, interpolate
 from robir.maths.volume import log_survival, transmittance
 
-BLOCK = 4
+BLOCK = 2
 """Cells along the edge of a block of the coarse occupancy."""
 
-BLOCK_STEPS = 10
+BLOCK_STEPS = 5
 """Steps a ray takes along such an edge."""
 
 LEAST_WEIGHT = 2e-4
@@ -142,9 +142,10 @@ def _occupied_steps(
     ).reshape(-1)
     ray = ray[:, None].expand(-1, BLOCK_STEPS).reshape(-1)
     along = ((number + 0.5) * step)[:, None]
-    near = occupancy.near[_flat_index(begin[ray], slope[ray], along, lattice.shape, 0.5)][
+    begin, slope = begin.index_select(0, ray), slope.index_select(0, ray)
+    near = occupancy.near[_flat_index(begin, slope, along, lattice.shape, 0.5)[:, 0]].nonzero()[
         :, 0
-    ].nonzero()[:, 0]
+    ]
     return ray[near], number[near], enter, step
 
 
@@ -192,8 +193,10 @@ def march(
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
     start, owner, late = _chain(ray, number)
-    distance = enter[ray[owner]] + (number[owner] + late) * step
-    points = origins[ray[owner]] + distance[:, None] * directions[ray[owner]]
+    ray_of = ray[owner]
+    distance = enter[ray_of] + (number[owner] + late) * step
+    points = origins.index_select(0, ray_of)
+    points += distance[:, None] * directions.index_select(0, ray_of)
     index, weight = lattice.corners(points)
     with torch.no_grad():
         value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
