@@ -116,6 +116,12 @@ def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
     return abs(one[0] * other[1] - one[1] * other[0]) <= max(*one, *other)
 
 
+def size_within(size: tuple[int, int], max_side: int) -> tuple[int, int]:
+    """Width and height of a picture brought down to a longer side of at most `max_side`."""
+    scale = min(1.0, max_side / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
 def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
     """Area average of a photograph and its mask.
 

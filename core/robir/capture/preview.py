@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from robir.capture.images import size_within
 from robir.jobs.paths import replacing
 
 MAX_SIDE = 160
@@ -26,8 +27,7 @@ def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uin
         photo: (H, W, 4) display RGB, straight alpha = coverage of the object.
         rendering: (H, W, 4), the same size.
     """
-    shrink = min(1.0, MAX_SIDE / max(photo.shape[:2]))
-    size = (max(1, round(photo.shape[1] * shrink)), max(1, round(photo.shape[0] * shrink)))
+    size = size_within((photo.shape[1], photo.shape[0]), MAX_SIDE)
     sheet = Image.new("RGB", (2 * size[0], size[1]), (BACKGROUND,) * 3)
     for column, picture in enumerate((photo, rendering)):
         small = Image.fromarray(picture, "RGBA").resize(size, Image.Resampling.BOX)

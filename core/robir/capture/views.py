@@ -18,6 +18,7 @@ from robir.capture.images import (
     read_photo,
     same_shape,
     shrink,
+    size_within,
     undistort,
 )
 from robir.capture.refusal import CaptureRefusedError, note, refuse
@@ -157,8 +158,7 @@ def _load(
         mask = np.full((height, width), 255, dtype=np.uint8)
     image = photo.image_display
     camera = frame.lens.camera(rigid(frame.camera_to_world), width, height)
-    scale = min(1.0, config.max_side / max(width, height))
-    target = (max(1, round(width * scale)), max(1, round(height * scale)))
+    target = size_within((width, height), config.max_side)
     if not frame.lens.distortion.is_null:
         # Remapping at twice the final size costs little and blurs nothing that will be kept.
         between = (min(width, 2 * target[0]), min(height, 2 * target[1]))

@@ -13,7 +13,7 @@ from PIL import Image
 
 from robir.capture.capture import Finding
 from robir.capture.decode import exif_values, opened, orientation, upright
-from robir.capture.images import pixels_of
+from robir.capture.images import pixels_of, size_within
 from robir.capture.refusal import CaptureRefusedError, error, note, warning
 from robir.capture.views import Progress
 from robir.jobs.paths import replacing
@@ -132,8 +132,7 @@ def _copy(root: Path, path: Path, target: Path) -> _Copy:
         stored_size = picture.size
         pixels = pixels_of(upright(picture, turn), path)
     grey = Image.fromarray(pixels.image_display).convert("L")
-    scale = min(1.0, FEATURE_SIDE / max(grey.size))
-    size = (max(1, round(grey.width * scale)), max(1, round(grey.height * scale)))
+    size = size_within(grey.size, FEATURE_SIDE)
     if size != grey.size:
         grey = grey.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
     with replacing(target) as temporary:

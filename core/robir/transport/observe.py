@@ -7,13 +7,13 @@ follows the scene and not the number of pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from robir.capture.capture import View
+from robir.capture.images import shrink, size_within
 from robir.maths.vectors import farthest_points
 from robir.transport.tracer import AbstractTracer
 
@@ -72,20 +72,9 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
 
 def resize_view(view: View, max_side: int) -> View:
     """The view at no more than `max_side` pixels; area averages, camera included."""
-    height, width = view.mask.shape
-    scale = max_side / max(height, width)
-    if scale >= 1:
-        return view
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    image = np.asarray(Image.fromarray(view.image_display).resize(size, Image.Resampling.BOX))
-    mask = np.asarray(Image.fromarray(view.mask).resize(size, Image.Resampling.BOX))
-    return View(
-        name=view.name,
-        image_display=image,
-        mask=mask,
-        camera=view.camera.resized(*size),
-        split=view.split,
-    )
+    size = size_within((view.camera.width, view.camera.height), max_side)
+    image, mask = shrink(view.image_display, view.mask, *size)
+    return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
 
 
 def observe(
