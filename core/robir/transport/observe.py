@@ -71,7 +71,7 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
 
 
 def resize_view(view: View, max_side: int) -> View:
-    """The view at no more than `max_side` pixels; area averages, camera included."""
+    """The view at no more than `max_side` pixels; area averages of the object, camera included."""
     size = size_within((view.camera.width, view.camera.height), max_side)
     image, mask = shrink(view.image_display, view.mask, *size)
     return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
