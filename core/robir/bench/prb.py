@@ -25,7 +25,7 @@ import torch
 from numpy.typing import NDArray
 
 from robir.bench import prb_scene
-from robir.bench.prb_fit import Observed, PrbConfig, PrbFit
+from robir.bench.prb_fit import WITH_SUN, Observed, PrbConfig, PrbFit
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture
 from robir.errors import DeviceError, RobirError
@@ -45,7 +45,7 @@ _SKY_TO_SUN = 0.25
 """Irradiance of the sky over that of a given sun, before anything is known of the sky."""
 
 _LOBE_ROWS = 16
-_HELD_OUT_SAMPLES = 64
+_HELD_OUT_SAMPLES = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,10 @@ def main(words: list[str]) -> int:
     paths, seed = JobPaths(Path(words[0])), int(words[1])
     torch.set_num_threads(1)
     try:
-        fit_and_write(paths, seed, Path(words[2]) if words[2:] else None, PrbConfig())
+        if words[2:]:
+            fit_and_write(paths, seed, Path(words[2]), WITH_SUN)
+        else:
+            fit_and_write(paths, seed, None, PrbConfig())
     except RobirError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
@@ -191,9 +194,11 @@ def _shown_again(
     again, scores = {}, []
     for index, view in enumerate(capture.held_out, len(capture.train)):
         pixels = prb_scene.all_pixels([view.camera]).of_view(index)
-        linear = fit.render(pixels, seed=index, samples=_HELD_OUT_SAMPLES)
-        shown = np.rint(255 * curve.display_from_linear(linear).clamp(0, 1).numpy())
-        codes = np.column_stack([shown, 255 * fit.hits(pixels)]).astype(np.uint8)
+        hit = fit.hits(pixels)
+        linear = fit.render(pixels.chosen(hit), seed=index, samples=_HELD_OUT_SAMPLES)
+        codes = np.zeros((len(pixels), 4), np.uint8)
+        codes[hit, :3] = np.rint(255 * curve.display_from_linear(linear).clamp(0, 1).numpy())
+        codes[hit, 3] = 255
         again[view.name] = codes.reshape(view.camera.height, view.camera.width, 4)
         scores.append(photo_scores(again[view.name], view))
     return again, mean_scores(scores)

@@ -69,6 +69,16 @@ class PrbConfig:
     light_smoothness: float = 0.002
 
 
+WITH_SUN = PrbConfig(
+    steps=400,
+    light_steps=60,
+    light_rate=0.05,
+    albedo_smoothness=0.03,
+    light_smoothness=0.001,
+)
+"""For a light that starts from the sun. Both were tuned on one capture, a cow on a plain disc."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
     """Pixels of photographs that are fitted.

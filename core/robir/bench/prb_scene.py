@@ -128,14 +128,8 @@ def pixel_sensor(mi: Any, cameras: Sequence[Camera], size: int) -> Any:
     class PixelSensor(mi.Sensor):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            pose = np.stack([camera.camera_to_world for camera in cameras])
-            lens = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
-            right = pose[:, :3, 0] / lens[:, :1]
-            up = pose[:, :3, 1] / lens[:, 1:2]
-            corner = -pose[:, :3, 2] - right * lens[:, 2:3] + up * lens[:, 3:4]
             self.origin, self.corner, self.right, self.up = (
-                mi.TensorXf(np.ascontiguousarray(table, np.float32)).array
-                for table in (pose[:, :3, 3], corner, right, up)
+                mi.TensorXf(table).array for table in _lens_tables(cameras)
             )
             self.look_at(all_pixels(cameras).chosen(np.zeros(size, int)))
 
@@ -176,7 +170,27 @@ def pixel_sensor(mi: Any, cameras: Sequence[Camera], size: int) -> Any:
             return mi.ScalarBoundingBox3f()
 
     mi.register_sensor("robir_pixels", PixelSensor)
-    film = {
+    sampler = {"type": "independent"}
+    return mi.load_dict({"type": "robir_pixels", "film": _film(size), "sampler": sampler})
+
+
+def _lens_tables(cameras: Sequence[Camera]) -> tuple[NDArray[np.float32], ...]:
+    """Of each camera, (V, 3): its place, the way to the image's corner, a pixel right and up.
+
+    The ray through the image point (x, y) runs along corner + x right - y up.
+    """
+    pose = np.stack([camera.camera_to_world for camera in cameras])
+    lens = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
+    right = pose[:, :3, 0] / lens[:, :1]
+    up = pose[:, :3, 1] / lens[:, 1:2]
+    corner = -pose[:, :3, 2] - right * lens[:, 2:3] + up * lens[:, 3:4]
+    tables = (pose[:, :3, 3], corner, right, up)
+    return tuple(np.ascontiguousarray(table, np.float32) for table in tables)
+
+
+def _film(size: int) -> dict[str, Any]:
+    """A film of so many pixels that keeps each one's mean."""
+    return {
         "type": "hdrfilm",
         "width": _FILM_WIDTH,
         "height": size // _FILM_WIDTH,
@@ -184,7 +198,6 @@ def pixel_sensor(mi: Any, cameras: Sequence[Camera], size: int) -> Any:
         "pixel_format": "rgb",
         "component_format": "float32",
     }
-    return mi.load_dict({"type": "robir_pixels", "film": film, "sampler": {"type": "independent"}})
 
 
 def make_scene(mi: Any, mesh: Mesh, texture_size: int, light_rows: int) -> Any:
@@ -253,21 +266,21 @@ def _mitsuba_mesh(mi: Any, mesh: Mesh, bsdf: Any) -> Any:
     return shape
 
 
-def light_directions(rows: int) -> NDArray[np.float64]:
+def light_directions(rows: int) -> Floats:
     """Direction of every texel of a light, (rows, 2 rows, 3), unit, world.
 
     Mitsuba's rows reach from pole to pole, its columns lie at half integers.
     """
-    polar = np.pi * np.arange(rows) / (rows - 1)
-    azimuth = 2 * np.pi * (0.5 - (np.arange(2 * rows) + 0.5) / (2 * rows))
-    around = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    flat = np.sin(polar)[:, None, None] * around
-    return np.concatenate(
-        [flat, np.broadcast_to(np.cos(polar)[:, None, None], (*flat.shape[:2], 1))], axis=-1
-    )
+    polar = np.linspace(0.0, np.pi, rows)
+    azimuth = np.pi * (1.0 - (2.0 * np.arange(2 * rows) + 1.0) / (2 * rows))
+    directions = np.empty((rows, 2 * rows, 3))
+    directions[..., 0] = np.outer(np.sin(polar), np.cos(azimuth))
+    directions[..., 1] = np.outer(np.sin(polar), np.sin(azimuth))
+    directions[..., 2] = np.cos(polar)[:, None]
+    return directions
 
 
-def light_solid_angles(rows: int) -> NDArray[np.float64]:
+def light_solid_angles(rows: int) -> Floats:
     """Solid angle that each row's texels stand for, (rows,); all texels make 4 pi."""
     edges = np.clip((np.arange(rows + 1) - 0.5) / (rows - 1), 0.0, 1.0) * np.pi
     return (np.cos(edges[:-1]) - np.cos(edges[1:])) * np.pi / rows
