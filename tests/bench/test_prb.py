@@ -140,6 +140,20 @@ def test_a_sun_keeps_its_direction_and_irradiance():
     assert centre / np.linalg.norm(centre) == pytest.approx(direction, abs=2e-3)
 
 
+def test_the_light_shines_from_where_its_texels_are(mi):
+    scene = prb_scene.make_scene(mi, quad(), 16, 16)
+    radiance = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(2))
+    params = mi.traverse(scene)
+    params[prb_scene.LIGHT] = mi.TensorXf(prb_scene.light_data(radiance).contiguous())
+    params.update()
+    inner = slice(1, 15)  # all columns meet at the poles
+    towards = prb_scene.light_directions(16)[inner].reshape(-1, 3).T.astype(np.float32)
+    missed = prb_scene.load_drjit().zeros(mi.SurfaceInteraction3f, towards.shape[1])
+    missed.wi = mi.Vector3f(*np.ascontiguousarray(-towards))
+    found = np.array(scene.environment().eval(missed)).T.reshape(14, 32, 3)
+    assert np.abs(found - radiance[inner].numpy()).max() < 1e-3
+
+
 def test_light_becomes_lobes_of_its_energy(tmp_path):
     direction = np.array([0.6, 0.0, 0.8])
     radiance = 0.5 + prb_scene.sun_texels(direction, np.full(3, 4.0), 64)
