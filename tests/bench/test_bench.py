@@ -14,7 +14,7 @@ from evaluation import sphere_run
 
 from robir import cli
 from robir.bench import runs as bench_runs
-from robir.bench.plan import METHODS, OURS, read_plan, read_sweep
+from robir.bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
 from robir.bench.runs import carry_out, read_scores
 from robir.bench.scores import score_lines
 from robir.bench.table import bench_tables
@@ -52,7 +52,7 @@ def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") ->
 def test_every_method_is_settings_that_exist_and_differ(name, preset):
     base = PRESETS[preset]()
     changed = resolve(base, None, METHODS[name])
-    assert (changed == base) == (name in (OURS, "photo"))
+    assert (changed == base) == (name in (OURS, *BORROWERS))
 
 
 def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):

@@ -29,9 +29,6 @@ from robir.transport.tracer import make_tracer
 
 Floats = NDArray[np.floating[Any]]
 
-STAGES_SHARED = ("capture", "geometry")
-"""What it starts from."""
-
 _ROUGHNESS = 0.5
 
 

@@ -34,6 +34,11 @@ from robir.settings import read_toml, settings_from_table
 
 OURS = "ours"
 PHOTO = "photo"
+MITSUBA = "mitsuba"
+MITSUBA_TOLD = "mitsuba, true curve and sun"
+
+BORROWERS = (PHOTO, MITSUBA, MITSUBA_TOLD)
+"""Methods that share nothing but capture and geometry, see photo.py and prb.py."""
 
 METHODS: dict[str, tuple[str, ...]] = {
     OURS: (),
@@ -44,9 +49,9 @@ METHODS: dict[str, tuple[str, ...]] = {
     "no parsimony prior": ("appearance.parsimony_weight=0",),
     "one sharp lobe": ("appearance.num_sharp_lobes=1",),
     "hull geometry": ("geometry.level_cells=[64]", "geometry.level_steps=[1]"),
-    PHOTO: (),
+    **dict.fromkeys(BORROWERS, ()),
 }
-"""Each method as settings put over the preset; `photo` (see photo.py) shares only the geometry."""
+"""Each method as settings put over the preset; those of BORROWERS have none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,8 +81,10 @@ class Plan:
             unknown = sorted(set(given) - set(known))
             if unknown:
                 raise ConfigError(f"{what}: {unknown[0]!r} is unknown; known: {', '.join(known)}")
-        if PHOTO in self.methods and OURS not in self.methods:
-            raise ConfigError("methods: 'photo' textures the surface of 'ours'; list that too")
+        for method in BORROWERS:
+            if method in self.methods and OURS not in self.methods:
+                what = f"methods: {method!r} textures the surface of 'ours'; list that too"
+                raise ConfigError(what)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +145,8 @@ class BenchRun:
     @property
     def name(self) -> str:
         """Name of the run's folder, unique within a plan whose captures have unique names."""
-        words = (self.capture.name, self.preset, self.method.replace(" ", "-"), str(self.seed))
+        method = self.method.replace(",", "").replace(" ", "-")
+        words = (self.capture.name, self.preset, method, str(self.seed))
         return "_".join(words)
 
     @property

@@ -13,14 +13,17 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
-from robir.bench.plan import OURS, PHOTO, BenchRun
-from robir.config import RunConfig, resolve
+from robir.bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
+from robir.config import resolve
 from robir.errors import RobirError
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.pipeline.usage import Usage
 from robir.presets import PRESETS
 
 Record = dict[str, Any]
+
+_BORROWED = ("capture", "geometry")
+"""Stages that the methods of BORROWERS share with the whole method and are charged for."""
 
 
 def scores_file(folder: Path) -> Path:
@@ -82,7 +85,7 @@ def _record(run: BenchRun, folder: Path) -> Record:
         if run.perturbation is not None:
             run.perturbation.make(run.capture, run.seed)
         _borrow_stages(run, folder, out)
-        held_out = _textured(run, out) if run.method == PHOTO else _reconstructed(run, out)
+        held_out = _textured(run, out) if run.method in BORROWERS else _reconstructed(run, out)
     except RobirError as error:
         return run.facts | {"error": str(error), "exit_code": error.exit_code}
     judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
@@ -125,27 +128,32 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
 
 
 def _textured(run: BenchRun, out: Path) -> Record:
-    """Texture the borrowed surface with the photographs; scores of its held-out views."""
-    from robir.bench.photo import STAGES_SHARED, texture_photographs
-
+    """Texture the borrowed surface in another way; scores of its held-out views."""
     paths = JobPaths(out)
-    missing = [stage for stage in STAGES_SHARED if not paths.manifest(stage).exists()]
+    missing = [stage for stage in _BORROWED if not paths.manifest(stage).exists()]
     if missing:
         raise _RunError(f"the whole method left no {missing[0]} to start from", 1)
-    before = Usage.now()
-    scores = texture_photographs(paths, _config(run))
-    about = read_json(paths.run)
-    about["seconds"] = {stage: about["seconds"][stage] for stage in STAGES_SHARED}
+    before, about = Usage.now(), read_json(paths.run)
+    if run.method == PHOTO:
+        from robir.bench.photo import texture_photographs
+
+        scores = texture_photographs(paths, resolve(PRESETS[run.preset](), None, run.settings))
+    else:
+        from robir.bench.prb import traced_appearance
+
+        truth = run.capture if run.method == MITSUBA_TOLD else None
+        made = traced_appearance(paths, run.seed, truth)
+        scores = made["held_out"]
+        about["peak_memory_bytes"] |= {"appearance": made["peak_memory_bytes"]}
+    for entry in ("seconds", "peak_memory_bytes"):
+        kept = (*_BORROWED, "appearance")
+        about[entry] = {name: value for name, value in about[entry].items() if name in kept}
     about["seconds"]["appearance"] = Usage.now().seconds_since(before)
     about["warnings"] = []
     for stage in STAGES[STAGES.index("appearance") :]:
-        write_json(paths.manifest(stage), {"stage": stage, "method": PHOTO})
+        write_json(paths.manifest(stage), {"stage": stage, "method": run.method})
     write_json(paths.run, about)
     return scores
-
-
-def _config(run: BenchRun) -> RunConfig:
-    return resolve(PRESETS[run.preset](), None, run.settings)
 
 
 def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
@@ -166,7 +174,7 @@ def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
         return
     part = JobPaths(out.with_name(f".{out.name}"))
     shutil.rmtree(part.root, ignore_errors=True)
-    stages = ("capture", "geometry", "transport") if run.method == PHOTO else STAGES[:-1]
+    stages = (*_BORROWED, "transport") if run.method in BORROWERS else STAGES[:-1]
     for stage in stages:
         if whole.manifest(stage).exists():
             shutil.copytree(whole.stage(stage), part.stage(stage))
