@@ -32,7 +32,8 @@ def blocks_of(scene: Scene) -> NDArray[np.int64]:
 
 def table_of(blocks: NDArray[np.int64], value: Floats, weight: Floats) -> Table:
     """The sums of each block of values (2 P,) and their weights."""
-    return np.bincount(blocks, value * weight), np.bincount(blocks, weight).astype(float)
+    total, mass = (np.bincount(blocks, each).astype(float) for each in (value * weight, weight))
+    return total, mass
 
 
 def mean_of(table: Table) -> float:
