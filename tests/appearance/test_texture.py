@@ -112,8 +112,8 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     seen = (paint * np.exp(bumps + stripes)[:, None]).astype(np.float32)
     unknown = (np.abs(x - 0.2) < 0.02) & (np.abs(y + 0.3) < 0.02)
     seen[unknown] = 0.9
-    uncertainty = np.where(unknown, 1.0, 0.05).astype(np.float32)
-    left = np.log(_evened(seen, uncertainty, texels) / paint).mean(1)
+    disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
+    left = np.log(_evened(seen, disagreement, texels) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -170,6 +170,9 @@ def test_texels_of_a_lit_floor_have_their_paint():
     assert error[inner].max() < 0.03
     unseen = values.coverage == 0
     assert 0 < unseen.mean() < 0.2
-    np.testing.assert_array_equal(values.uncertainty[unseen], 1)
-    assert values.uncertainty[inner & ~unseen].max() < 0.1
+    np.testing.assert_array_equal(values.disagreement[unseen], 1)
+    assert values.disagreement[inner & ~unseen].max() < 0.1
+    seen_error = values.uncertainty[inner & ~unseen]
+    assert seen_error.max() < 0.26
+    assert np.all(values.uncertainty[unseen] > np.median(seen_error))
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)

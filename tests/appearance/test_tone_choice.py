@@ -10,9 +10,9 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.tone_choice import (
     Candidate,
+    choose_tone_curve,
     clipping_evidence,
     preferred_order,
-    rank_tone_curves,
 )
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
@@ -28,7 +28,8 @@ def stage():
 
 def ranked(stage, name):
     scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name(name), 700)
-    return rank_tone_curves(scene, CONFIG, 0)
+    choice = choose_tone_curve(scene, CONFIG, 0)
+    return choice.candidates, choice.evidence
 
 
 def test_a_clipping_curve_is_known_by_its_clipped_pixels(stage):
@@ -77,6 +78,13 @@ def histogram(codes: list[int]) -> Observations:
 )
 def test_verdict_of_the_histogram(codes, verdict):
     assert clipping_evidence(histogram(codes)).verdict is verdict
+
+
+def test_the_histogram_is_read_with_a_power_undone():
+    retoned = histogram([100] * 900 + [255] * 5 + [236] * 95)  # 245 ^ 2 and 255 ^ 2
+    assert clipping_evidence(retoned).bright_share == 0
+    assert clipping_evidence(retoned, 2.0).bright_share == pytest.approx(0.095)
+    assert clipping_evidence(retoned, 2.0).verdict is False
 
 
 def test_shares_count_only_what_is_seen():

@@ -11,8 +11,9 @@ import pytest
 from bench.test_bench import scores
 
 from robir.bench.chart import medians, pareto_front, speed_accuracy
+from robir.bench.curves import calibration, tone_curves
 from robir.bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
-from robir.bench.scores import ALBEDO, SHADOW
+from robir.bench.scores import ALBEDO, SCORES, SHADOW
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -136,3 +137,41 @@ def test_vigilance_counts_against_the_unperturbed_runs():
     elsewhere = record(9.0, **noisy) | {"capture": "b"}
     unjudged = record(9.0, trust=None, **noisy)
     assert vigilance([*sound, *spoilt, elsewhere, unjudged])["wrong"] == 3
+
+
+def told_uncertainty(observed):
+    return {"nominal": [0.5, 0.9], "observed": observed, "share_90": observed[1], "median": 0.1}
+
+
+def test_calibration_draws_every_run_and_their_mean():
+    records = [record(), record()]
+    records[0]["scores"]["uncertainty"] = told_uncertainty([0.6, 0.92])
+    records[1]["scores"]["uncertainty"] = None  # a method that states none
+    drawing = calibration(records)
+    assert "mean of 1 runs" in drawing
+    ET.fromstring(drawing)
+    assert calibration(records[1:]) is None
+
+
+def test_tone_page_has_a_panel_a_true_curve_and_counts_what_was_found():
+    truths = [("Filmic", 1.0), ("Filmic", 1.0), ("AgX", 1.0), ("Filmic", 2.0), ("Raw", 1.0)]
+    records = [record() for _ in truths]
+    for each, (view_transform, power) in zip(records, truths, strict=True):
+        each["scores"]["tone_curve"] = {
+            "family": "filmic",
+            "parameters": {} if power == 1.0 else {"display_power": power},
+            "true_view_transform": view_transform,
+            "true_display_power": power,
+        }
+    drawing = tone_curves(records)
+    texts = [text.text for text in ET.fromstring(drawing).iter(SVG + "text") if text.text]
+    assert sum(text.startswith("true: ") for text in texts) == 3
+    assert "true: Filmic ^ 2" in texts
+    assert "filmic, 2 x, 0.00 stops" in texts
+    assert "filmic (display_power 2), 1 x, 0.00 stops" in texts
+    assert tone_curves(records[-1:]) is None
+
+
+@pytest.mark.parametrize(("share", "badness"), [(0.9, 0.0), (0.95, 0.05), (0.8, 0.1)])
+def test_a_share_is_best_at_nine_tenths(share, badness):
+    assert SCORES[-1].badness(share) == pytest.approx(badness)

@@ -15,6 +15,7 @@ from PIL import Image
 from robir.bench.perturb import FACTORS, Perturbation
 from robir.errors import ConfigError
 from robir.evaluation.metrics import linear_from_srgb
+from robir.evaluation.tone import true_curve
 from robir.evaluation.truth import load_truth, read_exr
 from robir.maths import tone
 
@@ -105,6 +106,20 @@ def test_pose_noise_has_its_root_mean_square(source, tmp_path):
         angles.append(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
     found = np.degrees(np.sqrt(np.mean(np.square(angles))))
     assert found == pytest.approx(2.0, rel=0.06)  # of 240 cameras
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0])
+def test_retoned_pictures_are_powers_and_the_truth_says_so(source, tmp_path, power):
+    folder = spoil(source, tmp_path, "retone", power)
+    for split in ("train", "test"):
+        for before, after in zip(pictures(source, split), pictures(folder, split), strict=True):
+            expected = 255 * (before[..., :3] / 255) ** power
+            np.testing.assert_allclose(after[..., :3], expected, atol=0.5)
+            np.testing.assert_array_equal(after[..., 3], before[..., 3])
+    curve = true_curve(load_truth(folder).scene)
+    original = load_truth(source).scene
+    assert "display_power" not in original
+    assert curve.parameters == true_curve(original).parameters | {"display_power": power}
 
 
 @pytest.mark.parametrize("kind", ["dilate", "erode", "holes"])

@@ -36,7 +36,15 @@ def test_a_perfect_result_scores_perfectly(truth, tmp_path):
     assert scores["chamfer"]["chamfer"] < 0.01
     assert scores["light"]["strongest_lobe_degrees"] < 1e-3
     assert scores["light"]["environment_log_rmse"] < 0.1
-    assert scores["tone_curve"] == {"family": "standard", "true_view_transform": "Standard"}
+    assert scores["uncertainty"]["share_90"] > 0.99  # it states an error of a tenth, and has none
+    assert scores["uncertainty"]["median"] == pytest.approx(0.1)
+    assert scores["tone_curve"] == {
+        "family": "standard",
+        "parameters": {},
+        "true_view_transform": "Standard",
+        "true_display_power": 1.0,
+        "stops": 0.0,
+    }
     assert scores["photo_as_albedo"]["psnr_linear"]["per_channel_lsq"] < 25
     with Image.open(tmp_path / "sheet.png") as sheet:
         assert sheet.width > 8 * 160

@@ -73,6 +73,26 @@ def test_albedo_scores_clip_what_leaves_the_range():
     assert metrics.albedo_scores(truth * 1.7, truth)["psnr_linear"]["raw"] == 100.0
 
 
+def test_bands_of_a_normal_error_hold_what_they_promise(rng):
+    truth = rng.uniform(0.05, 0.6, (60_000, 3))
+    error = rng.uniform(0.01, 0.06, 60_000)  # small: noise also biases the scale, by its square
+    noise = np.exp(error[:, None] * rng.standard_normal(truth.shape))
+    found = metrics.band_coverage(truth * noise * [0.5, 0.7, 0.9], truth, error)
+    np.testing.assert_allclose(found["observed"], found["nominal"], atol=0.01)
+    assert found["share_90"] == pytest.approx(0.9, abs=0.01)
+    assert found["median"] == pytest.approx(0.035, abs=0.001)
+    # Errors stated at half or twice their size: the normal's share at z / 2 and 2 z.
+    half = metrics.band_coverage(truth * noise, truth, error / 2)["share_90"]
+    assert half == pytest.approx(0.589, abs=0.01)
+    assert metrics.band_coverage(truth * noise, truth, 2 * error)["share_90"] > 0.995
+
+
+def test_bands_about_the_truth_itself_hold_all_of_it_black_included():
+    truth = np.array([[0.0, 0.2, 0.5], [0.001, 0.3, 1.0]])
+    found = metrics.band_coverage(truth, truth, np.full(2, 1e-3))
+    assert found["observed"] == [1.0] * 5
+
+
 def test_ssim_is_its_formula(rng):
     a, b = rng.random((2, 32, 32, 3))
     mask = np.zeros((32, 32), bool)

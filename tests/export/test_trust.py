@@ -71,7 +71,7 @@ def test_turned_cameras_show_in_the_outline(sound):
 
 
 @pytest.mark.parametrize(
-    ("name", "array", "value"), [("disagreement", "uncertainty", 0.3), ("views", "coverage", 2.0)]
+    ("name", "array", "value"), [("disagreement", "disagreement", 0.3), ("views", "coverage", 2.0)]
 )
 def test_textures_tell_of_disagreement_and_of_few_views(sound, name, array, value):
     capture, mesh, arrays = sound

@@ -199,6 +199,30 @@ def test_curve_from_name_round_trips_and_refuses():
         tone.curve_from_name("filmic", {"tone_gamma": 0.3})
 
 
+@pytest.mark.parametrize("power", [0.5, 2.0])
+@pytest.mark.parametrize("curve", tone.families(), ids=identifier)
+def test_a_power_is_taken_after_the_curve_and_undone_before_it(curve, power):
+    retoned = tone.powered(curve, power)
+    linear = random_colours(500, -6.0, -1.0)
+    shown = retoned.display_from_linear(linear)
+    expected = curve.display_from_linear(linear).double() ** power
+    torch.testing.assert_close(shown.double(), expected, rtol=1e-5, atol=1e-6)
+    back = retoned.display_from_linear(retoned.linear_from_display(shown))
+    torch.testing.assert_close(back, shown, rtol=0, atol=2e-3)
+    again = tone.curve_from_name(retoned.name, retoned.parameters)
+    assert again.parameters == retoned.parameters == curve.parameters | {"display_power": power}
+    torch.testing.assert_close(again.display_from_linear(linear), shown)
+    assert again.blender_view_transform is None
+
+
+def test_no_power_leaves_a_curve_alone_and_wrong_ones_are_refused():
+    curve = tone.curve_from_name("filmic")
+    assert tone.powered(curve, 1.0) is curve
+    for power in (0.0, -1.0, float("nan")):
+        with pytest.raises(ConfigError, match="display_power"):
+            tone.powered(curve, power)
+
+
 @pytest.mark.parametrize("curve", tone.families(), ids=identifier)
 def test_cube_file_is_read_by_opencolorio(curve, tmp_path):
     ocio = pytest.importorskip("PyOpenColorIO")

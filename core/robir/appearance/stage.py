@@ -12,13 +12,14 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.render import AtlasLookup, render_view
 from robir.appearance.solver import Light, balance, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
-from robir.appearance.tone_choice import Candidate, ClippingEvidence, rank_tone_curves
+from robir.appearance.tone_choice import Candidate, ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
 from robir.capture.store import load_capture
@@ -31,7 +32,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 6
+REVISION = 7
 
 TEXTURE_VIEWS = 48
 
@@ -72,7 +73,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     )
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
-    candidates, evidence = rank_tone_curves(scene, config, context.seed)
+    tone = choose_tone_curve(scene, config, context.seed)
+    candidates = tone.candidates
     seconds = {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
     problem, light, gloss = _solve(candidates[0], config, context.seed)
@@ -85,8 +87,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _show(context.paths, capture)
     _write_textures(folder, inside, values)
     _write_light(folder, light)
-    _write_tone_curve(folder, candidates, evidence)
-    write_json(folder / "choices.json", _choices(candidates, evidence, light, gloss, seconds))
+    _write_tone_curve(folder, tone)
+    write_json(folder / "choices.json", _choices(tone, light, gloss, seconds))
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -183,6 +185,7 @@ def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo) -> No
             roughness=square(values.roughness),
             metallic=square(values.metallic),
             coverage=square(values.coverage),
+            disagreement=square(values.disagreement),
             uncertainty=square(values.uncertainty),
             inside=inside,
         )
@@ -207,11 +210,9 @@ def _write_light(folder: Path, light: Light) -> None:
     )
 
 
-def _write_tone_curve(
-    folder: Path, candidates: list[Candidate], evidence: ClippingEvidence
-) -> None:
+def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     """Store the chosen curve and what it was chosen against."""
-    chosen = candidates[0].curve
+    chosen = tone.candidates[0].curve
     write_json(
         folder / "tone_curve.json",
         {
@@ -225,9 +226,9 @@ def _write_tone_curve(
                     if np.isfinite(candidate.standard_error)
                     else None,
                 }
-                for candidate in candidates
+                for candidate in tone.candidates
             ],
-            "clipped_share": evidence.clipped_share,
+            "clipped_share": tone.evidence.clipped_share,
             "blender_view_transform": chosen.blender_view_transform,
             "exposure": 0.0,
         },
@@ -235,13 +236,10 @@ def _write_tone_curve(
 
 
 def _choices(
-    candidates: list[Candidate],
-    evidence: ClippingEvidence,
-    light: Light,
-    gloss: Gloss,
-    seconds: dict[str, float],
+    tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
 ) -> list[dict[str, Any]]:
     """What was chosen, against what, and why, for the report."""
+    candidates, evidence = tone.candidates, tone.evidence
     chosen = candidates[0]
     reason = {
         True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
@@ -259,6 +257,7 @@ def _choices(
             "why": f"{reason}; lowest display error of albedo carried between neighbours in "
             "different light, the simplest within one standard error",
         },
+        *_power_choice(tone.power),
         {
             "choice": "sharp lights",
             "chosen": len(light.axes),
@@ -277,4 +276,29 @@ def _choices(
             "cost_seconds": None,
             "why": "a material is metal where that explains its views 15 % better",
         },
+    ]
+
+
+def _power_choice(choice: PowerChoice | None) -> list[dict[str, Any]]:
+    """The row on re-toned photographs; none where the curve was given."""
+    if choice is None:
+        return []
+    asked = "; ".join(
+        f"{power:g}: {share:.3f}" for power, share in zip(POWERS, choice.votes, strict=False)
+    )
+    why = "as bright as photographs are: no power was asked for"
+    if asked:
+        why = (
+            f"share of the pairs that agree on one albedo under each power ({asked}); one other "
+            "than 1 must lead clearly"
+        )
+    return [
+        {
+            "choice": "power of the display codes",
+            "chosen": choice.power,
+            "alternatives": [power for power in POWERS if power != choice.power],
+            "held_out_error": None,
+            "cost_seconds": None,
+            "why": f"mean display code {choice.level:.2f}; {why}",
+        }
     ]

@@ -22,6 +22,7 @@ from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.solver import EDGE_SHARPNESS, Light
 from robir.appearance.statistics import diffuse_radiance, linear_observations
+from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.observe import Observations, observe
@@ -83,13 +84,16 @@ class TexelAlbedo:
     Attributes:
         albedo: (N, 3) float32, linear Rec.709.
         coverage: (N,) int, views that show the texel.
-        uncertainty: (N,) float32, one standard deviation of log albedo.
+        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
+            dim light alone: it weighs the texels against each other.
+        uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
         roughness: (N,) float32.
         metallic: (N,) float32, 0 or 1.
     """
 
     albedo: Floats
     coverage: NDArray[np.int64]
+    disagreement: Floats
     uncertainty: Floats
     roughness: Floats
     metallic: Floats
@@ -151,8 +155,8 @@ def texel_albedo(
         tracer: Tracer of the mesh.
 
     Returns:
-        Albedo (base colour where the material is metal), coverage, uncertainty, roughness and
-        metal; texels no view shows take their neighbours' albedo.
+        Albedo (base colour where the material is metal), how well it is known, roughness and metal;
+        texels no view shows take their neighbours' albedo.
     """
     scene = problem.scene
     blend = Blend(problem, texels)
@@ -174,18 +178,7 @@ def texel_albedo(
     albedo[metallic] = blend(torch.from_numpy(gloss.metal))[metallic]
     coverage = (seen.weight > 0).sum(1)
     certain = coverage >= 2
-    edge = np.zeros(len(albedo), bool)
-    if len(light.axes):
-        strength = sun.mean(1) / max(1e-6, float(soft.mean()))
-        wide = sun_transfer(
-            problem, light, texels, np.full(len(light.axes), EDGE_SHARPNESS, np.float32), 12
-        )
-        facing = np.clip(texels.normal @ light.axes.T, 0, None)
-        share = wide / np.maximum(facing, 1e-3)
-        unsure = (share > 0.02) & (share < 0.98) | _contested(scene, light, texels)
-        unsure |= (share < 0.98) & (albedo.max(1) > BRIGHTEST)[:, None]
-        unsure &= facing * strength > 0.1
-        edge = unsure.any(1) & ~metallic
+    edge = _on_edges(problem, light, texels, albedo, float(soft.mean())) & ~metallic
     clipped = radiance.clipped.numpy()
     certain &= ~edge & ~clipped.any(1)
     reference = _Reference(texels, albedo, certain)
@@ -196,15 +189,42 @@ def texel_albedo(
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
     doubt = LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clip(1e-6)
     known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
-    uncertainty = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
-    albedo = _evened(albedo, uncertainty, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
+    disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
+    evened = _evened(albedo, disagreement, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
+    distance = distance_to_seen(texels.position, coverage > 0)
+    changed = np.abs(np.log(evened / albedo)).mean(1)
     return TexelAlbedo(
-        albedo=albedo.astype(np.float32),
+        albedo=evened.astype(np.float32),
         coverage=coverage,
-        uncertainty=uncertainty.astype(np.float32),
+        disagreement=disagreement.astype(np.float32),
+        uncertainty=standard_error(spread, changed, coverage, distance),
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),
     )
+
+
+def _on_edges(
+    problem: Problem, light: Light, texels: Texels, albedo: Floats, sky: float
+) -> NDArray[np.bool_]:
+    """Texels where nobody knows how much sun arrives, (N,).
+
+    Args:
+        problem: Scene under the chosen tone curve.
+        light: Solved light.
+        texels: Points of the atlas.
+        albedo: (N, 3) by the mesh's own shadows.
+        sky: Mean irradiance without the suns; one that is weak beside it casts no edge.
+    """
+    if not len(light.axes):
+        return np.zeros(len(albedo), bool)
+    strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
+    sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
+    wide = sun_transfer(problem, light, texels, sharpness, 12)
+    facing = np.clip(texels.normal @ light.axes.T, 0, None)
+    share = wide / np.maximum(facing, 1e-3)
+    unsure = (share > 0.02) & (share < 0.98) | _contested(problem.scene, light, texels)
+    unsure |= (share < 0.98) & (albedo.max(1) > BRIGHTEST)[:, None]
+    return (unsure & (facing * strength > 0.1)).any(1)
 
 
 def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
@@ -245,7 +265,7 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _evened(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
+def _evened(albedo: Floats, disagreement: Floats, texels: Texels) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
     Every texel is drawn towards the mean of its wider surroundings over what is like it, the
@@ -259,7 +279,7 @@ def _evened(albedo: Floats, uncertainty: Floats, texels: Texels) -> Floats:
     distance, index = _nearest(points[nodes], points[nodes[afar]], 96, EVEN_REACH)
     near, other = np.isfinite(distance), afar[index]
     before = smooth = np.log(albedo[nodes])
-    doubt = uncertainty[nodes]
+    doubt = disagreement[nodes]
     certainty = 1 / (0.03 + doubt)
     wider = np.minimum(doubt, ALIKE_HUE)  # what is hardly known resembles more, but not everything
     width = 1 / (2 * (np.array([ALIKE, ALIKE_HUE])[:, None] ** 2 + wider**2))

@@ -13,16 +13,18 @@ rolls off does not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from robir.appearance.blocks import blocks_of, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
+from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
 from robir.appearance.problem import Problem, Scene, make_problem
 from robir.appearance.solver import Light, find_suns, fit
-from robir.maths.tone import curve_from_name
+from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 
@@ -53,9 +55,6 @@ HEDGE_MARGIN = 3.0
 
 PLAIN_MARGIN = 3.0
 """The same for the plain curve against those with a shoulder, where nothing is bright."""
-
-BLOCK = 0.2
-"""Side of the blocks over which the score's standard error is taken, unit frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,10 +100,10 @@ class Candidate:
     problem: Problem
 
 
-def clipping_evidence(observations: Observations) -> ClippingEvidence:
-    """Shares of clipped and of nearly white observations."""
+def clipping_evidence(observations: Observations, power: float = 1.0) -> ClippingEvidence:
+    """Shares of clipped and of nearly white observations, a power of the codes undone."""
     valid = observations.weight > 0
-    brightest = observations.display.max(2)
+    brightest = 255 * (observations.display.max(2) / 255) ** (1 / power)
     clipped = observations.clipped.any(2)
     total = max(1, int(valid.sum()))
     return ClippingEvidence(
@@ -131,12 +130,26 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     return error.clamp(max=ERROR_CAP).mean(1), weight
 
 
-def rank_tone_curves(
-    scene: Scene, config: AppearanceConfig, seed: int
-) -> tuple[list[Candidate], ClippingEvidence]:
-    """Score every family that the histogram allows; best first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToneChoice:
+    """All that the choice of the tone curve rests on.
 
-    The suns are searched once, under the first curve: where shadows lie does not depend on it.
+    Attributes:
+        candidates: The chosen one first, then by score.
+        evidence: Of the histogram.
+        power: The power of the display codes, None where the curve was given.
+    """
+
+    candidates: list[Candidate]
+    evidence: ClippingEvidence
+    power: PowerChoice | None
+
+
+def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
+    """Score every family that the histogram allows, as the photographs are and re-toned.
+
+    The suns are searched once, under the first curve: where shadows lie does not depend on it. It
+    also serves to ask for a power of the codes. A curve given by the user is taken as given.
 
     Args:
         scene: Samples with their transport.
@@ -144,49 +157,61 @@ def rank_tone_curves(
         seed: Of the search.
 
     Returns:
-        Candidates, the chosen one first, then by score; and the histogram's evidence.
+        Candidates and evidence.
     """
-    evidence = clipping_evidence(scene.transport.observations)
     allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
-    verdict = evidence.verdict
-    fitting = [
-        curve for curve in allowed if verdict is None or (curve.name == PLAIN) == verdict
-    ] or allowed
+    evidence = clipping_evidence(scene.transport.observations)
+    fitting = _fitting(allowed, evidence)
     # Filmic lies between the families, so its suns start all of them.
     first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
     found = find_suns(make_problem(scene, first), config, seed)
-    blocks = _blocks(scene)
+    choice = None if len(allowed) == 1 else choose_power(scene, first, found, seed)
+    if choice is not None and choice.power != 1.0:
+        evidence = clipping_evidence(scene.transport.observations, choice.power)
+        fitting = [powered(curve, choice.power) for curve in _fitting(allowed, evidence)]
+    candidates = _ranked(scene, fitting, found, config, evidence)
+    return ToneChoice(candidates=candidates, evidence=evidence, power=choice)
+
+
+def _fitting(
+    allowed: list[AbstractToneCurve], evidence: ClippingEvidence
+) -> list[AbstractToneCurve]:
+    """The curves that the histogram does not rule out; all if it would rule out every one."""
+    verdict = evidence.verdict
+    return [
+        curve for curve in allowed if verdict is None or (curve.name == PLAIN) == verdict
+    ] or allowed
+
+
+def _ranked(
+    scene: Scene,
+    curves: list[AbstractToneCurve],
+    found: Light,
+    config: AppearanceConfig,
+    evidence: ClippingEvidence,
+) -> list[Candidate]:
+    """The curves with their scores under the suns found, preferred order."""
+    blocks = blocks_of(scene)
     fits, tables = [], []
-    for curve in fitting:
+    for curve in curves:
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
         fits.append((curve, light, problem))
         error, weight = pair_errors(problem, light)
-        error, weight = error.double().numpy(), weight.double().numpy()
-        tables.append((np.bincount(blocks, error * weight), np.bincount(blocks, weight)))
-    scores = [255 * total.sum() / max(mass.sum(), 1e-9) for total, mass in tables]
+        tables.append(table_of(blocks, error.double().numpy(), weight.double().numpy()))
+    scores = [255 * mean_of(table) for table in tables]
     best = int(np.argmin(scores))
     candidates = [
         Candidate(
             curve=curve,
-            score=float(scores[index]),
-            standard_error=_standard_error(tables[index], tables[best]),
-            light=_with_history(light, found),
+            score=scores[index],
+            standard_error=255 * difference_error(tables[index], tables[best]),
+            light=replace(light, history=found.history),
             problem=problem,
         )
         for index, (curve, light, problem) in enumerate(fits)
     ]
-    return preferred_order(candidates, verdict), evidence
-
-
-def _with_history(light: Light, found: Light) -> Light:
-    return Light(
-        axes=light.axes,
-        sharpness=light.sharpness,
-        amplitudes=light.amplitudes,
-        loss=light.loss,
-        history=found.history,
-    )
+    return preferred_order(candidates, evidence.verdict)
 
 
 def preferred_order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]:
@@ -215,26 +240,3 @@ def preferred_order(candidates: list[Candidate], verdict: bool | None) -> list[C
             ranked.remove(candidate)
             return [candidate, *ranked]
     return ranked
-
-
-def _blocks(scene: Scene) -> np.ndarray:
-    """Block number of the first sample of every ordered pair."""
-    position = scene.transport.surfels.position[scene.rows]
-    cell = np.floor(position / BLOCK).astype(np.int64)
-    _, block = np.unique(cell, axis=0, return_inverse=True)
-    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
-
-
-def _standard_error(
-    table: tuple[np.ndarray, np.ndarray], best: tuple[np.ndarray, np.ndarray]
-) -> float:
-    """Standard error of the difference of two scores over blocks (ratio estimate)."""
-    size = max(len(table[0]), len(best[0]))
-    padded = [np.pad(column, (0, size - len(column))) for column in (*table, *best)]
-    mine, my_mass, its, its_mass = padded
-    difference = mine / max(my_mass.sum(), 1e-9) - its / max(its_mass.sum(), 1e-9)
-    count = int((my_mass > 0).sum())
-    if count < 2:
-        return float("inf")
-    used = difference[my_mass > 0]
-    return float(255 * np.sqrt(count * used.var(ddof=1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What bench and stability sweep leave behind: chart, Markdown, one self-contained page."""
+"""What bench and stability sweep leave behind: charts, Markdown, one self-contained page."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from pathlib import Path
 from PIL import Image
 
 from robir.bench.chart import speed_accuracy
+from robir.bench.curves import calibration, tone_curves
 from robir.bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
 from robir.bench.pictures import tile
-from robir.bench.plan import BenchRun
+from robir.bench.plan import OURS, BenchRun
 from robir.bench.runs import picture_file
 from robir.bench.scores import ALBEDO
 from robir.bench.table import Record, Table, bench_tables, failures, split, value
@@ -38,28 +39,41 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """A chart that also lies beside the page as a file.
+
+    Attributes:
+        title: Heading.
+        file: Name of the file.
+        drawing: SVG text.
+    """
+
+    title: str
+    file: str
+    drawing: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """A page: pictures first, then the chart, then the tables.
+    """A page: pictures first, then the charts, then the tables.
 
     Attributes:
         title: Heading.
         lead: One paragraph.
         rows: Pictures.
-        chart_title: Heading of the chart.
-        chart: SVG text.
+        charts: The first is the main one.
         tables: Below.
     """
 
     title: str
     lead: str
     rows: Sequence[Row]
-    chart_title: str
-    chart: str
+    charts: Sequence[Chart]
     tables: Sequence[Table]
 
 
 def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
-    """Write chart.svg, scores.md and index.html of a bench; returns the page."""
+    """Write the charts, scores.md and index.html of a bench; returns the page."""
     tried = [records[run.name] for run in runs if run.name in records]
     done, _failed = split(tried)
     page = Page(
@@ -67,27 +81,35 @@ def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Re
         lead=f"{len(done)} of {len(runs)} runs are scored. Albedos are scaled to the truth channel "
         "by channel; every method is charged for all stages it needs, shared or not.",
         rows=_method_rows(folder, [run for run in runs if "scores" in records.get(run.name, {})]),
-        chart_title="CPU seconds against accuracy",
-        chart=speed_accuracy(done),
+        charts=[
+            Chart(
+                title="CPU seconds against accuracy",
+                file="chart.svg",
+                drawing=speed_accuracy(done),
+            ),
+            *_own_charts([record for record in done if record["method"] == OURS]),
+        ],
         tables=bench_tables(tried),
     )
     return _write(folder, "scores.md", page)
 
 
 def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
-    """Write chart.svg, stability.md and index.html of a sweep; returns the page."""
+    """Write the charts, stability.md and index.html of a sweep; returns the page."""
     tried = [records[run.name] for run in runs if run.name in records]
     found = cases(tried)
     counts = vigilance(tried)
-    _done, failed = split(tried)
+    done, failed = split(tried)
     page = Page(
         title="Stability",
         lead=f"{len(tried)} of {len(runs)} runs were tried. Of {counts['wrong']} wrong ones "
         f"(refused, or more than 6 dB of albedo below the unperturbed runs) the program told "
         f"{counts['told']}; of {counts['sound']} sound ones it doubted {counts['alarms']}.",
         rows=[_case_row(folder, case, runs) for case in worst_cases(found)],
-        chart_title="Albedo lost and shadow ratio",
-        chart=heat_map(found),
+        charts=[
+            Chart(title="Albedo lost and shadow ratio", file="chart.svg", drawing=heat_map(found)),
+            *_own_charts([record for record in done if record["method"] == OURS]),
+        ],
         tables=[
             heat_table(found),
             _worst_table(worst_cases(found)),
@@ -97,11 +119,21 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
     return _write(folder, "stability.md", page)
 
 
+def _own_charts(records: Sequence[Record]) -> list[Chart]:
+    """What is drawn of our own method only: uncertainty and tone curves, where known."""
+    drawings = (
+        ("Uncertainty of albedo: promised and held", "calibration.svg", calibration(records)),
+        ("Tone curves, recovered and true", "tone.svg", tone_curves(records)),
+    )
+    return [Chart(title=t, file=f, drawing=d) for t, f, d in drawings if d is not None]
+
+
 def _write(folder: Path, markdown: str, page: Page) -> Path:
     html = page_template("robir.bench", "page.html")
-    parts = [f"# {page.title}", page.lead, f"![{page.chart_title}](chart.svg)"]
+    parts = [f"# {page.title}", page.lead]
+    parts += [f"![{chart.title}]({chart.file})" for chart in page.charts]
     texts = {
-        "chart.svg": page.chart,
+        **{chart.file: chart.drawing for chart in page.charts},
         markdown: "\n\n".join([*parts, *(table.markdown() for table in page.tables)]) + "\n",
         "index.html": html.render(page=page),
     }

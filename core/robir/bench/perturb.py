@@ -14,6 +14,7 @@ are never touched; their pictures are, where a user's whole set of photographs w
 | `exposure`   | stops                                   | all pictures brighter or darker |
 | `jitter`     | stops                                   | each picture its own exposure |
 | `tone`       | name of a family                        | another tone curve |
+| `retone`     | power                                   | display codes to that power, as x^0.5 |
 | `resolution` | pixels                                  | width of the training pictures |
 | `jpeg`       | quality 1..95                           | pictures go through a JPEG |
 | `noise`      | standard deviation of display values    | Gaussian noise |
@@ -35,8 +36,10 @@ from PIL import Image
 from robir.bench import spoil
 from robir.bench.spoil import Photographs
 from robir.errors import CaptureError, ConfigError
+from robir.evaluation.tone import true_curve
 from robir.jobs.paths import read_json, replacing, write_json
 from robir.maths import tone
+from robir.maths.tone_power import DISPLAY_POWER
 
 Value = float | str
 
@@ -101,6 +104,12 @@ FACTORS: dict[str, Factor] = {
         is_of_tests=True,
         check=_is_family,
         wanted="the name of a tone family",
+    ),
+    "retone": Factor(
+        change=spoil.retone,
+        is_of_tests=True,
+        check=_is_number(0.1, 10),
+        wanted="a power of the display codes, 0.1 to 10",
     ),
     "resolution": Factor(
         change=spoil.shrink,
@@ -179,6 +188,9 @@ class Perturbation:
         if self.factor == "tone":
             curve = tone.curve_from_name(str(self.value))
             scene["view_transform"] = curve.blender_view_transform or curve.name
+        if self.factor == "retone":
+            scene[DISPLAY_POWER] = self.value
+        if self.factor in ("tone", "retone"):
             write_json(partial / "truth" / "scene.json", scene)
         factor = FACTORS[self.factor]
         for split in ("train", "test"):
@@ -201,7 +213,7 @@ def _load(source: Path, split: str) -> Photographs:
         table=table,
         pictures=tuple(pictures),
         truths=tuple(source / "truth" / split / f"{name}.exr" for name in names),
-        curve=_curve_of(scene["view_transform"]),
+        curve=_curve_of(scene),
         exposure=float(scene.get("exposure", 0.0)),
     )
 
@@ -236,12 +248,13 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _curve_of(view_transform: str) -> tone.AbstractToneCurve:
-    """The curve that stands for a view transform of Blender, or for a family of ours."""
-    for curve in tone.families():
-        if view_transform in (curve.blender_view_transform, curve.name):
-            return curve
-    raise ConfigError(
-        f"the capture went through {view_transform!r}, for which there is no tone curve; render it "
-        "with one of " + ", ".join(c.blender_view_transform or c.name for c in tone.families())
-    )
+def _curve_of(scene: dict[str, Any]) -> tone.AbstractToneCurve:
+    """The curve that the pictures went through."""
+    curve = true_curve(scene)
+    if curve is None:
+        raise ConfigError(
+            f"the capture went through {scene['view_transform']!r}, for which there is no tone "
+            "curve; render it with one of "
+            + ", ".join(c.blender_view_transform or c.name for c in tone.families())
+        )
+    return curve

@@ -15,13 +15,14 @@ class Score:
     Attributes:
         title: Heading with the unit.
         path: Dotted place in the scores; "a - b" is a difference of two.
-        best: Which end is good: "high", "low", or "one" for ratios that should be 1.
+        best: Which end is good: "high", "low", "one" for ratios that should be 1, or "nine tenths"
+            for shares that should be that.
         digits: Decimals shown.
     """
 
     title: str
     path: str
-    best: Literal["high", "low", "one"]
+    best: Literal["high", "low", "one", "nine tenths"]
     digits: int
 
     def value(self, scores: Mapping[str, Any]) -> float | None:
@@ -33,7 +34,12 @@ class Score:
 
     def badness(self, value: float) -> float:
         """Larger is worse."""
-        return {"high": -value, "low": value, "one": abs(value - 1.0)}[self.best]
+        return {
+            "high": -value,
+            "low": value,
+            "one": abs(value - 1.0),
+            "nine tenths": abs(value - 0.9),
+        }[self.best]
 
     def text(self, value: float | None) -> str:
         """The value as shown."""
@@ -65,6 +71,8 @@ SCORES = (
         best="low",
         digits=3,
     ),
+    Score(title="tone curve (stops)", path="tone_curve.stops", best="low", digits=2),
+    Score(title="90 % band", path="uncertainty.share_90", best="nine tenths", digits=2),
 )
 """Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
 

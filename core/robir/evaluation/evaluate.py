@@ -19,6 +19,7 @@ from robir.evaluation import metrics, surfaces
 from robir.evaluation.layers import Layers, load_textures, stored_mesh, view_layers
 from robir.evaluation.light import light_scores, load_light
 from robir.evaluation.sheet import save_sheet, truth_sheet
+from robir.evaluation.tone import tone_scores
 from robir.evaluation.truth import TrueView, Truth, load_truth
 from robir.geometry.mesh import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths, read_json
@@ -37,8 +38,9 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
         sheet: PNG to write the comparison sheet to, or None.
 
     Returns:
-        Plain JSON values: "scene", "albedo", "photo_as_albedo", "shadow", "roughness", "normals",
-        "mask_iou", "chamfer" (thousandths of the radius), "light", "tone_curve", "views".
+        Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
+        "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
+        "tone_curve", "views".
 
     Raises:
         StorageError: If the result folder lacks a stage.
@@ -65,10 +67,9 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
             known.environment_linear,
             known.sun_direction,
         ),
-        "tone_curve": {
-            "family": read_json(paths.stage("appearance") / "tone_curve.json")["family"],
-            "true_view_transform": known.scene["view_transform"],
-        },
+        "tone_curve": tone_scores(
+            read_json(paths.stage("appearance") / "tone_curve.json"), known.scene
+        ),
     }
     if sheet is not None:
         scale = scores["albedo"]["scale"]["per_channel_lsq"]
@@ -86,7 +87,8 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     Returns:
         "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
         per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as
-        sRGB), "shadow" (and "shadow_of_photo": the same ratio of the photograph), "roughness".
+        sRGB), "uncertainty" (how often its bands hold the truth; None where none is stated),
+        "shadow" (and "shadow_of_photo": the same ratio of the photograph), "roughness".
     """
     both = [ours.hit & view.hit for ours, view in zip(layers, truth.views, strict=True)]
     photos = [metrics.linear_from_srgb(view.photo_display) for view in truth.views]
@@ -112,6 +114,7 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
             "ssim": _mean(ssim),
             "lmse": _mean(lmse),
         },
+        "uncertainty": _uncertainty(layers, both, true_albedo),
         "photo_as_albedo": metrics.albedo_scores(_pooled(photos, both), true_albedo),
         "shadow": metrics.shadow_ratio(
             np.stack([ours.albedo_linear for ours in layers]), stacked, in_sun, in_shadow
@@ -122,6 +125,17 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
             _pooled([view.roughness for view in truth.views], both),
         ),
     }
+
+
+def _uncertainty(
+    layers: tuple[Layers, ...], both: list[NDArray[np.bool_]], true_albedo: Array
+) -> dict[str, Any] | None:
+    """Coverage of the stated errors of albedo over the pixels of all views."""
+    stated = [ours.uncertainty for ours in layers]
+    if any(error is None for error in stated):
+        return None
+    estimate = _pooled([ours.albedo_linear for ours in layers], both)
+    return metrics.band_coverage(estimate, true_albedo, _pooled(stated, both))
 
 
 def geometry_scores(layers: tuple[Layers, ...], mesh: Mesh, truth: Truth) -> dict[str, Any]:

@@ -33,6 +33,7 @@ class Layers:
         normal: (H, W, 3), unit, world.
         albedo_linear: (H, W, 3), linear Rec.709.
         roughness: (H, W), perceptual.
+        uncertainty: (H, W), standard error of log albedo, or None where a result states none.
     """
 
     hit: NDArray[np.bool_]
@@ -40,6 +41,7 @@ class Layers:
     normal: Array
     albedo_linear: Array
     roughness: Array
+    uncertainty: Array | None
 
 
 def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
@@ -69,17 +71,19 @@ def view_layers(
 
     Args:
         mesh: Unwrapped, in the cameras' frame.
-        textures: "albedo_linear" (T, T, 3), "roughness" (T, T) and "inside" (T, T).
+        textures: "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
+            (T, T) where it is stated.
         cameras: In the mesh's frame.
     """
     caster = MeshCaster(mesh)
     inside = textures["inside"].astype(bool)
-    stack = np.concatenate([textures["albedo_linear"], textures["roughness"][..., None]], axis=-1)
+    planes = [textures[name] for name in ("roughness", "uncertainty") if name in textures]
+    stack = np.dstack([textures["albedo_linear"], *planes])
     layers = []
     for camera in cameras:
         size = (SUB_PIXELS * camera.width, SUB_PIXELS * camera.height)
         seen = caster.cast(camera.resized(*size))
-        material = np.zeros((*seen.hit.shape, 4))
+        material = np.zeros((*seen.hit.shape, stack.shape[-1]))
         material[seen.hit] = sample_texture(stack, seen.uv[seen.hit], inside)
         centre = (slice(SUB_PIXELS // 2, None, SUB_PIXELS),) * 2
         hit = seen.hit[centre]
@@ -95,6 +99,7 @@ def view_layers(
                 normal=normal,
                 albedo_linear=material[..., :3],
                 roughness=material[..., 3],
+                uncertainty=material[..., 4] if "uncertainty" in textures else None,
             )
         )
     return tuple(layers)

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
+from scipy.stats import norm
 from skimage.metrics import structural_similarity
 
 from robir.maths import tone
@@ -24,6 +25,8 @@ Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
 ALIGNMENTS = ("raw", "one_scalar", "per_channel_lsq", "per_channel_median")
+NOMINAL_SHARES = (0.5, 0.68, 0.8, 0.9, 0.95)
+MIN_ALBEDO = 0.01
 _MATERIAL_STEP = 1.0 / 16.0
 _MIN_MATERIAL_PIXELS = 20
 _PSNR_CEILING = 100.0
@@ -90,6 +93,39 @@ def albedo_scores(estimate_linear: Array, truth_linear: Array) -> dict[str, dict
         scores["psnr_srgb"][alignment] = psnr(*encoded)
         scores["scale"][alignment] = [float(s) for s in scale]
     return scores
+
+
+def band_coverage(estimate_linear: Array, truth_linear: Array, error: Array) -> dict[str, Any]:
+    """How often the truth lies within the bands that a stated standard error promises.
+
+    A band of nominal share p is albedo times exp(+-z error), z the normal quantile of (1 + p) / 2.
+    The estimate is first scaled channel by channel as for "per_channel_lsq"; both are kept from
+    MIN_ALBEDO up, below which logarithms say nothing.
+
+    Args:
+        estimate_linear: (N, 3), linear Rec.709.
+        truth_linear: (N, 3), linear Rec.709 in [0, 1], the same pixels.
+        error: (N,) standard error of the natural log of albedo.
+
+    Returns:
+        "nominal" and "observed" shares of NOMINAL_SHARES; "share_90", the observed one at 0.9;
+        "median", of the error.
+    """
+    scale = alignment_scale(estimate_linear, truth_linear, "per_channel_lsq")
+    off = np.log(np.clip(np.asarray(estimate_linear) * scale, MIN_ALBEDO, 1.0))
+    off = np.abs(off - np.log(np.clip(truth_linear, MIN_ALBEDO, 1.0)))
+    observed = [float(np.mean(off <= z * error[:, None])) for z in normal_quantiles()]
+    return {
+        "nominal": list(NOMINAL_SHARES),
+        "observed": observed,
+        "share_90": observed[NOMINAL_SHARES.index(0.9)],
+        "median": float(np.median(error)),
+    }
+
+
+def normal_quantiles() -> list[float]:
+    """Half widths, in standard deviations, of the central bands of NOMINAL_SHARES."""
+    return [float(norm.ppf(0.5 * (1.0 + share))) for share in NOMINAL_SHARES]
 
 
 def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:

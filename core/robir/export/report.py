@@ -22,6 +22,7 @@ from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.light import RecoveredLight
 from robir.evaluation.photos import mean_scores, photo_scores, read_picture
 from robir.evaluation.sheet import display_codes, layer_pictures
+from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.trust import quality
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
@@ -233,6 +234,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
         "texture_size": int(products.arrays["inside"].shape[0]),
         "seen_share": _seen_share(products.arrays),
+        "uncertainty": _uncertainty(products.arrays),
         "warnings": run["warnings"],
         "missing": list(rendering.missing),
         "not_measured": list(_NOT_MEASURED),
@@ -263,6 +265,16 @@ def _seen_share(arrays: dict[str, Array]) -> float:
     """Share of the surface's texels that at least one training view saw."""
     inside = arrays["inside"].astype(bool)
     return float((arrays["coverage"][inside] > 0).mean()) if inside.any() else 0.0
+
+
+def _uncertainty(arrays: dict[str, Array]) -> dict[str, Any]:
+    """What uncertainty.png holds, and its median over what a training view saw."""
+    seen = arrays["inside"].astype(bool) & (arrays["coverage"] > 0)
+    return {
+        "quantity": "standard error of the natural logarithm of albedo, up to one factor a channel",
+        "at_code_255": UNCERTAINTY_AT_255,
+        "median": float(np.median(arrays["uncertainty"][seen])) if seen.any() else None,
+    }
 
 
 def _environment_picture(light: RecoveredLight) -> Picture:

@@ -22,6 +22,9 @@ Codes = NDArray[np.uint8]
 _MARGIN_AT_2K = 8
 _METAL = 0.02
 
+UNCERTAINTY_AT_255 = 1.0
+"""Standard error of log albedo that the brightest code of uncertainty.png stands for."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Textures:
@@ -32,7 +35,8 @@ class Textures:
         roughness: (T, T), perceptual, in [0, 1].
         metallic: (T, T) in [0, 1], or None if nothing is metal.
         coverage: (T, T), share of the training views that saw the texel, in [0, 1].
-        uncertainty: (T, T), one standard deviation of the natural log of albedo.
+        uncertainty: (T, T), one standard error of the natural log of albedo, up to one factor a
+            channel for the whole object.
     """
 
     albedo_linear: Array
@@ -92,8 +96,8 @@ def write_textures(textures: Textures, folder: Path) -> None:
     """Write the images of export/textures.
 
     albedo.png is sRGB, albedo.exr linear half; roughness.png and metallic.png are plain numbers
-    ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard deviation of
-    log albedo, one at code 255.
+    ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error of log
+    albedo, UNCERTAINTY_AT_255 at code 255.
     """
     write_png(folder / "albedo.png", codes(srgb_from_linear(textures.albedo_linear)))
     write_exr(folder / "albedo.exr", textures.albedo_linear.astype(np.float16))
@@ -103,7 +107,7 @@ def write_textures(textures: Textures, folder: Path) -> None:
     else:
         write_png(folder / "metallic.png", codes(textures.metallic))
     write_png(folder / "coverage.png", codes(textures.coverage))
-    write_png(folder / "uncertainty.png", codes(textures.uncertainty))
+    write_png(folder / "uncertainty.png", codes(textures.uncertainty / UNCERTAINTY_AT_255))
 
 
 def codes(values: Array) -> Codes:

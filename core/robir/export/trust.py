@@ -134,7 +134,7 @@ def signs(
     if rerender is not None:
         values["rerender"] = rerender
     if seen.any():
-        values["disagreement"] = float(arrays["uncertainty"][seen].mean())
+        values["disagreement"] = float(arrays["disagreement"][seen].mean())
         values["views"] = float(arrays["coverage"][seen].mean())
     values["clipped"] = clipped_share(views)
     values["level"] = _level(views)

@@ -28,6 +28,7 @@ from robir.maths.tone_formula import (
     LogToneCurve,
     StandardToneCurve,
 )
+from robir.maths.tone_power import DISPLAY_POWER, PoweredToneCurve, powered
 from robir.maths.tone_table import AgxToneCurve, FilmicToneCurve, load_tables
 
 __all__ = [
@@ -39,12 +40,14 @@ __all__ = [
     "FilmicToneCurve",
     "KhronosNeutralToneCurve",
     "LogToneCurve",
+    "PoweredToneCurve",
     "StandardToneCurve",
     "as_samples",
     "cube_text",
     "curve_from_name",
     "families",
     "linear_from_srgb",
+    "powered",
     "srgb_from_linear",
 ]
 
@@ -71,6 +74,8 @@ def families() -> tuple[AbstractToneCurve, ...]:
 def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) -> AbstractToneCurve:
     """Curve of a family name and its parameters, as tone_curve.json holds them.
 
+    Every family takes `display_power` beside its own, see tone_power.py.
+
     Raises:
         ConfigError: If the family is unknown or the parameters are not its own.
     """
@@ -78,12 +83,13 @@ def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) ->
     if name not in known:
         raise ConfigError(f"tone curve family '{name}' is unknown; known are {', '.join(known)}")
     curve, given = known[name], dict(parameters or {})
+    power = given.pop(DISPLAY_POWER, 1.0)
     if set(given) - set(curve.parameters):
         raise ConfigError(
             f"tone curve {name}: parameters {sorted(given)} given, it has "
             f"{sorted(curve.parameters)}; remove the others"
         )
-    return type(curve)(**given) if given else curve
+    return powered(type(curve)(**given) if given else curve, power)
 
 
 def as_samples(curve: AbstractToneCurve, count: int) -> dict[str, list[float]]:

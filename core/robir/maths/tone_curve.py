@@ -51,10 +51,10 @@ class AbstractToneCurve(ABC):
         mixes_channels: Whether a display channel depends on more than its own linear one.
     """
 
-    name: ClassVar[str]
-    blender_view_transform: ClassVar[str | None]
+    name: str
+    blender_view_transform: str | None
     saturation_level: ClassVar[float] = SATURATION_LEVEL
-    mixes_channels: ClassVar[bool] = False
+    mixes_channels: bool = False
 
     @property
     def parameters(self) -> dict[str, float]:

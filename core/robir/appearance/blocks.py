@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Means over pairs of samples, with standard errors over blocks of the surface.
+
+Pairs near each other share their materials and the errors of the mesh, so they are no independent
+draws; blocks of BLOCK nearly are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.appearance.problem import Scene
+
+Floats = NDArray[np.floating[Any]]
+Table = tuple[Floats, Floats]
+"""Of every block: sum of the weighted values, and sum of the weights."""
+
+BLOCK = 0.2
+"""Side of a block, unit frame."""
+
+
+def blocks_of(scene: Scene) -> NDArray[np.int64]:
+    """Block number of the first sample of every ordered pair, (2 P,)."""
+    position = scene.transport.surfels.position[scene.rows]
+    cell = np.floor(position / BLOCK).astype(np.int64)
+    _, block = np.unique(cell, axis=0, return_inverse=True)
+    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
+
+
+def table_of(blocks: NDArray[np.int64], value: Floats, weight: Floats) -> Table:
+    """The sums of each block of values (2 P,) and their weights."""
+    total, mass = (np.bincount(blocks, each).astype(float) for each in (value * weight, weight))
+    return total, mass
+
+
+def mean_of(table: Table) -> float:
+    """Weighted mean over all blocks."""
+    total, mass = table
+    return float(total.sum() / max(mass.sum(), 1e-9))
+
+
+def difference_error(table: Table, other: Table) -> float:
+    """Standard error of the difference of two means over blocks (ratio estimate)."""
+    size = max(len(table[0]), len(other[0]))
+    padded = [np.pad(column, (0, size - len(column))) for column in (*table, *other)]
+    mine, my_mass, its, its_mass = padded
+    difference = mine / max(my_mass.sum(), 1e-9) - its / max(its_mass.sum(), 1e-9)
+    count = int((my_mass > 0).sum())
+    if count < 2:
+        return float("inf")
+    used = difference[my_mass > 0]
+    return float(np.sqrt(count * used.var(ddof=1)))

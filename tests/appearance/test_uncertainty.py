@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stated error of albedo: variances add, each piece of evidence counts, nothing is certain."""
+
+import numpy as np
+import pytest
+
+from robir.appearance.uncertainty import (
+    CHANGED,
+    DISTANCE,
+    FEW,
+    FLOOR,
+    LARGEST,
+    SPREAD,
+    distance_to_seen,
+    standard_error,
+)
+
+
+def error(spread=0.0, changed=0.0, count=1e9, distance=0.0):
+    return float(standard_error(*(np.float32([v]) for v in (spread, changed, count, distance)))[0])
+
+
+def test_each_cause_alone_and_all_together():
+    assert error() == pytest.approx(FLOOR, rel=1e-4)
+    parts = {"spread": 0.02, "changed": 0.03, "count": 4.0, "distance": 0.01}
+    alone = [error(**{name: value}) ** 2 - FLOOR**2 for name, value in parts.items()]
+    by_hand = [(SPREAD * 0.02) ** 2, (CHANGED * 0.03) ** 2, FEW**2 / 4, (DISTANCE * 0.01) ** 2]
+    np.testing.assert_allclose(alone, by_hand, rtol=1e-3)
+    assert error(**parts) ** 2 == pytest.approx(FLOOR**2 + sum(by_hand), rel=1e-4)
+
+
+def test_what_no_view_is_near_is_unknown():
+    assert error(count=0, distance=0.5) == LARGEST
+    assert error(count=0, distance=np.inf) == LARGEST
+    assert error(count=0) == error(count=1) < LARGEST
+
+
+def test_distance_is_to_the_nearest_seen_point():
+    position = np.float32([[0, 0, 0], [1, 0, 0], [0.3, 0, 0], [5, 0, 0]])
+    seen = np.array([True, True, False, False])
+    np.testing.assert_allclose(distance_to_seen(position, seen), [0, 0, 0.3, 4], rtol=1e-6)
+    assert np.isinf(distance_to_seen(position, np.zeros(4, bool))).all()
+    assert not distance_to_seen(position, np.ones(4, bool)).any()

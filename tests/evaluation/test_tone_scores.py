@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a recovered tone curve lies from the true one, in stops."""
+
+import numpy as np
+import pytest
+
+from robir.evaluation.tone import CODES, stops_apart, tone_scores, true_curve
+from robir.maths import tone
+
+
+class Exposed(tone.StandardToneCurve):
+    """Standard with everything three times as bright."""
+
+    def linear_from_display(self, rgb_display):
+        return 3.0 * super().linear_from_display(rgb_display)
+
+
+def test_a_curve_is_no_stops_from_itself_and_exposure_does_not_count():
+    for curve in tone.families():
+        assert stops_apart(curve, curve) == 0.0
+    assert stops_apart(Exposed(), tone.StandardToneCurve()) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_power_unnoticed_costs_what_the_formula_says():
+    def stops(code):
+        return np.log2(np.where(code > 0.04045, ((code + 0.055) / 1.055) ** 2.4, code / 12.92))
+
+    expected = np.std(stops(CODES**2.0) - stops(CODES))
+    standard = tone.StandardToneCurve()
+    assert stops_apart(standard, tone.powered(standard, 0.5)) == pytest.approx(expected, rel=1e-3)
+    assert expected > 1.0
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0])
+@pytest.mark.parametrize("name", ["filmic", "standard", "robir_aces"])
+def test_curves_recovered_from_retoned_inputs_are_consistent(name, power):
+    """F2 = f(F1): what is found for re-toned inputs is f after what was found before."""
+    before = {"family": name, "parameters": tone.curve_from_name(name).parameters}
+    after = before | {"parameters": before["parameters"] | {"display_power": power}}
+    retoned = {"view_transform": name, "display_power": power}
+    assert tone_scores(after, retoned)["stops"] == 0.0
+    assert tone_scores(before, retoned)["stops"] > 0.3
+    assert tone_scores(before, {"view_transform": name})["stops"] == 0.0
+
+
+def test_view_transforms_nobody_knows_have_no_score():
+    assert true_curve({"view_transform": "Raw"}) is None
+    found = {"family": "filmic", "parameters": {}}
+    assert tone_scores(found, {"view_transform": "Raw"})["stops"] is None
+    assert true_curve({"view_transform": "Khronos PBR Neutral"}).name == "khronos_pbr_neutral"
