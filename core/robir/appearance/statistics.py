@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.exposure import Gains, decoded
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
@@ -43,18 +44,20 @@ class Radiance:
     seen: Tensor
 
 
-def linear_observations(observations: Observations, curve: AbstractToneCurve) -> Tensor:
-    """Radiance of every observation under a tone curve.
+def linear_observations(
+    observations: Observations, curve: AbstractToneCurve, gains: Gains
+) -> Tensor:
+    """Radiance of every observation under a tone curve, at the capture's common exposure.
 
     Args:
         observations: Colours in the photographs.
         curve: Tone curve to undo.
+        gains: How each photograph was exposed, under this curve.
 
     Returns:
         (N, V, 3) float32, linear Rec.709.
     """
-    display = torch.from_numpy(observations.display.astype(np.float32) / 255)
-    return curve.linear_from_display(display.reshape(-1, 3)).reshape(display.shape).float()
+    return gains.undone(decoded(observations, curve), observations)
 
 
 def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
