@@ -16,6 +16,7 @@ from .preferences import shown_engine_status
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
 from .summary import shown_summary
 from .viewport import COLLECTION
+from .worker import shown_box
 
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
 _STAGES = {
@@ -117,7 +118,12 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
             _progress(layout, context)
         elif state.recognised:
             paragraph(layout, context, state.recognised, "CHECKMARK")
-        _split(layout).prop(settings, "masks")
+        choices = _split(layout)
+        choices.prop(settings, "masks")
+        row = choices.row(align=True)
+        row.prop(settings, "box")
+        if shown_box(settings) is None:
+            row.operator("robir.add_box", text="", icon="ADD")
 
 
 class ROBIR_PT_check(_Panel, bpy.types.Panel):

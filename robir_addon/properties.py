@@ -63,6 +63,15 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         description="Folder with one mask a photograph; empty takes the capture's own masks",
         subtype="DIR_PATH",
     )
+    box: PointerProperty(
+        name="Object box",
+        description=(
+            "Empty or mesh whose bounds, along the axes of the world, hold the object; tells it "
+            "from its surroundings where the capture has no masks"
+        ),
+        type=bpy.types.Object,
+        poll=lambda _settings, candidate: candidate.type in {"EMPTY", "MESH"},
+    )
     out: StringProperty(
         name="Result",
         description="Folder for the result; empty makes one beside the capture",

@@ -68,6 +68,19 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     return _hang_photographs(collection.name, cameras)
 
 
+def add_box(scene: bpy.types.Scene) -> bpy.types.Object:
+    """A box for the user to move about the object, as large as the capture's bounds if shown."""
+    box = bpy.data.objects.new("Object box", None)
+    box.empty_display_type = "CUBE"
+    box.show_in_front = True
+    bounds = [o for o in bpy.data.objects if _MARK in o and o.empty_display_type == "SPHERE"]
+    if bounds:
+        box.location = bounds[0].location
+        box.empty_display_size = bounds[0].empty_display_size
+    scene.collection.objects.link(box)
+    return box
+
+
 def clear_capture() -> None:
     """Take away all that `show_capture` made."""
     kinds = (bpy.data.objects, bpy.data.cameras, bpy.data.images, bpy.data.collections)

@@ -5,10 +5,12 @@ Knows no Blender data beyond the settings it is handed.
 """
 
 import os
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Vector
 
 from .gateway import client
 
@@ -26,6 +28,8 @@ _WORDS = (
     ("give all masks with --masks DIR", "choose their folder as Masks"),
     ("Masks will be needed as well (--masks DIR)", "Masks will be needed as well"),
     ("with --masks DIR", "in a folder chosen as Masks"),
+    ("Or say where the object is with the setting capture.box=[x, y, z, width, depth, height].",
+     "Or press Add Object Box and move it about the object."),
     ("with --set, ", "or take a lower preset, "),
     (", or try another --seed", ""),
     ("run `robir check` on the capture", "look at the findings under Check"),
@@ -63,6 +67,32 @@ def result_folder(settings: Any) -> Path | None:
     return folder.with_name(f"{folder.name}_robir")
 
 
+def shown_box(settings: Any) -> bpy.types.Object | None:
+    """The box about the object; None without one, or where it was deleted from the scene."""
+    chosen = settings.box  # as long as this points to it, deleting it leaves it in the file
+    in_scene = chosen is not None and settings.id_data.objects.get(chosen.name) == chosen
+    return chosen if in_scene else None
+
+
+def box_of(settings: Any) -> tuple[float, ...]:
+    """Centre and sides of the box about the object along the world's axes; empty without one.
+
+    The capture's cameras are shown in the capture's own frame, so the world's is the capture's.
+    """
+    chosen = shown_box(settings)
+    if chosen is None:
+        return ()
+    bpy.context.view_layer.update()  # a script may have moved it just now
+    if chosen.type == "EMPTY":
+        size = chosen.empty_display_size
+        corners = [Vector(signs) * size for signs in product((-1.0, 1.0), repeat=3)]
+    else:
+        corners = [Vector(corner) for corner in chosen.bound_box]
+    columns = list(zip(*(chosen.matrix_world @ corner for corner in corners), strict=True))
+    centre = [0.5 * (min(column) + max(column)) for column in columns]
+    return (*centre, *(max(column) - min(column) for column in columns))
+
+
 def request_of(settings: Any) -> client.Request:
     """The reconstruction that the settings ask for; a capture is chosen."""
     capture, out = absolute(settings.capture), result_folder(settings)
@@ -74,6 +104,7 @@ def request_of(settings: Any) -> client.Request:
         preset=settings.preset,
         device=settings.device,
         masks=absolute(settings.masks),
+        box=box_of(settings),
     )
 
 

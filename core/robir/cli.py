@@ -92,14 +92,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     )
     parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file of changed settings")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="assignments",
-        metavar="SECTION.KEY=VALUE",
-        help="change one setting; may be given more than once",
-    )
+    _add_set(parser)
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
     parser.add_argument("--threads", type=_positive, help="threads of torch, default all cores")
@@ -113,9 +106,21 @@ def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("check", help="look at a capture before time is spent on it")
     parser.set_defaults(command=commands.check)
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=_CAPTURE)
+    _add_set(parser)
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
     _add_progress(parser)
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="assignments",
+        metavar="SECTION.KEY=VALUE",
+        help="change one setting; may be given more than once",
+    )
 
 
 def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -67,7 +67,8 @@ def check(options: Namespace) -> int:
             event = {"kind": "progress", "stage": "check", "message": message}
             display.event(event, fraction, None)
 
-        capture, findings = check_capture(options.capture, options.masks, RunConfig().capture, show)
+        config = resolve(RunConfig(), None, options.assignments).capture
+        capture, findings = check_capture(options.capture, options.masks, config, show)
     facts: dict[str, Any] = {"accepted": capture is not None}
     if capture is not None:
         facts |= {

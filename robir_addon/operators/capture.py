@@ -10,8 +10,9 @@ from bpy.props import BoolProperty, StringProperty
 from .. import monitor, viewport
 from ..engine import EngineError
 from ..errors import AddonError
+from ..gateway import client
 from ..preferences import engine_python
-from ..worker import absolute, in_panel_words, program
+from ..worker import absolute, box_of, in_panel_words, program
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -205,6 +206,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         command = [*words, "check", str(capture), "--json"]
         if masks is not None:
             command += ["--masks", str(masks)]
+        command += client.box_words(box_of(settings))
         return _Look(context.scene, capture), command
 
     def _run(
@@ -218,6 +220,36 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
             return {"CANCELLED"}
         if monitor.is_busy():
             context.window_manager.robir.message = "Reading the photographs"
+        return {"FINISHED"}
+
+
+class ROBIR_OT_add_box(bpy.types.Operator):
+    """A box about the object, for captures without masks."""
+
+    bl_idname = "robir.add_box"
+    bl_label = "Add Object Box"
+    bl_description = (
+        "Add a box to move and scale about the object, which tells it from its surroundings where "
+        "the capture has no masks; then look at the capture again"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a capture is chosen."""
+        if not context.scene.robir.capture:
+            cls.poll_message_set("Choose a capture first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add it and select it alone, ready to be moved."""
+        box = viewport.add_box(context.scene)
+        context.scene.robir.box = box
+        for other in context.selected_objects:
+            other.select_set(False)
+        box.select_set(True)
+        context.view_layer.objects.active = box
         return {"FINISHED"}
 
 
@@ -277,4 +309,9 @@ def why_wait(context: bpy.types.Context) -> str:
     return "Wait until the work at hand is done, or cancel it" if at_work else ""
 
 
-CLASSES = (ROBIR_OT_choose_capture, ROBIR_OT_look_at_capture, ROBIR_OT_clear_capture)
+CLASSES = (
+    ROBIR_OT_choose_capture,
+    ROBIR_OT_look_at_capture,
+    ROBIR_OT_add_box,
+    ROBIR_OT_clear_capture,
+)

@@ -135,6 +135,40 @@ def describe(shown):
     return facts
 
 
+def box(capture):
+    """The box about the object: none, as added, moved, a mesh in its place, deleted."""
+    worker, look = module("worker"), module("operators.capture")
+    bpy.ops.robir.choose_capture(directory=capture)
+    answer = {"without": list(worker.request_of(settings()).box)}
+    answer["added"] = attempt(bpy.ops.robir.add_box)
+    answer["selected"] = [o.name for o in bpy.context.selected_objects]
+    answer["first"] = worker.box_of(settings())
+    shown = settings().box
+    shown.empty_display_size, shown.location = 1.0, (1, 2, 3)
+    shown.scale, shown.rotation_euler = (2, 3, 1), (0, 0, 1.5707963267948966)
+    answer["moved"] = worker.request_of(settings()).box
+    bpy.data.objects.remove(shown)
+    answer["deleted"] = list(worker.box_of(settings()))
+    mesh = bpy.data.meshes.new("unit")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [], [(0, 1, 2), (0, 1, 3)])
+    settings().box = own = bpy.data.objects.new("own", mesh)
+    own.location = (5, 0, 0)
+    answer["deleted"] += worker.box_of(settings())  # never was in the scene
+    bpy.context.scene.collection.objects.link(own)
+    answer["mesh"] = worker.box_of(settings())
+    words = worker.request_of(settings()).words()
+    answer["words"] = words[words.index("--set") :][:2]
+    said = []
+    run = module("monitor").wait_task
+    look.monitor.wait_task = lambda name, command, *rest: (
+        said.extend(command) or run(name, command, *rest)
+    )
+    answer["looked"] = attempt(bpy.ops.robir.look_at_capture)
+    look.monitor.wait_task = run
+    answer["seen"] = said[said.index("--set") :][:2]
+    return answer
+
+
 def reconstruct(capture, other, out):
     """The whole way as a script goes it, again, and where it cannot go on."""
     answer = {"poll": bpy.ops.robir.reconstruct.poll()}

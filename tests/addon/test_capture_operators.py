@@ -114,6 +114,20 @@ def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, t
     check_faults(answer, bad, missing)
 
 
+def test_a_box_about_the_object_goes_to_the_engine(blender, session, capture):
+    answer = session(blender, "box", capture)
+    assert answer["without"] == answer["deleted"] == []
+    assert answer["added"] == [["FINISHED"], ""] and answer["selected"] == ["Object box"]
+    np.testing.assert_allclose(answer["first"][:3], AIM, atol=0.15)
+    assert 1.6 < answer["first"][3] < 2.6, "as large as the bounds that are shown"
+    # an empty of half side 1 at (1, 2, 3), sides doubled, trebled, kept, a quarter turn about z
+    np.testing.assert_allclose(answer["moved"], [1, 2, 3, 6, 4, 2], atol=1e-5)
+    # a mesh whose corners lie at 0 and 1, moved by (5, 0, 0)
+    np.testing.assert_allclose(answer["mesh"], [5.5, 0.5, 0.5, 1, 1, 1], atol=1e-5)
+    assert answer["words"] == ["--set", "capture.box=[5.5, 0.5, 0.5, 1.0, 1.0, 1.0]"]
+    assert answer["looked"] == [["FINISHED"], ""] and answer["seen"] == answer["words"]
+
+
 def test_tasks_are_followed_and_stopped(own_blender, session):
     answer = session(own_blender, "tasks", sys.executable)
     assert answer["lines"] == [

@@ -108,6 +108,7 @@ def observed(radiance: np.ndarray, curve: AbstractToneCurve, positions: np.ndarr
         weight=np.ones(display.shape[:2], np.float32),
         clipped=display == 255,
         positions=positions.astype(np.float32),
+        views=tuple(map(str, range(len(positions)))),
     )
 
 

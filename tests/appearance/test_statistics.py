@@ -19,6 +19,7 @@ def observations(weight: np.ndarray, clipped: np.ndarray | None = None) -> Obser
         weight=weight.astype(np.float32),
         clipped=np.zeros(shape, bool) if clipped is None else clipped,
         positions=np.zeros((weight.shape[1], 3), np.float32),
+        views=tuple(map(str, range(weight.shape[1]))),
     )
 
 

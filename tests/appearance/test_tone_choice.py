@@ -60,6 +60,7 @@ def histogram(codes: list[int]) -> Observations:
         weight=np.ones(display.shape[:2], np.float32),
         clipped=display == 255,
         positions=np.zeros((1, 3), np.float32),
+        views=("a",),
     )
 
 

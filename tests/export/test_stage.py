@@ -189,6 +189,29 @@ def test_without_blender_the_rest_is_there_and_the_report_says_how(tmp_path, mon
     assert "pip install" in paths.report.read_text(encoding="utf-8")
 
 
+def test_exposures_of_photographs_are_reported(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    names = [view.name for view in load_capture(paths.stage("capture")).views]
+    steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
+    write_json(paths.stage("appearance") / "exposure.json", steps)
+    stage.run(context(paths, Recorder(), renders=False))
+    exposure = read_json(paths.report_json)["exposure"]
+    assert not exposure["is_even"]
+    assert list(exposure["views"]) == names[::-1]
+    assert exposure["views"][names[0]] == {"exposure": 0.1, "white_balance": [0.0, 0.3]}
+    spread = 0.1 * np.arange(len(names)).std()
+    assert exposure["spread_steps"] == pytest.approx(spread, abs=1e-3)
+    page = paths.report.read_text(encoding="utf-8")
+    assert f"differ in exposure by {spread:.2f} steps" in page
+    assert f'<td>{names[0]}</td><td class="n">+0.10</td>' in page
+
+
+def test_alike_photographs_are_said_to_be_alike(exported):
+    exposure = read_json(exported[0].report_json)["exposure"]
+    assert exposure == {"is_even": True, "spread_steps": 0.0, "views": {}}
+    assert "exposed and balanced alike" in exported[0].report.read_text(encoding="utf-8")
+
+
 def test_a_name_from_outside_cannot_write_html(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     file = paths.stage("appearance") / "choices.json"

@@ -280,3 +280,10 @@ def test_a_full_disk_is_said_and_nothing_lost(request_, small_disk):
     filler.unlink()
     client.start(program(0.0), job, os.environ)
     assert until(job.out, ended).state == "done"
+
+
+def test_a_box_is_a_setting_on_the_command_line(tmp_path):
+    job = client.Request(capture=tmp_path, out=tmp_path / "out", box=(1, 2, 3, 4, 5, 6))
+    assert client.box_words(job.box) == ["--set", "capture.box=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"]
+    assert job.words()[-5:-3] == client.box_words(job.box)
+    assert "--set" not in client.Request(capture=tmp_path, out=tmp_path / "out").words()

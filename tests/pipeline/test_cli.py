@@ -154,6 +154,11 @@ def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["accepted"] is False
 
 
+def test_check_knows_the_settings_of_the_capture(tmp_path, capsys):
+    assert cli.main(["check", str(tmp_path), "--set", "capture.box=[0, 0, 0, 1, -1, 1]"]) == 2
+    assert "the sides above 0" in capsys.readouterr().err
+
+
 def test_relight_hands_everything_asked_for_to_blender(
     stages, capture, tmp_path, monkeypatch, capsys
 ):

@@ -160,9 +160,10 @@ def _costs(
     linear = problem.linear[rows][sample, view]
     clipped = torch.from_numpy(observations.clipped[rows])[sample, view]
     valid = torch.from_numpy(observations.weight[rows] > 0)
+    gain = problem.gains.of(observations.views)[view]
 
     def error(prediction: Tensor) -> Tensor:
-        shown = (problem.curve.display_from_linear(prediction) - display).abs()
+        shown = (problem.curve.display_from_linear(gain * prediction) - display).abs()
         shown = shown.masked_fill(clipped & (prediction > linear), 0)
         return shown.clamp(max=0.15).mean(1)
 

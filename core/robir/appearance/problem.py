@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.exposure import Exposures, Gains
 from robir.appearance.light import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.statistics import (
     Pairs,
@@ -51,6 +52,7 @@ class Scene:
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
+        exposures: Where the photographs were not exposed alike, what tells how; else None.
     """
 
     transport: Transport
@@ -59,6 +61,7 @@ class Scene:
     offset: float
     rows: NDArray[np.int64]
     pairs: Pairs
+    exposures: Exposures | None = None
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -132,13 +135,15 @@ class Problem:
     Attributes:
         scene: The scene.
         curve: The tone curve.
-        linear: (S, V, 3) radiance of every observation.
+        gains: How each photograph was exposed, under this curve.
+        linear: (S, V, 3) radiance of every observation, at the common exposure.
         radiance: (S) diffuse radiance of all samples.
         indirect: (S, 3) irradiance of all samples from other surfaces.
     """
 
     scene: Scene
     curve: AbstractToneCurve
+    gains: Gains
     linear: Tensor
     radiance: Radiance
     indirect: Tensor
@@ -172,12 +177,15 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
         The problem, highlights included.
     """
     observations = scene.transport.observations
-    linear = linear_observations(observations, curve)
+    gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
+    linear = linear_observations(observations, curve, gains)
     total = diffuse_radiance(observations, linear)
     # What bounces is everything that leaves the surface, highlights aside.
     exitant = with_hidden(scene, total)
     indirect = scene.bounced(exitant)
-    return Problem(scene=scene, curve=curve, linear=linear, radiance=total, indirect=indirect)
+    return Problem(
+        scene=scene, curve=curve, gains=gains, linear=linear, radiance=total, indirect=indirect
+    )
 
 
 def with_hidden(scene: Scene, total: Radiance) -> Tensor:

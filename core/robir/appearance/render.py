@@ -102,7 +102,8 @@ def render_view(
     filled = np.flatnonzero(count)
     sums = [np.bincount(pixel, radiance[:, channel], len(rows)) for channel in range(3)]
     mean = np.stack(sums, axis=1)[filled] / count[filled, None]
-    shown = problem.curve.display_from_linear(torch.from_numpy(mean.astype(np.float32)))
+    gain = problem.gains.of((view.name,))
+    shown = problem.curve.display_from_linear(gain * torch.from_numpy(mean.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)
     image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())
     drawn = np.zeros(view.mask.shape, bool)

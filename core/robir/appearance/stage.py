@@ -13,6 +13,7 @@ import torch
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.display_power import POWERS, PowerChoice
+from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains, find_exposures
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.problem import Problem, make_scene
@@ -72,10 +73,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         np.random.default_rng(context.seed),
     )
     started = time.process_time()
+    exposures = find_exposures(transport, tracer, capture.views, context.seed)
+    scene = replace(scene, exposures=exposures)
+    seconds = {"exposure": time.process_time() - started}
+    started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed)
     candidates = tone.candidates
-    seconds = {"tone_curve": time.process_time() - started}
+    seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
     problem, light, gloss = _solve(candidates[0], config, context.seed)
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
@@ -88,7 +93,9 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_textures(folder, inside, values)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
-    write_json(folder / "choices.json", _choices(tone, light, gloss, seconds))
+    write_json(folder / "exposure.json", problem.gains.steps())
+    choices = _choices(tone, light, gloss, seconds)
+    write_json(folder / "choices.json", [*choices, _exposure_choice(problem.gains, seconds)])
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -233,6 +240,21 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
             "exposure": 0.0,
         },
     )
+
+
+def _exposure_choice(gains: Gains, seconds: dict[str, float]) -> dict[str, Any]:
+    """Whether photographs were taken at their own exposures, for the report."""
+    alike, apart = "one for all", "each photograph its own"
+    return {
+        "choice": "exposure",
+        "chosen": apart if gains.by_view else alike,
+        "alternatives": [alike if gains.by_view else apart],
+        "held_out_error": None,
+        "cost_seconds": seconds["exposure"],
+        "why": "photographs are exposed apart where that explains at least "
+        f"{LEAST_SHARE:.0%} of what they differ by at the same points of the surface, and by more "
+        f"than {LEAST_STEPS} steps",
+    }
 
 
 def _choices(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.exposure import Gains, decoded
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
@@ -43,26 +44,20 @@ class Radiance:
     seen: Tensor
 
 
-def linear_observations(observations: Observations, curve: AbstractToneCurve) -> Tensor:
-    """Radiance of every observation under a tone curve.
+def linear_observations(
+    observations: Observations, curve: AbstractToneCurve, gains: Gains
+) -> Tensor:
+    """Radiance of every observation under a tone curve, at the capture's common exposure.
 
     Args:
         observations: Colours in the photographs.
         curve: Tone curve to undo.
+        gains: How each photograph was exposed, under this curve.
 
     Returns:
         (N, V, 3) float32, linear Rec.709; anything where the view does not show the sample.
     """
-    display = observations.display
-    if not curve.mixes_channels:
-        codes = (torch.arange(256) / 255)[:, None].expand(-1, 3)
-        table = curve.linear_from_display(codes).float().numpy()
-        return torch.from_numpy(table[display, np.arange(3)])
-    seen = observations.weight > 0
-    linear = torch.zeros(display.shape)
-    known = torch.from_numpy(display[seen].astype(np.float32) / 255)
-    linear[torch.from_numpy(seen)] = curve.linear_from_display(known).float()
-    return linear
+    return gains.undone(decoded(observations, curve), observations)
 
 
 def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:

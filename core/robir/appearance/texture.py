@@ -10,7 +10,7 @@ say: RobIR's regularised visibility estimation (METHOD 2.7), per texel and witho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -168,7 +168,7 @@ def texel_albedo(
     narrow = sun_transfer(problem, light, texels, light.sharpness, 8)
     sun = light.amplitudes.sharp.numpy()
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
-    linear = linear_observations(seen, problem.curve)
+    linear = linear_observations(seen, problem.curve, problem.gains)
     radiance = diffuse_radiance(_sharpest(seen), linear)
     total = radiance.linear.numpy()
     irradiance = soft + narrow @ sun
@@ -250,9 +250,7 @@ def _sharpest(seen: Observations) -> Observations:
     """Observations without the flattest views of a texel: those blur its texture."""
     best = seen.weight.max(1, keepdims=True)
     weight = np.where(seen.weight > 0.5 * best, seen.weight, 0).astype(np.float32)
-    return Observations(
-        display=seen.display, weight=weight, clipped=seen.clipped, positions=seen.positions
-    )
+    return replace(seen, weight=weight)
 
 
 def _spread(linear: Tensor, seen: Observations) -> Floats:

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.capture import View
 from robir.evaluation import metrics
+from robir.maths.tone_curve import AbstractToneCurve
 
 Picture = NDArray[np.uint8]
 
@@ -44,6 +47,23 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
         "psnr": metrics.psnr(ours[inside], theirs[inside]),
         "ssim": metrics.masked_ssim(ours, theirs, inside),
     }
+
+
+def exposed(picture: Picture, steps: Sequence[float], curve: AbstractToneCurve) -> Picture:
+    """A picture as a camera with another exposure and white balance would show it.
+
+    Args:
+        picture: (H, W, 3) or (H, W, 4) display codes.
+        steps: (3,) by which each channel is brighter, log2.
+        curve: Tone curve that the picture went through.
+
+    Returns:
+        The picture, alpha as it was.
+    """
+    display = torch.from_numpy(picture[..., :3].astype(np.float32) / 255)
+    linear = curve.linear_from_display(display) * 2.0 ** torch.tensor(steps)
+    shown = curve.display_from_linear(linear).clamp(0, 1).numpy()
+    return np.dstack([np.rint(255 * shown).astype(np.uint8), picture[..., 3:]])
 
 
 def mean_scores(scores: list[dict[str, float] | None]) -> dict[str, Any]:

@@ -20,12 +20,13 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.light import RecoveredLight
-from robir.evaluation.photos import mean_scores, photo_scores, read_picture
+from robir.evaluation.photos import exposed, mean_scores, photo_scores, read_picture
 from robir.evaluation.sheet import display_codes, layer_pictures
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.trust import quality
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+from robir.maths import tone
 
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
@@ -70,6 +71,7 @@ class Products:
         light: Recovered light.
         tone_curve: Contents of export/tone_curve.json.
         choices: Contents of the appearance stage's choices.json.
+        exposure: Contents of the appearance stage's exposure.json.
         rendering: Blender's part.
         seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.
     """
@@ -80,6 +82,7 @@ class Products:
     light: RecoveredLight
     tone_curve: dict[str, Any]
     choices: list[dict[str, Any]]
+    exposure: dict[str, list[float]]
     rendering: Rendering
     seconds: Callable[[], dict[str, float]]
 
@@ -207,7 +210,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
     )
     cycles = mean_scores(
         [
-            photo_scores(read_picture(file), by_name[name])
+            photo_scores(_as_photographed(read_picture(file), name, products), by_name[name])
             for name, file in rendering.rerenders.items()
         ]
     )
@@ -230,6 +233,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "cycles": cycles,
         "tone_curve": curve,
         "choices": {choice["choice"]: choice for choice in products.choices},
+        "exposure": exposure_summary(products.exposure),
         "light": _light_summary(products.light),
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
         "texture_size": int(products.arrays["inside"].shape[0]),
@@ -241,6 +245,37 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "seconds": seconds
         | {"export": _rounded(products.seconds()), "rendering": _rounded(rendering.seconds)},
     }
+
+
+def _as_photographed(picture: Picture, name: str, products: Products) -> Picture:
+    """A Cycles picture of a view at the exposure of its photograph."""
+    if name not in products.exposure:
+        return picture
+    table = products.tone_curve
+    curve = tone.curve_from_name(table["family"], table["parameters"])
+    return exposed(picture, products.exposure[name], curve)
+
+
+def exposure_summary(steps: dict[str, list[float]]) -> dict[str, Any]:
+    """How photographs were exposed, for report.json.
+
+    Args:
+        steps: Steps (log2) of each channel by the view's name; empty where all are alike.
+
+    Returns:
+        "is_even"; "spread_steps", the standard deviation of the views' exposures; "views" by name,
+        brightest first, each with its "exposure" (mean of the channels) and the "white_balance" of
+        red and blue against green, in steps.
+    """
+    views = {
+        name: {
+            "exposure": round(sum(rgb) / 3, 3),
+            "white_balance": [round(rgb[0] - rgb[1], 3), round(rgb[2] - rgb[1], 3)],
+        }
+        for name, rgb in sorted(steps.items(), key=lambda item: -sum(item[1]))
+    }
+    spread = float(np.std([view["exposure"] for view in views.values()])) if views else 0.0
+    return {"is_even": not views, "spread_steps": round(spread, 3), "views": views}
 
 
 def _light_summary(light: RecoveredLight) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
 
-REVISION = 3
+REVISION = 4
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -72,6 +72,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             light=light,
             tone_curve=tone_curve,
             choices=read_json(paths.stage("appearance") / "choices.json"),
+            exposure=read_json(paths.stage("appearance") / "exposure.json"),
             rendering=rendering,
             seconds=lambda: {
                 "cpu": own["cpu"] + time.process_time() - cpu,

@@ -54,6 +54,8 @@ class Request:
         preset: How much work to do.
         device: "auto", "cpu" or "cuda".
         masks: Folder of masks, or None for the capture's own.
+        box: Where the object is if there are no masks, as the setting `capture.box`; empty to look
+            for it.
     """
 
     capture: Path
@@ -61,6 +63,7 @@ class Request:
     preset: str = "draft"
     device: str = "auto"
     masks: Path | None = None
+    box: tuple[float, ...] = ()
 
     def words(self) -> list[str]:
         """The command line without the program."""
@@ -68,8 +71,14 @@ class Request:
         choices = ["--preset", self.preset, "--device", self.device]
         return [
             "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
+            *box_words(self.box),
             "--resume", "--progress", "json",
         ]  # fmt: skip
+
+
+def box_words(box: tuple[float, ...]) -> list[str]:
+    """Words of the command line that set `capture.box`; none for an empty box."""
+    return ["--set", f"capture.box={list(map(float, box))}"] if box else []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -46,6 +46,7 @@ class Transport:
                 "weight": seen.weight,
                 "clipped": np.packbits(seen.clipped, axis=None),
                 "camera_positions": seen.positions,
+                "views": np.array(seen.views),
             },
             "visibility.npz": {
                 "directions": visibility.directions,
@@ -79,6 +80,7 @@ class Transport:
                 weight=arrays["weight"],
                 clipped=clipped.reshape(display.shape),
                 positions=arrays["camera_positions"],
+                views=tuple(arrays["views"].tolist()),
             )
         with np.load(folder / "visibility.npz", allow_pickle=False) as arrays:
             directions, bits = arrays["directions"], arrays["bits"]

@@ -39,20 +39,22 @@ class Observations:
         weight: (N, V) float32, 0 where the view does not show the point, else its cosine.
         clipped: (N, V, 3) bool, code 255: the true value is at least this bright.
         positions: (V, 3) float32, camera centres.
+        views: Names of the V views.
     """
 
     display: NDArray[np.uint8]
     weight: Floats
     clipped: NDArray[np.bool_]
     positions: Floats
+    views: tuple[str, ...]
 
     def subset(self, keep: NDArray[np.bool_]) -> Observations:
         """The points where `keep` holds."""
-        return Observations(
+        return replace(
+            self,
             display=self.display[keep],
             weight=self.weight[keep],
             clipped=self.clipped[keep],
-            positions=self.positions,
         )
 
 
@@ -120,7 +122,13 @@ def observe(
         clipped[kept, index] = top[whole]
         weight[kept, index] = cosine[kept]
     centres = np.stack([view.camera.position for view in views]).astype(np.float32)
-    return Observations(display=display, weight=weight, clipped=clipped, positions=centres)
+    return Observations(
+        display=display,
+        weight=weight,
+        clipped=clipped,
+        positions=centres,
+        views=tuple(view.name for view in views),
+    )
 
 
 def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:

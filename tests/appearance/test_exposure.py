@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photographs of unlike exposure are told from gloss, and brought to one exposure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from robir.appearance.exposure import (
+    Gains,
+    _least_squares,
+    are_uneven,
+    logarithms,
+    solve_gains,
+)
+from robir.appearance.statistics import diffuse_radiance, linear_observations
+from robir.maths.tone import curve_from_name
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.observe import Observations
+
+VIEWS, POINTS = 24, 900
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+def photographed(linear: np.ndarray, family: str, weight: np.ndarray) -> Observations:
+    """Observations (P, V) of radiance (P, V, 3) as 8-bit photographs hold it."""
+    shown = curve_from_name(family).display_from_linear(torch.from_numpy(linear.astype(np.float32)))
+    display = np.rint(255 * shown.clamp(0, 1).numpy()).astype(np.uint8)
+    return Observations(
+        display=display,
+        weight=weight.astype(np.float32),
+        clipped=display == 255,
+        positions=np.zeros((linear.shape[1], 3), np.float32),
+        views=tuple(f"view{number}" for number in range(linear.shape[1])),
+    )
+
+
+@pytest.fixture
+def glossy(rng):
+    """A plain with a sheen under a dome of cameras, and matte things of all orientations on it.
+
+    Three quarters of the points lie on the plain; its sheen is a function of the camera's height.
+    """
+    cameras = fibonacci_sphere(2 * VIEWS).numpy()
+    cameras = cameras[cameras[:, 2] > 0]
+    normals = fibonacci_sphere(2 * POINTS).numpy()
+    normals = normals[normals[:, 2] > 0][rng.permutation(POINTS)]
+    on_plain = rng.random(POINTS) < 0.75
+    normals[on_plain] = [0, 0, 1]
+    weight = (normals @ cameras.T).clip(0)
+    albedo = rng.uniform(0.1, 0.5, (POINTS, 3))
+    sheen = 1 + 0.6 * on_plain[:, None] * (1 - cameras[:, 2]) ** 2
+    noise = np.exp(0.02 * rng.standard_normal((POINTS, VIEWS)))
+    linear = albedo[:, None] * (sheen * noise)[..., None]
+    return linear, weight, normals.astype(np.float32)
+
+
+def jitter(rng, steps: float, hue: float) -> np.ndarray:
+    """Log gains (V, 3) of mean 0."""
+    gains = steps * rng.standard_normal((VIEWS, 1)) + hue * rng.standard_normal((VIEWS, 3))
+    return np.log(2) * (gains - gains.mean(0))
+
+
+@pytest.mark.parametrize("family", ["standard", "filmic", "agx"])
+def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
+    linear, weight, normals = glossy
+    true = jitter(rng, 0.3, 0.08)
+    seen = photographed(linear * np.exp(true), family, weight)
+    assert are_uneven(seen, normals)
+    gains, explained = solve_gains(*logarithms(seen, curve_from_name(family), normals))
+    assert explained > 0.6
+    # of 0.3 steps, hundredths are left; the sheen alone amounts to 0.6
+    assert np.abs(gains - true).max() / np.log(2) < 0.08
+
+
+def test_gloss_alone_is_no_exposure(glossy):
+    linear, weight, normals = glossy
+    assert not are_uneven(photographed(linear, "filmic", weight), normals)
+
+
+def test_gains_too_small_to_matter_are_not_taken(rng):
+    """Of dull points they explain all, yet sheen could feign them."""
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(jitter(rng, 0.07, 0.0))
+    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
+    _, explained = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    assert explained > 0.6
+    assert not are_uneven(seen, normals)
+
+
+def test_a_polished_thing_is_no_exposure(rng):
+    """Mirrors differ between photographs by more than exposures ever do, each point its own way."""
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    linear = np.exp(rng.standard_normal((POINTS, VIEWS, 1)) - 2) * np.ones(3)
+    linear *= np.exp(jitter(rng, 0.2, 0.0))
+    assert not are_uneven(photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals)
+
+
+def test_highlights_of_one_photograph_are_not_its_exposure(glossy, rng):
+    """A third of the points of one photograph lie in a highlight that trebles them."""
+    linear, weight, normals = glossy
+    linear[:, 8] *= np.where(rng.random((POINTS, 1)) < 0.3, 3.0, 1.0)
+    gains, _ = solve_gains(
+        *logarithms(photographed(linear, "standard", weight), curve_from_name("standard"), normals)
+    )
+    assert abs(gains[8]).max() < 0.08
+
+
+def test_a_photograph_that_shares_no_points_is_left_alone(glossy, rng):
+    linear, weight, normals = glossy
+    weight[:, 5] = 0
+    true = jitter(rng, 0.4, 0.0)
+    seen = photographed(linear * np.exp(true), "standard", weight)
+    gains, _ = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    assert gains[5] == pytest.approx(0, abs=1e-9)
+    others = np.delete(np.arange(VIEWS), 5)
+    expected = true[others] - true[others].mean(0)
+    assert np.abs(gains[others] - expected).max() < 0.05
+
+
+def test_two_photographs_of_few_points_have_a_closed_form():
+    """Of n points d apart under a prior of weight q, each gain is n d / (2 (n + q)), opposite."""
+    for count, prior in ((2, 3.0), (40, 3.0), (5, 0.1)):
+        values = np.repeat(np.linspace(-1, 1, count)[:, None, None] + [[[0.8], [0.0]]], 3, 2)
+        gains, points = _least_squares(values, np.ones((count, 2)), prior)
+        expected = 0.8 * count / (2 * (count + prior))
+        assert gains == pytest.approx(expected * np.array([[1.0] * 3, [-1.0] * 3]))
+        assert points == pytest.approx(values.mean(1))
+
+
+def test_photographs_are_compared_along_chains():
+    """Each photograph shares points with the next alone; errors do not add up to a drift."""
+    values = np.full((200, 11, 3), np.nan)
+    true = np.linspace(-1, 1, 11)
+    for point, first in enumerate(np.repeat(np.arange(10), 20)):
+        values[point, first : first + 2] = (true[first : first + 2] + 0.1 * point)[:, None]
+    weight = np.isfinite(values[..., 0]).astype(float)
+    gains, _ = _least_squares(np.nan_to_num(values), weight, 1e-9)
+    assert gains[:, 0] == pytest.approx(true, abs=1e-5)
+
+
+def test_alike_photographs_decode_to_the_very_same_values(glossy):
+    linear, weight, _ = glossy
+    seen = photographed(linear, "filmic", weight)
+    curve = curve_from_name("filmic")
+    plain = curve.linear_from_display(torch.from_numpy(seen.display.astype(np.float32) / 255))
+    assert torch.equal(linear_observations(seen, curve, Gains({})), plain)
+
+
+def test_what_one_exposure_clips_another_shows():
+    """A wall at 0.8, photographed one step over and one step under: the bound gives way."""
+    linear = np.full((1, 3, 3), 0.8) * np.array([2.0, 0.5, 0.5])[None, :, None]
+    seen = photographed(linear, "standard", np.ones((1, 3)))
+    assert seen.clipped[0, 0].all()
+    gains = Gains({"view0": np.full(3, 2.0), "view1": np.full(3, 0.5), "view2": np.full(3, 0.5)})
+    evened = linear_observations(seen, curve_from_name("standard"), gains)
+    assert evened.numpy() == pytest.approx(0.8, rel=0.01)
+    assert diffuse_radiance(seen, evened).linear.numpy() == pytest.approx(0.8, rel=0.01)
+
+
+def test_gains_are_named_and_told_in_steps():
+    gains = Gains({"a": np.array([2.0, 1.0, 0.5])})
+    assert gains.steps() == {"a": [1.0, 0.0, -1.0]}
+    assert gains.of(("b", "a")).tolist() == [[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]
