@@ -316,23 +316,23 @@ class _Reference:
     def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        chosen = np.flatnonzero(certain)[::REFERENCE_STEP]
-        self._albedo = albedo[chosen]
-        self._tree = cKDTree(_with_normals(texels.position[chosen], texels.normal[chosen]))
-
-    def _query(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
-        query = _with_normals(texels.position[rows], texels.normal[rows])
-        return self._tree.query(query, k=count, eps=0.2)[1]
+        self._points = _with_normals(texels.position, texels.normal)[certain]
+        self._albedo = albedo[certain]
+        self._thinned = cKDTree(self._points[::REFERENCE_STEP])
 
     def nearest_albedo(self, texels: Texels, rows: NDArray[np.bool_]) -> Floats:
         """Mean albedo (M, 3) of the few nearest certain texels."""
         if not rows.any():
             return np.zeros((0, 3), np.float32)
-        return self._albedo[self._query(texels, rows, 4)].mean(1)
+        query = _with_normals(texels.position[rows], texels.normal[rows])
+        index = cKDTree(self._points).query(query, k=4, eps=0.2)[1]
+        return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels."""
-        return self._albedo[self._query(texels, rows, count)]
+        query = _with_normals(texels.position[rows], texels.normal[rows])
+        index = self._thinned.query(query, k=count, eps=0.2)[1]
+        return self._albedo[::REFERENCE_STEP][index]
 
 
 def _settle_edges(
