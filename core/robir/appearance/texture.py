@@ -325,7 +325,8 @@ class _Reference:
         if not rows.any():
             return np.zeros((0, 3), np.float32)
         query = _with_normals(texels.position[rows], texels.normal[rows])
-        index = cKDTree(self._points).query(query, k=4, eps=0.2)[1]
+        # hardly any of them lies next to one that is seen: twice the least distance will do
+        index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
         return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> Floats:
