@@ -101,14 +101,17 @@ def test_a_polished_thing_is_no_exposure(rng):
     assert not are_uneven(photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals)
 
 
-def test_highlights_of_one_photograph_are_not_its_exposure(glossy, rng):
-    """A third of the points of one photograph lie in a highlight that trebles them."""
-    linear, weight, normals = glossy
+def test_highlights_of_one_photograph_are_not_its_exposure(rng):
+    """A third of the points of one photograph lie in a highlight that trebles them.
+
+    Trusting all of them would leave a gain of .08.
+    """
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    linear = rng.uniform(0.05, 0.3, (POINTS, 1, 3)) * np.ones((1, VIEWS, 1))
     linear[:, 8] *= np.where(rng.random((POINTS, 1)) < 0.3, 3.0, 1.0)
-    gains, _ = solve_gains(
-        *logarithms(photographed(linear, "standard", weight), curve_from_name("standard"), normals)
-    )
-    assert abs(gains[8]).max() < 0.08
+    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
+    gains, _ = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    assert abs(gains[8]).max() < 0.03
 
 
 def test_a_photograph_that_shares_no_points_is_left_alone(glossy, rng):
