@@ -21,6 +21,7 @@ from robir.bench.table import bench_tables
 from robir.config import resolve
 from robir.errors import ConfigError
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.paper.config import VARIANTS
 from robir.presets import PRESETS
 
 
@@ -52,7 +53,7 @@ def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") ->
 def test_every_method_is_settings_that_exist_and_differ(name, preset):
     base = PRESETS[preset]()
     changed = resolve(base, None, METHODS[name])
-    assert (changed == base) == (name in (OURS, *BORROWERS))
+    assert (changed == base) == (name in (OURS, *BORROWERS, *VARIANTS))
 
 
 def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
