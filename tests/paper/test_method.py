@@ -101,10 +101,10 @@ def test_a_sphere_goes_through_all_stages_and_the_evaluation(tmp_path, truth):
 def test_normals_are_learnt_from_a_mesh():
     sphere: Mesh = sphere_run.sphere_mesh()
     config = replace(
-        shrunken(), normals=NormalsConfig(iterations=150, smooth_after=20, points=512, width=64)
+        shrunken(), normals=NormalsConfig(iterations=200, smooth_after=20, points=256, width=128)
     )
     torch.manual_seed(0)
-    network = NormalNetwork(64, 32)
+    network = NormalNetwork(128, 32)
     fit_normals(network, sphere, config, 0)
     points = fibonacci_sphere(300)
     with torch.no_grad():

@@ -113,15 +113,16 @@ def render(
         ratio: Visibility ratios (P, K), of diffuse and specular light alike.
     """
     albedo, roughness = material
-    lobes = model.light.lobes()
-    direct = exitant_radiance(
-        _transfers(lobes, ratio, hits, roughness, model.surface.f0()), lobes.amplitude, albedo
-    )
-    lobes = indirect(hits.points, model.tone.gamma)
-    one = torch.ones(())
-    return direct + exitant_radiance(
-        _transfers(lobes, one, hits, roughness, model.surface.f0()), lobes.amplitude, albedo
-    )
+    f0 = model.surface.f0()
+    everywhere = torch.ones(())
+    total = torch.zeros_like(albedo)
+    for lobes, seen in (
+        (model.light.lobes(), ratio),
+        (indirect(hits.points, model.tone.gamma), everywhere),
+    ):
+        transfers = _transfers(lobes, seen, hits, roughness, f0)
+        total = total + exitant_radiance(transfers, lobes.amplitude, albedo)
+    return total
 
 
 def _transfers(
@@ -170,7 +171,7 @@ class Fitter:
             tone=tone,
             ratio=None,
         )
-        adam = self._adam([*model.material.parameters(), *model.lights()])
+        adam = self._adam(list(model.material.parameters()), model.lights())
         for _ in range(config.material.iterations):
             hits, visible = self._draw(config.material.pixels)
             ratio = visibility_ratio(light.lobes(), self.sky.directions, visible)
@@ -189,13 +190,13 @@ class Fitter:
             ratio=ratios if has_ratio else None,
         )
         if model.ratio is not None:
-            adam = self._adam(list(model.ratio.parameters()))
+            adam = self._adam(list(model.ratio.parameters()), [])
             for _ in range(schedule.warm_up):
                 hits, visible = self._draw(schedule.pixels)
                 given = visibility_ratio(model.light.lobes(), self.sky.directions, visible)
                 _take(adam, edge_loss(model.ratio(hits.points), given.detach()))
         learnt = [] if model.ratio is None else list(model.ratio.parameters())
-        adam = self._adam([*model.material.parameters(), *model.lights(), *learnt])
+        adam = self._adam([*model.material.parameters(), *learnt], model.lights())
         for _ in range(schedule.iterations - schedule.warm_up):
             hits, visible = self._draw(schedule.pixels)
             ratio = given = visibility_ratio(model.light.lobes(), self.sky.directions, visible)
@@ -222,8 +223,13 @@ class Fitter:
             + weights.white * whiteness_loss(model.light.lobes().amplitude)
         )
 
-    def _adam(self, parameters: list[nn.Parameter]) -> torch.optim.Adam:
-        return torch.optim.Adam(parameters, lr=self._config.learning_rate)
+    def _adam(self, networks: list[nn.Parameter], lights: list[nn.Parameter]) -> torch.optim.Adam:
+        return torch.optim.Adam(
+            [
+                {"params": networks, "lr": self._config.learning_rate},
+                {"params": lights, "lr": self._config.light_rate},
+            ]
+        )
 
     def _draw(self, count: int) -> tuple[Hits, Tensor]:
         """Random pixels of the pool and their visibility (P, D)."""

@@ -190,7 +190,9 @@ class PaperConfig:
     """All five stages.
 
     Attributes:
-        learning_rate: Of every stage after the first, constant.
+        learning_rate: Of every network after the first stage, constant.
+        light_rate: Of light, F0 and tone curve. Adam moves a number by about this a step, so the
+            product with the number of steps is how bright a lamp can become.
         light_lobes: Lobes of the environment.
         indirect_lobes: Lobes of indirect light at a point.
         code_length: Length of the auto-encoders' codes.
@@ -205,6 +207,7 @@ class PaperConfig:
     material: MaterialConfig = field(default_factory=MaterialConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     learning_rate: float = 5e-4
+    light_rate: float = 5e-4
     light_lobes: int = 128
     indirect_lobes: int = 24
     code_length: int = 32
@@ -236,10 +239,10 @@ def shrunken() -> PaperConfig:
     return replace(
         base,
         neus=NeusConfig(
-            iterations=800,
-            rays=384,
-            coarse_samples=20,
-            fine_samples=20,
+            iterations=2200,
+            rays=256,
+            coarse_samples=16,
+            fine_samples=12,
             rounds=2,
             depth=4,
             width=96,
@@ -258,9 +261,10 @@ def shrunken() -> PaperConfig:
         ),
         material=replace(base.material, iterations=700, pixels=384, width=192),
         refinement=replace(
-            base.refinement, iterations=800, warm_up=100, pixels=384, depth=3, width=128
+            base.refinement, iterations=1200, warm_up=100, pixels=384, depth=3, width=128
         ),
         learning_rate=2e-3,
+        light_rate=1e-2,
         pool=12_000,
-        ratio_directions=384,
+        ratio_directions=320,
     )

@@ -16,7 +16,7 @@ START_ENERGY = 1.6 * math.pi
 
 
 class EnvironmentLight(nn.Module):
-    """Lobes with seven free numbers each, made valid by absolute values (PhySG, RobIR).
+    """Lobes with seven free numbers each: axis, log sharpness, amplitude made positive (PhySG).
 
     The start: every direction of a Fibonacci spread twice, sharpness 10 + 20 |normal|, grey, scaled
     to a given energy.

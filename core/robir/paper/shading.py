@@ -111,10 +111,5 @@ def exitant_radiance(transfer: tuple[Tensor, Tensor], amplitude: Tensor, albedo:
         amplitude: (K, 3) or (P, K, 3), linear.
         albedo: (P, 3), linear.
     """
-    diffuse, specular = (
-        torch.einsum("pk,...kc->pc", part, amplitude)
-        if amplitude.dim() == 2
-        else torch.einsum("pk,pkc->pc", part, amplitude)
-        for part in transfer
-    )
+    diffuse, specular = (torch.matmul(part[:, None], amplitude)[:, 0] for part in transfer)
     return albedo / math.pi * diffuse + specular
