@@ -46,7 +46,10 @@ class Sky:
 
     @torch.no_grad()
     def visibility(self, network: VisibilityNetwork, hits: Hits) -> Tensor:
-        """Visibility (P, D), float16, of points; 0 below their horizon."""
+        """Visibility (P, D), float16, of points; 0 below their horizon, as RobIR has it.
+
+        Lobes across the horizon are thereby cut twice, here and by the cosine.
+        """
         rows = []
         for points, normals in zip(
             hits.points.split(_CHUNK), hits.normals.split(_CHUNK), strict=True
