@@ -224,6 +224,7 @@ def test_published_methods_share_what_their_curve_does_not_change(
         done[method] = [stage for stage in STAGES if not paths.manifest(stage).exists()]
         for stage in done[method]:
             about["seconds"][stage] = {"cpu": 7.0}
+            about["peak_memory_bytes"][stage] = 1e9
             write_json(paths.manifest(stage), {"stage": stage})
         write_json(paths.run, about)
         source = JobPaths(tmp_path / "out/runs/good_draft_ours_0")
