@@ -96,6 +96,9 @@ def test_outputs_keep_their_ranges():
     assert 0.0 < code.min() < code.max() < 1.0
     assert 0.0 <= albedo.min() <= albedo.max() <= 1.0
     assert 0.09 <= roughness.min() <= roughness.max() <= 0.99
+    for bias, end in ((50.0, 0.99), (-50.0, 0.09)):
+        nn.init.constant_(material._net._decoder[-1].bias, bias)
+        assert torch.allclose(material(points)[1], torch.full((50,), end), atol=1e-4)
     normals = NormalNetwork(16, 32)(points)
     assert torch.allclose(normals.norm(dim=1), torch.ones(50))
     lobes = IndirectNetwork(16, 24)(points, torch.tensor(0.4))
