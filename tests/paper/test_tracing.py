@@ -59,6 +59,15 @@ def test_first_hits_are_those_of_the_spheres(tracer):
     assert error.quantile(0.98) < tracer.lattice.cell
 
 
+def test_points_near_a_surface_are_drawn_onto_it(tracer):
+    near = (RADII[0] + 0.02 * torch.randn(500, 1)) * fibonacci_sphere(500)
+    near = near[near[:, 2] < 0.2]
+    drawn = tracer.onto_surface(near)
+    assert (drawn.norm(dim=1) - RADII[0]).abs().quantile(0.98) < 0.1 * tracer.lattice.cell
+    sideways = torch.linalg.cross(drawn, near).norm(dim=1) / near.norm(dim=1)
+    assert sideways.quantile(0.98) < 0.5 * tracer.lattice.cell
+
+
 def test_the_target_of_visibility_is_what_brute_force_sees(tracer):
     normals = fibonacci_sphere(80)
     normals = normals[normals[:, 2] > -0.5]

@@ -174,7 +174,8 @@ class Fitter:
             tone=tone,
             ratio=None,
         )
-        adam = self._adam(list(model.material.parameters()), model.lights())
+        adam = self._adam(list(model.material.parameters()))
+        adam.add_param_group({"params": model.lights(), "lr": config.material.light_rate})
         for _ in range(config.material.iterations):
             hits, visible = self._draw(config.material.pixels)
             ratio = visibility_ratio(light.lobes(), self.sky.directions, visible)
@@ -193,13 +194,14 @@ class Fitter:
             ratio=ratios if has_ratio else None,
         )
         if model.ratio is not None:
-            adam = self._adam(list(model.ratio.parameters()), [])
+            adam = self._adam(list(model.ratio.parameters()))
             for _ in range(schedule.warm_up):
                 hits, visible = self._draw(schedule.pixels)
                 given = visibility_ratio(model.light.lobes(), self.sky.directions, visible)
                 _take(adam, edge_loss(model.ratio(hits.points), given.detach()))
         learnt = [] if model.ratio is None else list(model.ratio.parameters())
-        adam = self._adam([*model.material.parameters(), *learnt], model.lights())
+        adam = self._adam([*model.material.parameters(), *learnt])
+        adam.add_param_group({"params": model.lights(), "lr": schedule.light_rate})
         for _ in range(schedule.iterations - schedule.warm_up):
             hits, visible = self._draw(schedule.pixels)
             ratio = given = visibility_ratio(model.light.lobes(), self.sky.directions, visible)
@@ -226,13 +228,8 @@ class Fitter:
             + weights.white * whiteness_loss(model.light.lobes().amplitude)
         )
 
-    def _adam(self, networks: list[nn.Parameter], lights: list[nn.Parameter]) -> torch.optim.Adam:
-        return torch.optim.Adam(
-            [
-                {"params": networks, "lr": self._config.learning_rate},
-                {"params": lights, "lr": self._config.light_rate},
-            ]
-        )
+    def _adam(self, networks: list[nn.Parameter]) -> torch.optim.Adam:
+        return torch.optim.Adam(networks, lr=self._config.learning_rate)
 
     def _draw(self, count: int) -> tuple[Hits, Tensor]:
         """Random pixels of the pool and their visibility (P, D)."""

@@ -133,12 +133,15 @@ class MaterialConfig:
         iterations: Steps of Adam.
         pixels: Pixels a step.
         width: Width of the material's encoder.
+        light_rate: Learning rate of light, F0 and tone curve. Adam moves a number by about this a
+            step: times the number of steps, it is how bright a lamp can become.
         weights: Of the losses.
     """
 
     iterations: int = 20_100
     pixels: int = 1024
     width: int = 512
+    light_rate: float = 5e-4
     weights: LossWeights = LossWeights(smooth=0.1, sparse=1.0, white=0.01)
 
 
@@ -152,6 +155,7 @@ class RefinementConfig:
         pixels: Pixels a step.
         depth: Hidden layers of the ratio network.
         width: Their width.
+        light_rate: As in `MaterialConfig`.
         weights: Of the losses after the warm-up.
     """
 
@@ -160,6 +164,7 @@ class RefinementConfig:
     pixels: int = 1024
     depth: int = 8
     width: int = 512
+    light_rate: float = 5e-4
     weights: LossWeights = LossWeights(smooth=0.1, sparse=1.0, edge=1.0)
 
 
@@ -191,8 +196,6 @@ class PaperConfig:
 
     Attributes:
         learning_rate: Of every network after the first stage, constant.
-        light_rate: Of light, F0 and tone curve. Adam moves a number by about this a step, so the
-            product with the number of steps is how bright a lamp can become.
         light_lobes: Lobes of the environment.
         indirect_lobes: Lobes of indirect light at a point.
         code_length: Length of the auto-encoders' codes.
@@ -207,7 +210,6 @@ class PaperConfig:
     material: MaterialConfig = field(default_factory=MaterialConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     learning_rate: float = 5e-4
-    light_rate: float = 5e-4
     light_lobes: int = 128
     indirect_lobes: int = 24
     code_length: int = 32
@@ -259,12 +261,17 @@ def shrunken() -> PaperConfig:
         visibility=VisibilityConfig(
             iterations=400, pixels=128, directions=64, width=128, indirect_width=128
         ),
-        material=replace(base.material, iterations=700, pixels=384, width=192),
+        material=replace(base.material, iterations=700, pixels=384, width=192, light_rate=1e-2),
         refinement=replace(
-            base.refinement, iterations=1200, warm_up=100, pixels=384, depth=3, width=128
+            base.refinement,
+            iterations=1200,
+            warm_up=100,
+            pixels=384,
+            depth=3,
+            width=128,
+            light_rate=4e-3,
         ),
         learning_rate=2e-3,
-        light_rate=1e-2,
         pool=12_000,
         ratio_directions=320,
     )

@@ -124,7 +124,7 @@ def run_appearance(job: Job, texture_size: int) -> None:
     fitter = Fitter(networks, pool, job.config, generator)
     model = fitter.fit(make_tone(job.variant.has_aces), job.variant.has_rve)
     folder = _folder(job, "appearance")
-    _save_arrays(folder / "textures.npz", _textures(job, model, texture_size))
+    _save_arrays(folder / "textures.npz", _textures(job, model, tracer, texture_size))
     _save_arrays(folder / "held_out.npz", _held_out(job, model, networks, fitter, tracer))
     _write_light(folder / "light.json", model)
     curve = model.tone.curve()
@@ -140,14 +140,15 @@ def run_appearance(job: Job, texture_size: int) -> None:
 
 
 @torch.no_grad()
-def _textures(job: Job, model: Model, size: int) -> dict[str, NDArray[Any]]:
+def _textures(job: Job, model: Model, tracer: FieldTracer, size: int) -> dict[str, NDArray[Any]]:
     """Material of every texel of the atlas."""
     mesh = _mesh(job)
     face, barycentric = rasterise_atlas(mesh, size)
     inside = face >= 0
     shares = barycentric[inside].astype(np.float32)
     position, _ = interpolate(mesh, face[inside], shares)
-    parts = [model.material(part) for part in torch.from_numpy(position).split(_CHUNK)]
+    surface = tracer.onto_surface(torch.from_numpy(position))
+    parts = [model.material(part) for part in surface.split(_CHUNK)]
     values = {
         "albedo_linear": torch.cat([albedo for albedo, _ in parts]).numpy(),
         "roughness": torch.cat([roughness for _, roughness in parts]).numpy(),

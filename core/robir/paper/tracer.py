@@ -22,6 +22,8 @@ _STEPS = 96
 _CAUTION = 0.8
 _NEAR = 0.1
 _CHUNK = 1 << 16
+_PROJECTIONS = 4
+_LEAST_SLOPE = 0.2
 
 
 @torch.no_grad()
@@ -58,11 +60,29 @@ class FieldTracer:
 
     def distance(self, points: Tensor) -> Tensor:
         """Distances (R,) at points (R, 3) inside the lattice."""
+        return self._about(points)[0]
+
+    def onto_surface(self, points: Tensor) -> Tensor:
+        """Points (R, 3) of the field next to points near it, by Newton's steps along its gradient.
+
+        A mesh is smoothed and decimated; networks with fast sines know only where rays end.
+        """
+        for _ in range(_PROJECTIONS):
+            value, gradient = self._about(points)
+            steepness = (gradient**2).sum(dim=1).clamp_min(_LEAST_SLOPE**2)
+            step = (-value / steepness)[:, None] * gradient
+            longest = step.norm(dim=1, keepdim=True).clamp_min(1e-9)
+            points = points + step * (self.lattice.cell / longest).clamp(max=1.0)
+        return points
+
+    def _about(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Distance and gradient at points, to first order about the nearest node."""
         node = self.lattice.nearest(points)
         _, ny, nz = self.lattice.shape
         index = torch.stack([node // (ny * nz), node // nz % ny, node % nz], dim=1)
         centre = points.new_tensor(self.lattice.lower) + self.lattice.cell * index
-        return self.values[node] + ((points - centre) * self.gradient[node]).sum(dim=1)
+        gradient = self.gradient[node]
+        return self.values[node] + ((points - centre) * gradient).sum(dim=1), gradient
 
     @torch.no_grad()
     def first_hits(self, origins: Tensor, directions: Tensor) -> Tensor:
