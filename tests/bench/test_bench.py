@@ -21,6 +21,7 @@ from robir.bench.table import bench_tables
 from robir.config import resolve
 from robir.errors import ConfigError
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.paper.config import VARIANTS
 from robir.presets import PRESETS
 
 
@@ -52,7 +53,7 @@ def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") ->
 def test_every_method_is_settings_that_exist_and_differ(name, preset):
     base = PRESETS[preset]()
     changed = resolve(base, None, METHODS[name])
-    assert (changed == base) == (name in (OURS, *BORROWERS))
+    assert (changed == base) == (name in (OURS, *BORROWERS, *VARIANTS))
 
 
 def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
@@ -103,6 +104,7 @@ def test_a_sweep_takes_captures_rendered_otherwise(tmp_path):
         ("seeds = [0]", "captures is missing"),
         ('captures = ["a"]\nmethods = ["no light"]', "'no light' is unknown; known: ours"),
         ('captures = ["a"]\nmethods = ["photo"]', "list that too"),
+        ('captures = ["a"]\nmethods = ["invrender"]', "list that too"),
         ('captures = ["a"]\npresets = ["best"]', "'best' is unknown"),
         ('captures = ["a"]\nseeds = ["0"]', "must be a whole number"),
         ('captures = ["x/a", "y/a"]', "two captures are called 'a'"),
@@ -208,6 +210,38 @@ def test_a_method_starts_from_what_it_shares_with_the_whole(tmp_path, robir, cap
     assert set(photo["seconds"]) == {"capture", "geometry", "appearance"}
     assert photo["cpu_seconds"] == 4.0 + photo["seconds"]["appearance"]["cpu"]
     assert photo["held_out"]["views"] == 3
+
+
+def test_published_methods_share_what_their_curve_does_not_change(
+    tmp_path, robir, capture, monkeypatch
+):
+    methods = ["ours", "paper", "paper without ACES", "paper without RVE", "invrender"]
+    plan = write_plan(tmp_path, f'captures = ["{capture}"]\nmethods = {json.dumps(methods)}')
+    done: dict[str, list[str]] = {}
+
+    def work(paths, config, method, schedule):
+        about = read_json(paths.run)
+        done[method] = [stage for stage in STAGES if not paths.manifest(stage).exists()]
+        for stage in done[method]:
+            about["seconds"][stage] = {"cpu": 7.0}
+            about["peak_memory_bytes"][stage] = 1e9
+            write_json(paths.manifest(stage), {"stage": stage})
+        write_json(paths.run, about)
+        source = JobPaths(tmp_path / "out/runs/good_draft_ours_0")
+        for stage in ("geometry", "appearance"):
+            shutil.copytree(source.stage(stage), paths.stage(stage), dirs_exist_ok=True)
+        return {"psnr": 20.0}
+
+    monkeypatch.setattr("robir.bench.published.reconstruct_published", work)
+    carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
+    assert done == {
+        "paper": ["geometry", "transport", "appearance", "export"],
+        "paper without ACES": ["transport", "appearance", "export"],
+        "paper without RVE": ["appearance", "export"],
+        "invrender": ["appearance", "export"],
+    }
+    record = read_scores(tmp_path / "out")["good_draft_invrender_0"]
+    assert record["cpu_seconds"] == 2.0 + 4 * 7.0
 
 
 def test_a_budget_leaves_runs_for_the_next_call(tmp_path, robir, capture, monkeypatch):

@@ -29,6 +29,7 @@ from typing import Any
 
 from robir.bench.perturb import Perturbation
 from robir.errors import ConfigError
+from robir.paper.config import VARIANTS
 from robir.presets import PRESETS
 from robir.settings import read_toml, settings_from_table
 
@@ -49,9 +50,10 @@ METHODS: dict[str, tuple[str, ...]] = {
     "no parsimony prior": ("appearance.parsimony_weight=0",),
     "one sharp lobe": ("appearance.num_sharp_lobes=1",),
     "hull geometry": ("geometry.level_cells=[64]", "geometry.level_steps=[1]"),
-    **dict.fromkeys(BORROWERS, ()),
+    **dict.fromkeys((*BORROWERS, *VARIANTS), ()),
 }
-"""Each method as settings put over the preset; those of BORROWERS have none."""
+"""Each method as settings put over the preset. Those of BORROWERS have none; neither have the
+published ones (see published.py), which share the capture alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,9 +83,9 @@ class Plan:
             unknown = sorted(set(given) - set(known))
             if unknown:
                 raise ConfigError(f"{what}: {unknown[0]!r} is unknown; known: {', '.join(known)}")
-        for method in BORROWERS:
+        for method in (*BORROWERS, *VARIANTS):
             if method in self.methods and OURS not in self.methods:
-                what = f"methods: {method!r} textures the surface of 'ours'; list that too"
+                what = f"methods: {method!r} starts from stages of 'ours'; list that too"
                 raise ConfigError(what)
 
 

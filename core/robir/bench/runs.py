@@ -17,6 +17,7 @@ from robir.bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 from robir.config import resolve
 from robir.errors import RobirError
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
+from robir.paper.config import VARIANTS, shrunken
 from robir.pipeline.usage import Usage
 from robir.presets import PRESETS
 
@@ -85,7 +86,7 @@ def _record(run: BenchRun, folder: Path) -> Record:
         if run.perturbation is not None:
             run.perturbation.make(run.capture, run.seed)
         _borrow_stages(run, folder, out)
-        held_out = _textured(run, out) if run.method in BORROWERS else _reconstructed(run, out)
+        held_out = _made(run, out)
     except RobirError as error:
         return run.facts | {"error": str(error), "exit_code": error.exit_code}
     judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
@@ -113,6 +114,13 @@ class _RunError(RobirError):
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
         self.exit_code = exit_code
+
+
+def _made(run: BenchRun, out: Path) -> Record:
+    """Bring a result about; scores of its re-rendered held-out views."""
+    if run.method in VARIANTS:
+        return _published(run, out)
+    return _textured(run, out) if run.method in BORROWERS else _reconstructed(run, out)
 
 
 def _reconstructed(run: BenchRun, out: Path) -> Record:
@@ -156,6 +164,18 @@ def _textured(run: BenchRun, out: Path) -> Record:
     return scores
 
 
+def _published(run: BenchRun, out: Path) -> Record:
+    """What is not borrowed of a published method; scores of its held-out views."""
+    from robir.bench.published import reconstruct_published
+
+    paths = JobPaths(out)
+    if not paths.manifest("capture").exists():
+        raise _RunError("the whole method left no capture to start from", 1)
+    settings = (*run.settings, f"seed={run.seed}")
+    config = resolve(PRESETS[run.preset](), None, settings)
+    return reconstruct_published(paths, config, run.method, shrunken())
+
+
 def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
     """Keep a picture for the page; a result that cannot be drawn still has its scores."""
     from robir.bench.pictures import draw_result
@@ -164,8 +184,22 @@ def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
     draw_result(JobPaths(result_folder(run, folder)), run.capture, scale, picture_file(run, folder))
 
 
+def _loans(method: str) -> dict[str, tuple[str, ...]]:
+    """Which stages a method takes from which others, if they have them."""
+    if method in BORROWERS:
+        return {OURS: (*_BORROWED, "transport")}
+    if method not in VARIANTS:
+        return {OURS: STAGES[:-1]}
+    loans: dict[str, tuple[str, ...]] = {OURS: ("capture",)}
+    for other, variant in VARIANTS.items():
+        # Indirect light is learnt under the tone curve; all before it knows none.
+        is_alike = variant.has_aces == VARIANTS[method].has_aces
+        loans[other] = ("geometry", "transport") if is_alike else ("geometry",)
+    return loans
+
+
 def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
-    """Start a method from the whole method's folder: what it shares is then done before.
+    """Start a method from folders of others: what it shares is then done before.
 
     The borrowed stages keep their seconds, so every method is charged for all it needs.
     """
@@ -174,12 +208,20 @@ def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
         return
     part = JobPaths(out.with_name(f".{out.name}"))
     shutil.rmtree(part.root, ignore_errors=True)
-    stages = (*_BORROWED, "transport") if run.method in BORROWERS else STAGES[:-1]
-    for stage in stages:
-        if whole.manifest(stage).exists():
-            shutil.copytree(whole.stage(stage), part.stage(stage))
+    about = read_json(whole.run)
+    if run.method in VARIANTS:
+        about |= {"seconds": {}, "peak_memory_bytes": {}, "warnings": []}
+    for method, stages in _loans(run.method).items():
+        lender = JobPaths(result_folder(replace(run, method=method), folder))
+        for stage in stages:
+            if lender.manifest(stage).exists() and not part.manifest(stage).exists():
+                shutil.copytree(lender.stage(stage), part.stage(stage))
+                lent = read_json(lender.run)
+                for cost in ("seconds", "peak_memory_bytes"):
+                    if stage in lent[cost]:
+                        about[cost][stage] = lent[cost][stage]
+    write_json(part.run, about)
     shutil.copy(whole.config, part.config)
-    shutil.copy(whole.run, part.run)
     part.root.replace(out)
 
 
