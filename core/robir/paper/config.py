@@ -15,11 +15,13 @@ F0                     programs: one scalar from 0.05      paper: 0.02, fixed
 white light            programs: 0.01 while PBR            paper: none
 smooth loss            programs: L1, roughness at 0.2      paper: L2
 NDF as a lobe          paper: integrates to 1              programs: twice as bright
-visibility ratio       paper: one for diffuse and specular programs: a cone for specular
+visibility ratio       paper: diffuse and specular share   programs: a cone for specular
 its estimator          exact lobe weights on directions    programs: biased samples in a cone
 indirect light         paper: 24 lobes for both parts      programs: extra head for the diffuse
 radiance of a hit      paper: the field at the hit         programs: 16 samples about it
 normals in RVE         paper: those of Norm                programs: one more network
+batches                pixels of all photographs           programs: of one photograph
+edge loss              programs: of mean residuals         paper: of signed differences
 tone scalar            sigmoid, gradient everywhere        programs: clamp, none at 0 and 1
 =====================  ==================================  =====================================
 
