@@ -11,6 +11,7 @@ from robir.appearance.exposure import (
     Gains,
     _least_squares,
     are_uneven,
+    decoded,
     logarithms,
     solve_gains,
 )
@@ -151,8 +152,10 @@ def test_alike_photographs_decode_to_the_very_same_values(glossy):
     linear, weight, _ = glossy
     seen = photographed(linear, "filmic", weight)
     curve = curve_from_name("filmic")
+    same = linear_observations(seen, curve, Gains({}))
+    assert torch.equal(same, decoded(seen, curve))
     plain = curve.linear_from_display(torch.from_numpy(seen.display.astype(np.float32) / 255))
-    assert torch.equal(linear_observations(seen, curve, Gains({})), plain)
+    torch.testing.assert_close(same, plain, rtol=1e-5, atol=0)
 
 
 def test_what_one_exposure_clips_another_shows():

@@ -187,7 +187,7 @@ class Priors:
     hue: float = 0.03
     neutral: float = 0.3
     lamp: float = 0.3
-    smooth: float = 0.05
+    smooth: float = 0.01
     shadow: float = 0.25
     parsimony: float = 0.0
     width: float = 0.15

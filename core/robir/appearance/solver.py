@@ -44,6 +44,11 @@ SKY_CHANGES = np.linspace(-0.6, 0.6, 25)
 VOTE_WIDTH = 0.12
 """Difference of log albedo within which two samples vote for being one material."""
 
+EVEN_SKY = 0.05
+"""Weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
+material into another. In the search for suns an uneven sky does no harm, and an even one leaves to
+a false sun what it cannot hold."""
+
 MIN_VOTES = 200
 """Pairs that the balance of sky and suns needs."""
 
@@ -176,7 +181,7 @@ def fit(
         problem.rows_radiance(rows),
         problem.transfer(sharp, rows),
         (problem.scene.pairs, _across_shadows(problem, axes)),
-        Priors(parsimony=parsimony),
+        Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
         iterations,
         start=start,
     )

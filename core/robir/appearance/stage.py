@@ -33,7 +33,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 7
+REVISION = 8
 
 TEXTURE_VIEWS = 48
 
