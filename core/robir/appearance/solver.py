@@ -46,8 +46,7 @@ VOTE_WIDTH = 0.12
 
 EVEN_SKY = 0.05
 """Weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
-material into another. In the search for suns an uneven sky does no harm, and an even one leaves to
-a false sun what it cannot hold."""
+material into another."""
 
 MIN_VOTES = 200
 """Pairs that the balance of sky and suns needs."""
