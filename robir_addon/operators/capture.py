@@ -162,10 +162,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture is chosen, while nothing is at work."""
-        if not context.scene.robir.capture:
-            cls.poll_message_set("Choose a capture first")
-            return False
-        return may_begin(cls, context)
+        return has_capture(cls, context) and may_begin(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Begin to look and return; what was seen appears by itself."""
@@ -237,10 +234,7 @@ class ROBIR_OT_add_box(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture is chosen."""
-        if not context.scene.robir.capture:
-            cls.poll_message_set("Choose a capture first")
-            return False
-        return True
+        return has_capture(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add it and select it alone, ready to be moved."""
@@ -293,6 +287,14 @@ def take_capture(
     except RuntimeError as fault:  # how Blender passes on what that operator reported
         operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
         return {"CANCELLED"}
+
+
+def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether a capture is chosen; says so as the operator's reason if none is."""
+    chosen = bool(context.scene.robir.capture)
+    if not chosen:
+        operator.poll_message_set("Choose a capture first")
+    return chosen
 
 
 def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -11,7 +11,7 @@ from ..engine import EngineError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
-from .capture import is_refused, may_begin
+from .capture import has_capture, is_refused, may_begin
 
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
@@ -30,13 +30,9 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """With a capture and an engine, while nothing is at work."""
-        if not may_begin(cls, context):
+        if not (may_begin(cls, context) and has_capture(cls, context)):
             return False
-        capture = absolute(context.scene.robir.capture)
-        if capture is None:
-            cls.poll_message_set("Choose a capture first")
-            return False
-        if is_refused(capture):
+        if is_refused(absolute(context.scene.robir.capture)):
             cls.poll_message_set("The capture has faults: mend what Check names and look again")
             return False
         status = engine_status(context)

@@ -115,6 +115,11 @@ def _draw_panel(
     wanted = "higher is better" if score.best == "high" else "lower is better"
     axes.set_title(wanted, fontsize=8, loc="right")
     axes.set_ylabel(f"{score.title}, distance from 1" if score.best == "one" else score.title)
+    tidy(axes)
+
+
+def tidy(axes: Axes) -> None:
+    """Faint grid, and no frame but the two axes."""
     axes.grid(visible=True, which="both", color="#e3e7eb", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
 

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from robir.bench.chart import SVG_STYLE, svg
+from robir.bench.chart import SVG_STYLE, svg, tidy
 from robir.bench.table import Record
 from robir.evaluation.tone import CODES, grey_radiance, true_curve
 from robir.maths import tone
@@ -49,7 +49,7 @@ def calibration(records: Sequence[Record]) -> str | None:
         axes.set_ylabel("share that it holds")
         axes.set_xlim(0.45, 1.0)
         axes.set_ylim(0.25, 1.0)
-        _finish(axes)
+        tidy(axes)
         axes.legend(frameon=False, loc="lower right")
         return svg(figure)
 
@@ -106,7 +106,7 @@ def _draw_curves(
     axes.set_title(f"true: {name}", fontsize=9)
     axes.set_xlabel("log2 of grey radiance")
     axes.set_ylabel("display code / 255")
-    _finish(axes)
+    tidy(axes)
     axes.legend(frameon=False, fontsize=7, loc="upper left")
 
 
@@ -114,8 +114,3 @@ def curve_label(curve: tone.AbstractToneCurve) -> str:
     """Family with its parameters."""
     numbers = ", ".join(f"{name} {value:g}" for name, value in curve.parameters.items())
     return f"{curve.name} ({numbers})" if numbers else curve.name
-
-
-def _finish(axes: Axes) -> None:
-    axes.grid(visible=True, color="#e3e7eb", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)

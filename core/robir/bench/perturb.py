@@ -213,7 +213,7 @@ def _load(source: Path, split: str) -> Photographs:
         table=table,
         pictures=tuple(pictures),
         truths=tuple(source / "truth" / split / f"{name}.exr" for name in names),
-        curve=_curve_of(scene),
+        curve=curve_of(scene),
         exposure=float(scene.get("exposure", 0.0)),
     )
 
@@ -248,8 +248,15 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _curve_of(scene: dict[str, Any]) -> tone.AbstractToneCurve:
-    """The curve that the pictures went through."""
+def curve_of(scene: dict[str, Any]) -> tone.AbstractToneCurve:
+    """The curve that the pictures of a capture with truth went through.
+
+    Args:
+        scene: Contents of the truth's scene.json.
+
+    Raises:
+        ConfigError: If it is none of ours.
+    """
     curve = true_curve(scene)
     if curve is None:
         raise ConfigError(

@@ -25,6 +25,7 @@ import torch
 from numpy.typing import NDArray
 
 from robir.bench import prb_scene
+from robir.bench.perturb import curve_of
 from robir.bench.prb_fit import WITH_SUN, Observed, PrbConfig, PrbFit
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture
@@ -35,7 +36,7 @@ from robir.geometry.mesh import Mesh
 from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 from robir.maths import spherical_gaussian as sg
-from robir.maths.tone import curve_from_name, families
+from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.pipeline.usage import peak_memory_bytes
 
@@ -127,7 +128,7 @@ def fit_and_write(paths: JobPaths, seed: int, truth: Path | None, config: PrbCon
         with replacing(folder / f"{name}.npz") as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **table)
     write_json(folder / "light.json", {"lobes": lobe_table(fit.radiance())})
-    family = {"family": told.curve.name, "parameters": {}}
+    family = {"family": told.curve.name, "parameters": told.curve.parameters}
     write_json(folder / "tone_curve.json", family)
     about = {"held_out": held_out, "peak_memory_bytes": peak_memory_bytes()}
     write_json(paths.manifest("appearance"), {"stage": "appearance", **about})
@@ -137,10 +138,9 @@ def _told(truth: Path | None, rows: int) -> Told:
     if truth is None:
         return Told(curve=curve_from_name("standard"), sun=None)
     known = load_truth(truth)
-    name = known.scene["view_transform"]
-    curve = next(curve for curve in families() if curve.blender_view_transform == name)
     irradiance = np.array(known.scene["sun_irradiance_rgb"])
-    return Told(curve=curve, sun=prb_scene.sun_texels(known.sun_direction, irradiance, rows))
+    sun = prb_scene.sun_texels(known.sun_direction, irradiance, rows)
+    return Told(curve=curve_of(known.scene), sun=sun)
 
 
 def observed_pixels(capture: Capture, fit: PrbFit) -> Observed:

@@ -69,6 +69,11 @@ class LogToneCurve(AbstractToneCurve):
         return self._half * code / (1.0 - code)
 
 
+def aces(light: Tensor) -> Tensor:
+    """The rational fit F(e) of ACES that RobIR takes (Narkowicz), light e >= 0."""
+    return light * (2.51 * light + 0.03) / (light * (2.43 * light + 0.59) + 0.14)
+
+
 class AcesToneCurve(AbstractToneCurve):
     """RobIR's scene-specific ACES fit, per channel, followed by the power 1 / 2.2.
 
@@ -117,8 +122,7 @@ class AcesToneCurve(AbstractToneCurve):
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""
-        e = rgb_linear.clamp_min(0.0)
-        mapped = e * (2.51 * e + 0.03) / (e * (2.43 * e + 0.59) + 0.14)
+        mapped = aces(rgb_linear.clamp_min(0.0))
         light = mapped * self._stretch(rgb_linear) ** -1.0
         # The floor keeps the gradient of the power finite at black; it is 0.003 of an 8-bit code.
         return light.clamp(1e-11, 1.0).pow(1.0 / 2.2)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from robir.maths.tone import AbstractToneCurve, AcesToneCurve, StandardToneCurve, linear_from_srgb
+from robir.maths.tone_formula import aces
 
 # Adam's rate is that of the other parameters; the programs widen this one's steps tenfold.
 _STRIDE = 10.0
@@ -65,9 +66,7 @@ class AcesTone(AbstractTone):
 
     def shown(self, radiance: Tensor) -> Tensor:
         """See AbstractTone; AcesToneCurve is this, cut at white and encoded."""
-        e = radiance
-        mapped = e * (2.51 * e + 0.03) / (e * (2.43 * e + 0.59) + 0.14)
-        return mapped * self.gamma**-0.2
+        return aces(radiance) * self.gamma**-0.2
 
     @property
     def gamma(self) -> Tensor:
