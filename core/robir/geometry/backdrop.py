@@ -26,7 +26,7 @@ from scipy.ndimage import (
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
-from robir.geometry.consistency import foot_colours, hidden_feet
+from robir.geometry.consistency import colours_at, hidden
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
@@ -205,12 +205,13 @@ class Backdrop:
         self._rays = [PixelRays(ground.columns, photo) for photo in photos]
         columns = ground.columns
         bare, shape = ground.start, columns.shape
-        colours = foot_colours(columns, np.arange(len(columns.feet)), photos)
+        spots = np.column_stack([columns.feet, np.zeros(len(columns.feet))])
+        colours = colours_at(columns, spots, photos)
         certain = np.flatnonzero(bare)
         blocks = np.where(bare | ~np.isfinite(ground.tops), -1.0, ground.tops)
         plain = np.full_like(colours, np.nan)
         for number, photo in enumerate(photos):
-            free = certain[~hidden_feet(columns, blocks, certain, photo)]
+            free = certain[~hidden(columns, blocks, spots[certain], photo)]
             plain[number, free] = colours[number, free]
         known = np.isfinite(plain[..., 0])
         picture = common_colour(colours, ground_palette(plain[known]))

@@ -18,6 +18,10 @@ LEAST_VIEWS = 4
 AGREEMENT = 0.06
 """Mean deviation from the median colour, display units, that still counts as the same colour."""
 
+LEAD = 0.01
+"""By how much less the photographs must differ about a surface than about the foot below it for
+the surface to be believed, display units: a plate's rim is, what is left before bare ground not."""
+
 STANDING = 0.13
 """Columns at least this high, unit frame, are objects whatever their foot would look like."""
 
@@ -29,7 +33,7 @@ def feet_agree(
 
     The foot of bare ground shows one colour to all cameras that see it. Where something stands,
     even something low, its outline appears shifted at the height of the plane, and the
-    photographs disagree all along that outline.
+    photographs disagree all along that outline, more than they do about the surface itself.
 
     Args:
         columns: Columns over the support plane.
@@ -40,36 +44,58 @@ def feet_agree(
     Returns:
         The columns' shape; False where not wanted.
     """
-    chosen = np.flatnonzero(wanted)
-    blocks = np.where(tops >= STANDING, tops, -1.0)
-    colours = foot_colours(columns, chosen, photos)
-    for number, photo in enumerate(photos):
-        colours[number, hidden_feet(columns, blocks, chosen, photo)] = np.nan
-    known = np.isfinite(colours[..., 0]).sum(axis=0)
-    judged = known >= LEAST_VIEWS
-    found = colours[:, judged]
-    deviation = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
-    agree = np.zeros(wanted.size, bool)
-    agree[chosen[judged]] = deviation < AGREEMENT
-    return agree.reshape(wanted.shape)
+    foot = deviations(columns, wanted, np.zeros_like(tops), tops, photos)
+    surface = deviations(columns, wanted & np.isfinite(tops), tops, tops, photos)
+    with np.errstate(invalid="ignore"):
+        return (foot < AGREEMENT) & ~(foot > surface + LEAD)
 
 
-def foot_colours(
-    columns: Columns, chosen: NDArray[np.int64], photos: list[Photo]
-) -> NDArray[np.float32]:
-    """Display colours at the feet of columns, as if nothing stood before them.
+def deviations(
+    columns: Columns,
+    wanted: NDArray[np.bool_],
+    heights: Array,
+    tops: Array,
+    photos: list[Photo],
+) -> Array:
+    """How much the photographs differ on the colour of spots over columns.
 
     Args:
         columns: Columns over the support plane.
-        chosen: (K,) flat indices of columns.
+        wanted: Columns to judge, the columns' shape.
+        heights: Height of each column's spot above the plane, finite where wanted.
+        tops: Height of the present surface over each column; what stands hides spots.
+        photos: Photographs.
+
+    Returns:
+        Mean difference from the median display colour, the columns' shape; NaN where not wanted or
+        where too few photographs show the spot.
+    """
+    chosen = np.flatnonzero(wanted)
+    spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])
+    blocks = np.where(tops >= STANDING, tops, -1.0)
+    colours = colours_at(columns, spots, photos)
+    for number, photo in enumerate(photos):
+        colours[number, hidden(columns, blocks, spots, photo)] = np.nan
+    judged = np.isfinite(colours[..., 0]).sum(axis=0) >= LEAST_VIEWS
+    found = colours[:, judged]
+    result = np.full(wanted.size, np.nan)
+    result[chosen[judged]] = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
+    return result.reshape(wanted.shape)
+
+
+def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[np.float32]:
+    """Display colours at spots near the plane, as if nothing stood before them.
+
+    Args:
+        columns: Columns over the support plane.
+        spots: (K, 3) in the plane's frame.
         photos: V photographs.
 
     Returns:
-        (V, K, 3), NaN where a photograph does not hold the foot.
+        (V, K, 3), NaN where a photograph does not hold the spot.
     """
-    feet = np.concatenate([columns.feet[chosen], np.zeros((len(chosen), 1))], axis=1)
-    points = columns.plane.world(feet)
-    colours = np.full((len(photos), len(chosen), 3), np.nan, np.float32)
+    points = columns.plane.world(spots)
+    colours = np.full((len(photos), len(spots), 3), np.nan, np.float32)
     for number, photo in enumerate(photos):
         image, depth = photo.camera.project(points)
         at = image[:, ::-1].T - 0.5
@@ -83,30 +109,28 @@ def foot_colours(
     return colours
 
 
-def hidden_feet(
-    columns: Columns, blocks: Array, chosen: NDArray[np.int64], photo: Photo
-) -> NDArray[np.bool_]:
-    """Whether the lines from feet to a camera pass below the height field of what stands.
+def hidden(columns: Columns, blocks: Array, spots: Array, photo: Photo) -> NDArray[np.bool_]:
+    """Whether the lines from spots to a camera pass below the height field of what stands.
 
     Args:
         columns: Columns over the support plane.
         blocks: Heights of what stands, the columns' shape; negative where nothing does.
-        chosen: (K,) flat indices of columns.
+        spots: (K, 3) in the plane's frame, none higher than what stands.
         photo: Photograph.
 
     Returns:
         (K,).
     """
     eye = columns.plane.local(photo.camera.position)
-    feet = columns.feet[chosen]
     highest = blocks.max()
-    hidden = np.zeros(len(feet), bool)
+    below = np.zeros(len(spots), bool)
     if highest <= 0:
-        return hidden
-    across = eye[:2] - feet
-    rise = highest / eye[2]
-    for share in np.linspace(0.0, rise, 40):
-        spot = (feet + share * across - columns.low) / columns.spacing
-        height = map_coordinates(blocks, spot.T, order=0, mode="constant", cval=-1.0)
-        hidden |= height > share * eye[2]
-    return hidden
+        return below
+    across = eye - spots
+    rise = (highest - spots[:, 2]) / across[:, 2]
+    for share in np.linspace(0.0, 1.0, 40):
+        at = spots + (share * rise)[:, None] * across
+        column = (at[:, :2] - columns.low) / columns.spacing
+        height = map_coordinates(blocks, column.T, order=0, mode="constant", cval=-1.0)
+        below |= height > at[:, 2]
+    return below

@@ -123,6 +123,8 @@ class Ground:
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the plane over ground columns, and fill pits below it.
 
+        What hangs over them higher than columns are searched stays.
+
         Args:
             lattice: Nodes.
             sdf: (N,) signed distances.
@@ -137,7 +139,8 @@ class Ground:
         reach = columns.sample(aside * columns.spacing, points)
         height = columns.plane.local(points)[:, 2]
         before = sdf.detach().cpu().numpy()
-        cut = np.maximum(before, np.minimum(height, reach))
+        searched = np.minimum(height, HIGHEST - height)
+        cut = np.maximum(before, np.minimum(searched, reach))
         # pits are filled, but the rim itself is left to the masks
         inner = columns.spacing * 2.0 - reach
         slab = np.maximum(np.maximum(height, inner), -height - 1.5 * lattice.cell)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands on the ground, or hangs over it, is not taken for ground."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import trimesh
+
+from robir.geometry.ground import HIGHEST, Ground
+from robir.geometry.hull import carve
+from robir.geometry.plane import detect
+from robir.geometry.rays import reduce_view
+from robir.geometry.stage import hull_of
+from tests.geometry.scenes import capture_of, disc
+
+TOP = -0.3
+"""Height of the ground's surface."""
+
+RIM = (0.4, 0.6)
+"""Inner and outer radius of a plate's rim that overhangs the ground."""
+
+
+def pale(points: np.ndarray) -> np.ndarray:
+    """Ground and things, pale and without texture."""
+    return np.where(points[:, 2:] > TOP + 0.01, [205.0, 205.0, 205.0], [160.0, 165.0, 170.0])
+
+
+def cylinder(radius: float, low: float, high: float) -> trimesh.Trimesh:
+    """An upright cylinder, heights above the ground."""
+    part = trimesh.creation.cylinder(radius, high - low, sections=64)
+    part.apply_translation([0.0, 0.0, TOP + 0.5 * (low + high)])
+    return part
+
+
+def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The true surface of a solid on the ground, flattened by what the photographs show.
+
+    Returns:
+        Nodes (N, 3) with heights above the ground, values before and values after, (N,).
+    """
+    scene = trimesh.util.concatenate([disc(), solid])
+    capture = capture_of(scene, views=32, side=128, low=0.12, paint=pale)
+    photos = [reduce_view(view, 128) for view in capture.views]
+    lattice, hull = carve(hull_of(photos, 48), 64)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    assert plane is not None
+    ground = Ground(plane, photos, lattice, hull)
+    nodes = lattice.nodes().double().numpy()
+    inside = solid.contains(nodes) | (np.hypot(*nodes.T[:2]) < 0.9) & (nodes[:, 2] < TOP)
+    before = torch.from_numpy(np.where(inside, -1.0, 1.0) * lattice.cell).float()
+    after = ground.flatten(lattice, before, ground.settled(lattice, before))
+    return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
+
+
+def test_what_hangs_higher_than_columns_are_searched_stays() -> None:
+    mast = cylinder(0.1, 0.0, HIGHEST + 0.2)
+    arms = trimesh.creation.box(extents=(1.0, 0.2, 0.12))
+    arms.apply_translation([0.0, 0.0, TOP + HIGHEST + 0.14])
+    nodes, before, after = flattened(trimesh.util.concatenate([mast, arms]))
+    hanging = (before < 0) & (nodes[:, 2] > HIGHEST)
+    assert hanging.sum() > 500
+    assert (after[hanging] < 0).all()
+
+
+def test_a_low_plate_of_about_the_colour_of_the_ground_stays() -> None:
+    plate = trimesh.util.concatenate([cylinder(RIM[0], 0.0, 0.05), cylinder(RIM[1], 0.04, 0.1)])
+    nodes, before, after = flattened(plate)
+    radius = np.hypot(nodes[:, 0], nodes[:, 1])
+    rim = (before < 0) & (radius > RIM[0]) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)
+    assert rim.sum() > 200
+    assert (after[rim] < 0).mean() > 0.95
