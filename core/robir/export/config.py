@@ -14,7 +14,7 @@ class ExportConfig:
 
     Attributes:
         renders: Whether Blender is asked for `scene.blend`, re-renders and a relit picture.
-        render_views: Most held-out views that are rendered again in Cycles.
+        render_views: Most held-out views that are rendered again in Cycles, far from each other.
         render_samples: Cycles samples a pixel.
         render_max_side: Longer side of the rendered pictures, pixels.
     """

@@ -24,8 +24,9 @@ from robir.export.tone import export_tone_curve
 from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.transport.observe import spread_views
 
-REVISION = 4
+REVISION = 5
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -110,7 +111,8 @@ def _render(
     _remove_old_renders(paths)
     if not config.renders:
         return Rendering(missing=("Blender was not asked for (export.renders = false)",))
-    views = [v.name for v in (capture.held_out or capture.train)[: config.render_views]]
+    chosen = spread_views(capture.held_out or capture.train, config.render_views)
+    views = [view.name for view in chosen]
     quality = ["--samples", str(config.render_samples), "--max-side", str(config.render_max_side)]
     out = str(paths.root)
     environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", ",".join(views)]
