@@ -9,7 +9,8 @@ import numpy as np
 
 from .lut import ToneTable
 
-FRAMES_PER_SECOND = 24
+FRAMES_PER_SECOND = 12
+"""A light that goes round in 48 frames then takes four seconds: shadows can be followed."""
 
 
 def prepare_scene(scene: bpy.types.Scene) -> None:
@@ -95,12 +96,13 @@ def _develop(raw: Path, path: Path, table: ToneTable) -> None:
 
 
 def write_film(frames: list[Path], path: Path) -> None:
-    """Join PNG frames to an H.264 film with Blender's own ffmpeg.
+    """Join PNG frames to an H.264 film with Blender's own ffmpeg; the file appears whole.
 
     Args:
         frames: Pictures of one size, in order; transparent parts become black.
         path: .mp4 to write.
     """
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     scene = bpy.data.scenes.new("film")
     try:
         scene.view_settings.view_transform = "Standard"  # the frames are display-referred already
@@ -122,8 +124,10 @@ def write_film(frames: list[Path], path: Path) -> None:
         scene.render.ffmpeg.format = "MPEG4"
         scene.render.ffmpeg.codec = "H264"
         scene.render.ffmpeg.constant_rate_factor = "HIGH"
-        scene.render.filepath = str(path)
+        scene.render.filepath = str(temporary)
         scene.render.use_file_extension = False
         bpy.ops.render.render(animation=True, scene=scene.name)
+        temporary.replace(path)
     finally:
+        temporary.unlink(missing_ok=True)
         bpy.data.scenes.remove(scene)

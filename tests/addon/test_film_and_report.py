@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A film by a Blender of its own, the choice of what is compared, and reports that name nobody."""
+"""Films of a turning light, the choice of what is compared, and reports that name nobody."""
 
+import subprocess
+import sys
+
+import cv2
 import numpy as np
 import pytest
 from addon.blenders import run
 from addon.test_result_operators import COMMON
+from evaluation.sphere_run import CENTRE, RADIUS, SPHERE, cameras
 from PIL import Image
 
 pytestmark = pytest.mark.blender
@@ -43,6 +48,51 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     said, shown = answer["nobody"]
     assert "no view is named 'nobody'" in said
     assert shown == "no view is named 'nobody'"
+
+
+def frames_of(film):
+    """All frames (T, H, W) of a film, 0 to 1, mean over channels; and how many a second has."""
+    reader = cv2.VideoCapture(str(film))
+    frames = []
+    while (got := reader.read())[0]:
+        frames.append(got[1].mean(2) / 255)
+    return np.array(frames), reader.get(cv2.CAP_PROP_FPS)
+
+
+@pytest.mark.slow
+def test_in_a_film_the_shadow_goes_round(result, tmp_path):
+    """The sphere on a table; where a low sun throws its shadow is known."""
+    import bpy
+
+    from robir.export.textures import write_exr
+
+    def headless(*arguments):
+        command = [sys.executable, "-m", "robir_addon.headless", *map(str, arguments)]
+        subprocess.run(command, check=True, capture_output=True)
+
+    headless("scene", result.root)
+    bpy.ops.wm.open_mainfile(filepath=str(result.scene))
+    contact = CENTRE - [0, 0, RADIUS * SPHERE]
+    bpy.ops.mesh.primitive_plane_add(size=20, location=contact)
+    bpy.ops.wm.save_as_mainfile(filepath=str(result.scene))
+    sky = np.full((32, 64, 3), 0.1, np.float32)
+    sky[8, 15:17] = 60.0  # about +Y, 42 degrees high
+    write_exr(tmp_path / "low.exr", sky)
+    words = ["--environment", tmp_path / "low.exr", "--views", "held_out_001", "--samples", 8]
+    headless("relight", result.root, *words, "--turntable", 2)
+    frames, rate = frames_of(result.renders / "turntable_low_held_out_001.mp4")
+    assert frames.shape == (2, 64, 64)
+    assert rate == 12
+    throw = RADIUS * SPHERE / np.tan(np.radians(90 - 8.5 * 180 / 32))
+    places = contact + np.array([[0, -throw, 0], [0, throw, 0]])
+    pixels = cameras(3, 0.5)[1].project(places)[0].astype(int)
+    at = np.array(
+        [[frame[y - 1 : y + 2, x - 1 : x + 2].mean() for x, y in pixels] for frame in frames]
+    )
+    # the sun stands at +Y, then at -Y; the shadow lies on the other side
+    assert at[0, 0] < 0.6 * at[0, 1]
+    assert at[1, 1] < 0.6 * at[1, 0]
+    assert 0.2 < at.max() < 0.98
 
 
 def test_what_cycles_rendered_comes_first(result, tmp_path):
