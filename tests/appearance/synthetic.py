@@ -7,16 +7,20 @@ rendering equation and put through a tone curve straight into the observations.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+import trimesh
 from transport.shapes import box, mesh_of, patch
 
 from robir.appearance.light import Amplitudes, soft_lobes
 from robir.appearance.problem import Scene, make_scene
 from robir.appearance.solver import Light
 from robir.geometry.mesh import Mesh
+from robir.geometry.surface import plain_mesh
+from robir.maths import microfacet
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import Transport
@@ -36,6 +40,21 @@ SUN = np.float32([0.48, -0.36, 0.8])
 SUN_SHARPNESS = 2000.0
 WARM, COOL = np.float32([1.0, 0.93, 0.85]), np.float32([0.8, 0.9, 1.0])
 PALETTE = np.float32([[0.55, 0.5, 0.45], [0.2, 0.3, 0.12], [0.4, 0.15, 0.12], [0.7, 0.7, 0.72]])
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a part of a ball is made of.
+
+    Attributes:
+        base: (3,) albedo, or base colour of a metal, linear Rec.709.
+        roughness: Perceptual.
+        specular: F0 of the layer above the diffuse one, 1 for a metal, 0 where there is none.
+    """
+
+    base: np.ndarray
+    roughness: float
+    specular: float = 0.04
 
 
 @dataclass(frozen=True)
@@ -116,7 +135,14 @@ def scene_of(
     stage: Stage, sun: float, sky: float, curve: AbstractToneCurve, num_rows: int = 2000
 ) -> Scene:
     """A scene lit by sun and sky, photographed from three places."""
-    radiance = exitant(stage, direct(stage, sun, sky))
+    return lit(stage, direct(stage, sun, sky), curve, num_rows)
+
+
+def lit(
+    stage: Stage, irradiance: np.ndarray, curve: AbstractToneCurve, num_rows: int = 2000
+) -> Scene:
+    """A scene under a given direct light (S, 3), photographed from three places."""
+    radiance = exitant(stage, irradiance)
     seen = observed(np.repeat(radiance[:, None], 3, 1), curve, 3 * np.eye(3))
     transport = Transport(surfels=stage.surfels, visibility=stage.visibility, observations=seen)
     rng = np.random.default_rng(1)
@@ -135,3 +161,84 @@ def true_light(sun: float, sky: float) -> Light:
         loss=0.0,
         history=(),
     )
+
+
+def sun_and_uneven_sky() -> Light:
+    """A sky brighter towards +x, and a sun."""
+    axes, _ = soft_lobes(NUM_SOFT)
+    soft = 0.12 * torch.exp(1.2 * axes[:, :1]) * torch.tensor([[0.8, 0.9, 1.0]])
+    return Light(
+        axes=np.float32([[0.6, 0.0, 0.8]]),
+        sharpness=np.float32([SUN_SHARPNESS]),
+        amplitudes=Amplitudes(soft=soft, sharp=torch.full((1, 3), 3.0)),
+        loss=0.0,
+        history=(),
+    )
+
+
+def ball(
+    parts: list[tuple[Callable[[np.ndarray], np.ndarray], Material]],
+    light: Light,
+    curve: AbstractToneCurve,
+) -> tuple[Scene, np.ndarray]:
+    """A lone ball, photographed from all around.
+
+    Args:
+        parts: Materials, each with what tells from positions (S, 3) whether it is there.
+        light: Its light.
+        curve: What the photographs went through.
+
+    Returns:
+        The scene and the radiance (S, V, 3) of every observation.
+    """
+    solid = trimesh.creation.icosphere(subdivisions=3, radius=0.8)
+    mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    surfels = sample_surfels(mesh, 700, np.random.default_rng(0))
+    directions = fibonacci_sphere(512).numpy().astype(np.float32)
+    visibility = trace_visibility(mesh, tracer, surfels, directions, 0.01)
+    positions = 3 * fibonacci_sphere(14).numpy().astype(np.float32)
+    radiance = np.zeros((len(surfels), len(positions), 3), np.float32)
+    for is_there, material in parts:
+        chosen = is_there(surfels.position)
+        radiance[chosen] = ball_radiance(surfels, material, light, positions)[chosen]
+    seen = observed(radiance, curve, positions)
+    towards = positions - surfels.position[:, None]
+    towards /= np.linalg.norm(towards, axis=2, keepdims=True)
+    cosine = np.einsum("svk,sk->sv", towards, surfels.normal)
+    seen.weight[:] = np.where(cosine > 0.2, cosine, 0)
+    transport = Transport(surfels=surfels, visibility=visibility, observations=seen)
+    return make_scene(transport, tracer, 0.01, (2000, NUM_SOFT), np.random.default_rng(0)), radiance
+
+
+def ball_radiance(
+    surfels: Surfels, material: Material, light: Light, positions: np.ndarray
+) -> np.ndarray:
+    """Radiance (S, V, 3) of an unshadowed surface; the light integrated over 2048 directions."""
+    directions = fibonacci_sphere(2048)
+    axes, sharpness = soft_lobes(NUM_SOFT)
+    sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
+    sky = sky * (4 * np.pi / len(directions))
+    # The sun is one more direction, with its irradiance for a weight.
+    directions = torch.cat([directions, torch.from_numpy(light.axes)])
+    arriving = torch.cat([sky, light.amplitudes.sharp])
+    normal, position = torch.from_numpy(surfels.normal), torch.from_numpy(surfels.position)
+    cosine = (normal @ directions.T).clamp(min=0)
+    base, rough, f0 = (
+        torch.from_numpy(material.base),
+        torch.tensor(material.roughness),
+        material.specular,
+    )
+    diffuse = base / np.pi * (cosine @ arriving)
+    radiance = []
+    for place in torch.from_numpy(positions):
+        view_dir = torch.nn.functional.normalize(place - position, dim=1)
+        lobe = microfacet.specular_brdf(
+            directions[None], view_dir[:, None], normal[:, None], rough, torch.tensor([f0])
+        )[..., 0]
+        above = (lobe * cosine) @ arriving
+        # What the specular layer reflects of even light does not reach the diffuse layer.
+        scale, bias = microfacet.environment_brdf((view_dir * normal).sum(1), rough)
+        below = (1 - f0 * scale - bias)[:, None] * diffuse
+        radiance.append({0.0: diffuse, 1.0: base * above}.get(f0, below + above))
+    return torch.stack(radiance, 1).numpy()

@@ -38,6 +38,9 @@ above the horizon is that orange."""
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
 
+EVEN_SHARPNESS = 1e-3
+"""Sharpness of a lobe that stands for an even sky alone."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transfer:
@@ -72,7 +75,9 @@ class Amplitudes:
 
 
 def soft_lobes(count: int) -> tuple[Tensor, float]:
-    """Axes (K, 3) and the common sharpness of the fixed soft lobes."""
+    """Axes (K, 3) and the common sharpness of the fixed soft lobes; one alone is an even sky."""
+    if count == 1:
+        return torch.tensor([[0.0, 0.0, 1.0]]), EVEN_SHARPNESS
     return fibonacci_sphere(count).float(), max(1.0, SOFT_SHARPNESS_PER_LOBE * count)
 
 
@@ -221,7 +226,7 @@ def solve_amplitudes(
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
     optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
     axes, _ = soft_lobes(num_soft)
-    near = (axes @ axes.T).fill_diagonal_(-1).topk(4).indices
+    near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
     loss_value = 0.0
     neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     generator = torch.Generator().manual_seed(num_sharp)

@@ -16,11 +16,12 @@ from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains, find_exposures
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
+from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.render import AtlasLookup, render_view
 from robir.appearance.solver import Light, balance, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
-from robir.appearance.tone_choice import Candidate, ToneChoice, choose_tone_curve
+from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
 from robir.capture.store import load_capture
@@ -33,7 +34,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 8
+REVISION = 9
 
 TEXTURE_VIEWS = 48
 
@@ -82,7 +83,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     candidates = tone.candidates
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
-    problem, light, gloss = _solve(candidates[0], config, context.seed)
+    sized = smallest_model(candidates[0].problem, candidates[0].light, config)
+    problem, light, gloss = solve(sized, config, context.seed)
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     inside, values = _bake(problem, light, gloss, (mesh, tracer), capture, config.texture_size)
@@ -95,6 +97,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_tone_curve(folder, tone)
     write_json(folder / "exposure.json", problem.gains.steps())
     choices = _choices(tone, light, gloss, seconds)
+    choices += sized.rows
     write_json(folder / "choices.json", [*choices, _exposure_choice(problem.gains, seconds)])
     return {
         "tone_curve": candidates[0].curve.name,
@@ -104,17 +107,23 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     }
 
 
-def _solve(
-    candidate: Candidate, config: AppearanceConfig, seed: int
-) -> tuple[Problem, Light, Gloss]:
+def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Problem, Light, Gloss]:
     """Light, then gloss, then the light once more without the highlights, and the gloss again.
 
     Under the first light a highlight too sharp for any view to show may fit best; the second light
     is nearer to the truth.
+
+    Args:
+        sized: The scene under the chosen curve, with its first light.
+        config: Sizes.
+        seed: Of sub-samples and clusters.
+
+    Returns:
+        The scene without its highlights, its light, and its gloss.
     """
-    light = balance(candidate.problem, polish(candidate.problem, candidate.light, config, seed))
-    _, diffuse = estimate_gloss(candidate.problem, light, config.num_materials, seed)
-    problem = candidate.problem.without_highlights(diffuse)
+    light = balance(sized.problem, polish(sized.problem, sized.light, config, seed))
+    _, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
+    problem = sized.problem.without_highlights(diffuse)
     refitted = fit(
         problem,
         light.axes,
@@ -124,8 +133,8 @@ def _solve(
         start=light.amplitudes,
     )
     final = replace(balance(problem, refitted), history=light.history)
-    gloss, diffuse = estimate_gloss(candidate.problem, final, config.num_materials, seed)
-    return candidate.problem.without_highlights(diffuse), final, gloss
+    gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
+    return sized.problem.without_highlights(diffuse), final, gloss
 
 
 def _bake(

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of the light model a scene needs beside its suns.
+
+Under an overcast sky the lobes that stand for the sky have nothing to tell apart, and one number a
+channel does for all of them. They are replaced by an even sky where that predicts the photographs
+within one standard error as well. Beside a sun they are kept: they also take up what the mesh's
+errors do to its light.
+
+Light that the object throws on itself is measured by the photographs and has no unknowns, so no
+error can be lowered by leaving it out; it is left out where there is none.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light import soft_transfer
+from robir.appearance.problem import Problem
+from robir.appearance.solver import Light, fit
+from robir.appearance.statistics import Pairs
+from robir.appearance.tone_choice import pair_errors
+
+BOUNCED_QUANTILE = 0.99
+LEAST_BOUNCED = 0.02
+"""Share of a sample's light that comes from the object itself; if at BOUNCED_QUANTILE of the
+samples it is lower, there is none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizedModel:
+    """A problem whose light model is no larger than it needs.
+
+    Attributes:
+        problem: The scene, its sky perhaps one lobe and its bounced light perhaps zero.
+        light: The light under it.
+        rows: What was chosen, for the report.
+    """
+
+    problem: Problem
+    light: Light
+    rows: tuple[dict[str, Any], ...]
+
+
+def smallest_model(problem: Problem, light: Light, config: AppearanceConfig) -> SizedModel:
+    """Leave out what the scene does not need.
+
+    Args:
+        problem: Scene under the chosen tone curve.
+        light: Its light with all lobes.
+        config: Sizes.
+
+    Returns:
+        The problem, its light, and one row for the report on each choice.
+    """
+    problem, bounced = _without_bounces(problem, light)
+    problem, light, sky = _with_even_sky(problem, light, config)
+    return SizedModel(problem=problem, light=light, rows=(sky, bounced))
+
+
+def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, dict[str, Any]]:
+    """Drop the light from the object itself if there is none."""
+    rows = problem.scene.rows
+    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
+    whole = light.amplitudes.irradiance(problem.transfer(sharp, rows)).mean(1)
+    shares = problem.indirect[rows].mean(1) / whole.clamp(min=1e-9)
+    share = float(shares.quantile(BOUNCED_QUANTILE))
+    kept, left_out = "one bounce, measured", "none"
+    is_kept = share >= LEAST_BOUNCED
+    if not is_kept:
+        problem = replace(problem, indirect=torch.zeros_like(problem.indirect))
+    return problem, {
+        "choice": "light from the object itself",
+        "chosen": kept if is_kept else left_out,
+        "alternatives": [left_out if is_kept else kept],
+        "held_out_error": None,
+        "cost_seconds": None,
+        "why": f"it is {float(shares.median()):.1%} of the light of the middle sample and "
+        f"{share:.1%} where there is most; it has no unknowns and is left out below "
+        f"{LEAST_BOUNCED:.0%}",
+    }
+
+
+def _with_even_sky(
+    problem: Problem, light: Light, config: AppearanceConfig
+) -> tuple[Problem, Light, dict[str, Any]]:
+    """Take one even sky for all soft lobes if the scene has no sun and shows no difference."""
+    num_soft = len(light.amplitudes.soft)
+    many, one = f"{num_soft} lobes", "even: one lobe"
+    row = {
+        "choice": "sky",
+        "chosen": many,
+        "alternatives": [one],
+        "held_out_error": None,
+        "cost_seconds": None,
+        "why": "beside a sun the lobes also take up what errors of the mesh do to its light",
+    }
+    if len(light.axes):
+        return problem, light, row
+    started = time.process_time()
+    even, steps = _even(problem), config.iterations // 2
+    simple, rich = _held_out_tables((even, problem), light, steps)
+    more, error = mean_of(simple) - mean_of(rich), difference_error(simple, rich)
+    is_even = more <= error
+    row |= {
+        "chosen": one if is_even else many,
+        "alternatives": [many if is_even else one],
+        "held_out_error": 255 * mean_of(simple if is_even else rich),
+        "cost_seconds": time.process_time() - started,
+        "why": "display error of albedo carried between neighbours of the half that was not fitted "
+        f"is {255 * more:+.2f} codes with an even sky, standard error {255 * error:.2f}; the "
+        "simplest within one standard error",
+    }
+    if is_even:
+        fitted = fit(even, light.axes, light.sharpness, steps)
+        return even, replace(fitted, history=light.history), row
+    return problem, light, row
+
+
+def _even(problem: Problem) -> Problem:
+    """The problem with one lobe for the sky."""
+    scene = problem.scene
+    normal = scene.transport.surfels.normal
+    soft = soft_transfer(scene.transport.visibility, normal, np.arange(len(normal)), 1)
+    return replace(problem, scene=replace(scene, soft=soft))
+
+
+def _held_out_tables(
+    models: tuple[Problem, Problem], light: Light, steps: int
+) -> tuple[Table, Table]:
+    """Display errors of pairs under lights fitted to the other half of the surface, by block.
+
+    Pairs count by how much the light differs between them; what the first model says of it holds
+    for both, or they would be judged by different pairs.
+    """
+    scene = models[0].scene
+    count, blocks = len(scene.pairs.first), blocks_of(scene)
+    # halves of the blocks; pairs from one half to the other belong to neither
+    first, second = np.split(np.random.default_rng(0).integers(0, 2, blocks.max() + 1)[blocks], 2)
+    values, weights = np.zeros((2, 2 * count)), np.zeros(2 * count)
+    for half in (0, 1):
+        inside, outside = (np.flatnonzero((first == k) & (second == k)) for k in (half, 1 - half))
+        both_ways = np.concatenate([inside, inside + count])
+        for index, model in enumerate(models):
+            trained = fit(_on_pairs(model, outside), light.axes, light.sharpness, steps)
+            error, weight = pair_errors(_on_pairs(model, inside), trained)
+            values[index, both_ways] = error.numpy()
+            if index == 0:
+                weights[both_ways] = weight.numpy()
+    simple, rich = (table_of(blocks, value, weights) for value in values)
+    return simple, rich
+
+
+def _on_pairs(problem: Problem, chosen: NDArray[np.int64]) -> Problem:
+    """The problem with some of its pairs."""
+    pairs, index = problem.scene.pairs, torch.from_numpy(chosen)
+    weight = pairs.weight[index]
+    part = Pairs(first=pairs.first[index], second=pairs.second[index], weight=weight / weight.sum())
+    return replace(problem, scene=replace(problem.scene, pairs=part))

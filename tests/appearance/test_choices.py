@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes for which it is known how large the model has to be: what the stage chooses for each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light import lobes_of, soft_lobes
+from robir.appearance.model_size import smallest_model
+from robir.appearance.stage import solve
+from robir.appearance.tone_choice import choose_tone_curve
+from robir.maths.tone import curve_from_name
+
+CONFIG = AppearanceConfig(
+    num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
+)
+OVERCAST = np.float32([0.9, 0.97, 1.0])
+CLAY, SLATE = np.float32([0.5, 0.3, 0.2]), np.float32([0.15, 0.3, 0.5])
+
+
+def chosen(scene):
+    """The model of a scene, its rows by name, its light, and its gloss."""
+    tone = choose_tone_curve(scene, CONFIG, 0)
+    first = tone.candidates[0]
+    sized = smallest_model(first.problem, first.light, CONFIG)
+    _, light, gloss = solve(sized, CONFIG, 0)
+    return first.curve.name, {row["choice"]: row["chosen"] for row in sized.rows}, light, gloss
+
+
+def halves(first, second):
+    return [(lambda at: at[:, 1] > 0, first), (lambda at: at[:, 1] <= 0, second)]
+
+
+def under_a_sky(weight_of_axes):
+    """Boxes under lobes of these weights, and no sun."""
+    stage, curve = synthetic.boxes_on_a_floor(), curve_from_name("filmic")
+    visibility = stage.visibility
+    axes, sharpness = soft_lobes(synthetic.NUM_SOFT)
+    lobes = np.exp(sharpness * (visibility.directions @ axes.numpy().T - 1))
+    cosine = (stage.surfels.normal @ visibility.directions.T).clip(0)
+    weight = visibility.unpacked() * cosine * (4 * np.pi / len(visibility.directions))
+    irradiance = (weight @ lobes @ weight_of_axes(axes.numpy()))[:, None] * (0.15 * OVERCAST)
+    return stage, synthetic.lit(stage, irradiance, curve)
+
+
+def test_a_flat_sky_is_one_lobe_and_no_sun():
+    _, scene = under_a_sky(lambda axes: np.ones(len(axes)))
+    _, rows, light, _ = chosen(scene)
+    assert rows["sky"] == "even: one lobe"
+    assert rows["light from the object itself"] == "one bounce, measured"
+    assert light.axes.shape == (0, 3)
+    lobes = lobes_of(light.amplitudes, light.axes, light.sharpness)
+    assert lobes.amplitude.shape == (1, 3)
+    # it shines alike from everywhere
+    directions = torch.eye(3).repeat(2, 1) * torch.tensor([1.0, 1, 1, -1, -1, -1])[:, None]
+    radiance = torch.exp(lobes.sharpness * (directions @ lobes.axis.T - 1)) @ lobes.amplitude
+    torch.testing.assert_close(radiance, lobes.amplitude.expand(6, 3), rtol=0.003, atol=0)
+
+
+def test_a_sky_brighter_on_one_side_keeps_its_lobes():
+    _, scene = under_a_sky(lambda axes: np.exp(axes[:, 0]))
+    _, rows, light, _ = chosen(scene)
+    assert rows["sky"] == f"{synthetic.NUM_SOFT} lobes"
+    assert light.axes.shape == (0, 3)
+    axes, _ = soft_lobes(synthetic.NUM_SOFT)
+    middle = axes.T @ light.amplitudes.soft.mean(1)
+    assert float(middle[0] / middle.norm()) > 0.8
+
+
+def test_an_isolated_convex_object_throws_no_light_on_itself():
+    parts = halves(synthetic.Material(CLAY, 0.6), synthetic.Material(SLATE, 0.6))
+    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
+    name, rows, light, _ = chosen(scene)
+    assert rows["light from the object itself"] == "none"
+    # its sun and its curve are known from its shading alone
+    assert name == "filmic"
+    assert float(light.axes[0] @ np.float32([0.6, 0.0, 0.8])) > np.cos(np.radians(5))
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.56])
+def test_one_material_has_one_roughness(roughness):
+    """Two paints under one varnish: what is judged at all is judged alike."""
+    parts = halves(synthetic.Material(CLAY, roughness), synthetic.Material(SLATE, roughness))
+    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
+    gloss = chosen(scene)[3]
+    judged = [row for row in gloss.table if row["roughness"] != 0.5]
+    assert sum(row["share"] for row in judged) > 0.5
+    assert not any(row["metallic"] * row["share"] for row in gloss.table)
+    for row in judged:
+        assert row["roughness"] == pytest.approx(roughness, abs=0.08)
+
+
+def test_gold_is_metal_and_nothing_else():
+    gold = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
+    parts = [(lambda at: at[:, 0] < 2, gold)]
+    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
+    gloss = chosen(scene)[3]
+    seen = (scene.transport.observations.weight > 0).sum(1) >= 2
+    assert gloss.metallic[seen].mean() > 0.95
+    red, green, blue = np.median(gloss.metal[seen], 0)
+    assert red > 1.15 * green > 1.15**2 * blue
