@@ -9,6 +9,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.gloss import LEVELS
 from robir.appearance.light import lobes_of, soft_lobes
 from robir.appearance.model_size import smallest_model
 from robir.appearance.stage import solve
@@ -92,6 +93,16 @@ def test_one_material_has_one_roughness(roughness):
     assert not any(row["metallic"] * row["share"] for row in gloss.table)
     for row in judged:
         assert row["roughness"] == pytest.approx(roughness, abs=0.08)
+
+
+def test_a_matte_object_has_no_highlights():
+    """Lambert's paint without any varnish: nothing in it is glossy."""
+    parts = halves(*(synthetic.Material(base, 0.5, specular=0.0) for base in (CLAY, SLATE)))
+    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
+    gloss = chosen(scene)[3]
+    judged = [row for row in gloss.table if row["roughness"] != 0.5]
+    assert sum(row["share"] for row in judged) > 0.3
+    assert all(row["roughness"] == max(LEVELS) and row["metallic"] == 0 for row in judged)
 
 
 def test_gold_is_metal_and_nothing_else():

@@ -54,6 +54,10 @@ FIRST_SHOWN = 2
 SHARP_LEAD = 0.9
 """Cost of a sharper level against the best of the rough ones at which it is believed."""
 
+MATTE_LEAD = 0.4
+"""Cost without any highlight against the best with one at which a material is as rough as can be:
+a highlight too sharp for any view to show fits a matte surface nearly as well as none."""
+
 MIN_HIGHLIGHTS = 100
 """Views near a sun's mirror direction that a material must have for its roughness to be judged."""
 
@@ -124,12 +128,14 @@ class _Costs:
 
     Attributes:
         highlight: (U, L) error of a dielectric in views near a sun's mirror direction.
+        plain: (U,) the same without any highlight.
         num_highlight: (U,) number of such views.
         whole: (U, 2, L) error of a dielectric and of a metal in all views.
         num_whole: (U,) number of views.
     """
 
     highlight: Tensor
+    plain: Tensor
     num_highlight: Tensor
     whole: Tensor
     num_whole: Tensor
@@ -139,6 +145,7 @@ class _Costs:
         rows = torch.from_numpy(chosen)
         return _Costs(
             self.highlight[rows].sum(0),
+            self.plain[rows].sum(),
             self.num_highlight[rows].sum(),
             self.whole[rows].sum(0),
             self.num_whole[rows].sum(),
@@ -190,7 +197,8 @@ def _costs(
             sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
             total = summed(error(base + even + sun) * near)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    return _Costs(highlight, summed(near), whole, valid.sum(1).float()), linear
+    plain = summed(error(_low_mean(linear, rays, valid)[sample]) * near)
+    return _Costs(highlight, plain, summed(near), whole, valid.sum(1).float()), linear
 
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
@@ -279,6 +287,8 @@ def _roughness(pooled: _Costs) -> float:
     """Roughness of a cluster of dielectrics from its pooled costs."""
     if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
         return MATTE
+    if pooled.plain < MATTE_LEAD * pooled.highlight.min():
+        return LEVELS[-1]
     return lowest_cost(pooled.highlight.numpy())
 
 
