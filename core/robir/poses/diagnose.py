@@ -142,36 +142,33 @@ def judge(
     return found
 
 
-def look_alikes(
-    photographs: Sequence[Prepared], first: Verdict, second: Verdict | None
-) -> list[Finding]:
+def look_alikes(photographs: Sequence[Prepared], verdict: Verdict, forgotten: int) -> list[Finding]:
     """What sides that look alike did to the model, in words.
 
     Args:
         photographs: All that were tried.
-        first: On the model made from all matches.
-        second: On the model that is used instead, or None if the first one is used.
+        verdict: On the model that is used.
+        forgotten: Pairs whose matches were left out to make it, 0 if all were used.
     """
-    if not first.broken:
+    if not verdict.broken and not forgotten:
         return []
-    names = {photograph.copy: photograph.relative for photograph in photographs}
-    left = (second or first).broken
-    if not left:
+    if not verdict.broken:
         return [
             warning(
                 "look-alike",
-                "The object looks alike from several sides, and matches of different sides "
-                f"contradicted the surest links between photographs; {len(first.suspects)} pairs "
-                "were left out, which may not be enough",
+                "The object looks alike from several sides; matches of different sides "
+                f"contradicted the surest links between photographs, and {forgotten} pairs were "
+                "left out until none did",
                 "Look at the cameras before you go on.",
             )
         ]
-    between = (f"{names[one]} and {names[two]}" for one, two in left[:MAX_FILES])
+    names = {photograph.copy: photograph.relative for photograph in photographs}
+    between = (f"{names[one]} and {names[two]}" for one, two in verdict.broken[:MAX_FILES])
     return [
         warning(
             "look-alike",
             "The object looks alike from several sides, and some photographs may have been put on "
-            f"the wrong one: {len(left)} pairs that have much in common are far apart",
+            f"the wrong one: {len(verdict.broken)} pairs that have much in common are far apart",
             "Look at the cameras before you go on. Something that is different on every side, "
             "such as a newspaper or a few things around the object, tells the sides apart.",
             *between,
