@@ -34,7 +34,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
 
     Args:
         scene: Where to.
-        facts: What `robir check --json` said of an accepted capture.
+        facts: What `robir check --json` said of a capture whose cameras it knows.
 
     Returns:
         What is left to do, a photograph a step: the small copies in front of the cameras.
@@ -44,13 +44,16 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     collection[_MARK] = True
     scene.collection.children.link(collection)
     centre, radius = facts["centre"], facts["radius"]
-    bounds = bpy.data.objects.new("Bounds of the object", None)
+    seen = "Bounds of the object" if facts["accepted"] else "Where the cameras look"
+    bounds = bpy.data.objects.new(seen, None)
     bounds.empty_display_type = "SPHERE"
     bounds.empty_display_size = radius
     bounds.location = centre
     bounds.show_in_front = True
     bounds[_MARK] = True
     collection.objects.link(bounds)
+    if facts.get("points"):
+        collection.objects.link(_sparse_points(facts["points"]))
     cameras = []
     for view in facts["cameras"]:
         camera = add_camera(view, Path(), centre)
@@ -83,8 +86,19 @@ def add_box(scene: bpy.types.Scene) -> bpy.types.Object:
 
 def clear_capture() -> None:
     """Take away all that `show_capture` made."""
-    kinds = (bpy.data.objects, bpy.data.cameras, bpy.data.images, bpy.data.collections)
+    data = bpy.data
+    kinds = (data.objects, data.cameras, data.images, data.meshes, data.collections)
     bpy.data.batch_remove([block for blocks in kinds for block in blocks if _MARK in block])
+
+
+def _sparse_points(points: list[list[float]]) -> bpy.types.Object:
+    """Points of the surroundings that were found with the cameras, by which to place the box."""
+    mesh = bpy.data.meshes.new("Sparse points")
+    mesh.from_pydata(points, [], [])
+    shown = bpy.data.objects.new("Sparse points", mesh)
+    mesh[_MARK] = shown[_MARK] = True
+    shown.hide_select = shown.hide_render = True
+    return shown
 
 
 def _hang_photographs(

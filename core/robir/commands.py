@@ -58,6 +58,7 @@ def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
     from robir.capture.check import check_capture
     from robir.capture.refusal import describe
+    from robir.capture.stands import stands_of
     from robir.capture.store import plain_view
     from robir.display import display_for
 
@@ -68,7 +69,7 @@ def check(options: Namespace) -> int:
             display.event(event, fraction, None)
 
         config = resolve(RunConfig(), None, options.assignments).capture
-        capture, findings = check_capture(options.capture, options.masks, config, show)
+        capture, findings, posed = check_capture(options.capture, options.masks, config, show)
     facts: dict[str, Any] = {"accepted": capture is not None}
     if capture is not None:
         facts |= {
@@ -84,6 +85,8 @@ def check(options: Namespace) -> int:
                 plain_view(view) | {"image": str(capture.photographs[view.name].resolve())}
                 for view in capture.views
             ]
+        elif posed is not None:
+            facts |= stands_of(posed) or {}
         print(json.dumps(facts | {"findings": [asdict(finding) for finding in findings]}))
     else:
         if capture is not None:

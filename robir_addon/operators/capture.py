@@ -69,11 +69,13 @@ class _Look:
         _show_findings(state, self._facts["findings"])
         if not self._facts["accepted"]:
             _faulty.add(self._capture)
-            viewport.clear_capture()
             first = state.findings[0]
             self.problem = f"{first.text}; {first.cure}" if first.cure else first.text
-            return
-        state.recognised = _recognised(self._facts)
+            if "cameras" not in self._facts:
+                viewport.clear_capture()
+                return
+        else:
+            state.recognised = _recognised(self._facts)
         try:
             monitor.do_in_steps(viewport.show_capture(scene, self._facts))
         except RuntimeError as fault:

@@ -95,9 +95,16 @@ def look(capture, bad, missing):
     answer["bad"] = attempt(bpy.ops.robir.choose_capture, directory=bad)
     answer["bad_findings"] = [(f.level, f.text, f.cure) for f in state().findings]
     answer["bad_recognised"] = state().recognised
+    shown = bpy.data.collections["RobIR capture"].objects
+    answer["bad_shown"] = sorted(o.name for o in shown if o.type == "CAMERA" or not o.parent)
+    attempt(bpy.ops.robir.add_box)
+    box_shown = settings().box
+    answer["bad_box"] = list(module("worker").box_of(settings()))
+    bpy.data.objects.remove(box_shown)
     answer["may_reconstruct_bad"] = bpy.ops.robir.reconstruct.poll()
     settings().capture = missing
     answer["missing"] = attempt(bpy.ops.robir.look_at_capture)
+    answer["missing_shown"] = "RobIR capture" in bpy.data.collections
     settings().capture = capture + os.sep
     answer["default_folder"] = str(module("worker").result_folder(settings()))
     answer["no_folder"] = attempt(bpy.ops.robir.choose_capture, directory=missing)

@@ -91,6 +91,10 @@ def check_look(answer, capture, shots):
 def check_faults(answer, bad, missing):
     assert refused(answer["bad"], "no masks", "Masks")
     assert answer["bad_recognised"] == "" and not answer["may_reconstruct_bad"]
+    # its cameras are there all the same, to place the box by
+    assert len(answer["bad_shown"]) == 6 + 1 and "Where the cameras look" in answer["bad_shown"]
+    np.testing.assert_allclose(answer["bad_box"][:3], AIM, atol=0.3)
+    assert not answer["missing_shown"]
     level, text, cure = answer["bad_findings"][0]
     assert level == "error" and "no masks" in text and "--" not in cure
     assert refused(answer["missing"], "does not exist")

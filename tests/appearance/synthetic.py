@@ -126,6 +126,7 @@ def observed(radiance: np.ndarray, curve: AbstractToneCurve, positions: np.ndarr
         display=display,
         weight=np.ones(display.shape[:2], np.float32),
         clipped=display == 255,
+        off_axis=np.zeros(display.shape[:2], np.uint8),
         positions=positions.astype(np.float32),
         views=tuple(map(str, range(len(positions)))),
     )

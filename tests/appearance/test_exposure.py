@@ -8,14 +8,17 @@ import pytest
 import torch
 
 from robir.appearance.exposure import (
+    Exposures,
     Gains,
     _least_squares,
     are_uneven,
+    comparable,
     decoded,
-    logarithms,
+    find_falloff,
     solve_gains,
 )
 from robir.appearance.statistics import diffuse_radiance, linear_observations
+from robir.appearance.vignetting import NO_FALLOFF
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations
@@ -28,7 +31,9 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
-def photographed(linear: np.ndarray, family: str, weight: np.ndarray) -> Observations:
+def photographed(
+    linear: np.ndarray, family: str, weight: np.ndarray, off_axis: np.ndarray | None = None
+) -> Observations:
     """Observations (P, V) of radiance (P, V, 3) as 8-bit photographs hold it."""
     shown = curve_from_name(family).display_from_linear(torch.from_numpy(linear.astype(np.float32)))
     display = np.rint(255 * shown.clamp(0, 1).numpy()).astype(np.uint8)
@@ -36,6 +41,7 @@ def photographed(linear: np.ndarray, family: str, weight: np.ndarray) -> Observa
         display=display,
         weight=weight.astype(np.float32),
         clipped=display == 255,
+        off_axis=np.zeros(weight.shape, np.uint8) if off_axis is None else off_axis,
         positions=np.zeros((linear.shape[1], 3), np.float32),
         views=tuple(f"view{number}" for number in range(linear.shape[1])),
     )
@@ -61,6 +67,12 @@ def glossy(rng):
     return linear, weight, normals.astype(np.float32)
 
 
+def gains_of(seen: Observations, family: str, normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Log gains (V, 3) under a curve, and what they explain."""
+    log, kept = comparable(seen, curve_from_name(family))
+    return solve_gains(log, normals[kept])
+
+
 def jitter(rng, steps: float, hue: float) -> np.ndarray:
     """Log gains (V, 3) of mean 0."""
     gains = steps * rng.standard_normal((VIEWS, 1)) + hue * rng.standard_normal((VIEWS, 3))
@@ -72,8 +84,8 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
     linear, weight, normals = glossy
     true = jitter(rng, 0.3, 0.08)
     seen = photographed(linear * np.exp(true), family, weight)
-    assert are_uneven(seen, normals)
-    gains, explained = solve_gains(*logarithms(seen, curve_from_name(family), normals))
+    assert are_uneven(seen, normals, NO_FALLOFF)
+    gains, explained = gains_of(seen, family, normals)
     assert explained > 0.6
     # of 0.3 steps, hundredths are left; the sheen alone amounts to 0.6
     assert np.abs(gains - true).max() / np.log(2) < 0.08
@@ -81,7 +93,7 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
 
 def test_gloss_alone_is_no_exposure(glossy):
     linear, weight, normals = glossy
-    assert not are_uneven(photographed(linear, "filmic", weight), normals)
+    assert not are_uneven(photographed(linear, "filmic", weight), normals, NO_FALLOFF)
 
 
 def test_gains_too_small_to_matter_are_not_taken(rng):
@@ -89,9 +101,9 @@ def test_gains_too_small_to_matter_are_not_taken(rng):
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(jitter(rng, 0.07, 0.0))
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    _, explained = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    _, explained = gains_of(seen, "standard", normals)
     assert explained > 0.6
-    assert not are_uneven(seen, normals)
+    assert not are_uneven(seen, normals, NO_FALLOFF)
 
 
 def test_a_polished_thing_is_no_exposure(rng):
@@ -99,7 +111,9 @@ def test_a_polished_thing_is_no_exposure(rng):
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
     linear = np.exp(rng.standard_normal((POINTS, VIEWS, 1)) - 2) * np.ones(3)
     linear *= np.exp(jitter(rng, 0.2, 0.0))
-    assert not are_uneven(photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals)
+    assert not are_uneven(
+        photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals, NO_FALLOFF
+    )
 
 
 def test_highlights_of_one_photograph_are_not_its_exposure(rng):
@@ -111,7 +125,7 @@ def test_highlights_of_one_photograph_are_not_its_exposure(rng):
     linear = rng.uniform(0.05, 0.3, (POINTS, 1, 3)) * np.ones((1, VIEWS, 1))
     linear[:, 8] *= np.where(rng.random((POINTS, 1)) < 0.3, 3.0, 1.0)
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    gains, _ = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    gains, _ = gains_of(seen, "standard", normals)
     assert abs(gains[8]).max() < 0.03
 
 
@@ -120,7 +134,7 @@ def test_a_photograph_that_shares_no_points_is_left_alone(glossy, rng):
     weight[:, 5] = 0
     true = jitter(rng, 0.4, 0.0)
     seen = photographed(linear * np.exp(true), "standard", weight)
-    gains, _ = solve_gains(*logarithms(seen, curve_from_name("standard"), normals))
+    gains, _ = gains_of(seen, "standard", normals)
     assert gains[5] == pytest.approx(0, abs=1e-9)
     others = np.delete(np.arange(VIEWS), 5)
     expected = true[others] - true[others].mean(0)
@@ -173,3 +187,57 @@ def test_gains_are_named_and_told_in_steps():
     gains = Gains({"a": np.array([2.0, 1.0, 0.5])})
     assert gains.steps() == {"a": [1.0, 0.0, -1.0]}
     assert gains.of(("b", "a")).tolist() == [[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]
+
+
+def walk(rng) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (P, V) of where things appear when the camera does not aim at their middle, and s."""
+    place = rng.uniform(-0.35, 0.35, (POINTS, 1, 2)) + rng.uniform(-0.2, 0.2, (1, VIEWS, 2))
+    codes = np.rint(255 * (place**2).sum(2)).astype(np.uint8)
+    return codes, codes / 255
+
+
+@pytest.mark.parametrize("family", ["standard", "filmic"])
+@pytest.mark.parametrize("law", ["exponential", "cos4"])
+def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family, law):
+    linear, weight, normals = glossy
+    codes, square = walk(rng)
+    dimmed = np.exp(-0.7 * square) if law == "exponential" else (1 + 0.35 * square) ** -2.0
+    true = jitter(rng, 0.3, 0.05)
+    seen = photographed(linear * dimmed[..., None] * np.exp(true), family, weight, codes)
+    falloff = find_falloff(seen, normals)
+    assert falloff.strength > 0
+    assert are_uneven(seen, normals, falloff)
+    exposures = Exposures(observations=seen, normals=normals, are_apart=True, has_falloff=True)
+    gains = exposures.gains(curve_from_name(family))
+    # steps of what is seen: s reaches 0.4
+    reach = np.quantile(square[weight > 0.5], 0.98)
+    wrong = -gains.falloff.strength * reach - np.log(dimmed[square <= reach].min())
+    assert abs(wrong) / np.log(2) < 0.03
+    found = np.array([gains.steps()[name] for name in seen.views]) * np.log(2)
+    assert np.abs(found - true).max() / np.log(2) < 0.08
+    evened = linear_observations(seen, curve_from_name(family), gains).numpy()
+    clear = (weight > 0.5) & (seen.display.min(2) > 10) & ~seen.clipped.any(2)
+    assert np.median(np.abs(np.log(evened / linear))[clear]) < 0.03
+
+
+def test_no_falloff_is_taken_where_there_is_none(glossy, rng):
+    """Nor with unlike exposures, nor of corners that are brighter."""
+    linear, weight, normals = glossy
+    codes, square = walk(rng)
+    assert not find_falloff(photographed(linear, "filmic", weight, codes), normals).strength
+    uneven = photographed(linear * np.exp(jitter(rng, 0.3, 0.05)), "standard", weight, codes)
+    assert not find_falloff(uneven, normals).strength
+    bright = photographed(linear * np.exp(0.5 * square)[..., None], "standard", weight, codes)
+    assert not find_falloff(bright, normals).strength
+
+
+def test_a_falloff_alone_leaves_the_photographs_alike(rng):
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    codes, square = walk(rng)
+    linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(-0.7 * square)[..., None]
+    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)), codes)
+    assert not are_uneven(seen, normals, find_falloff(seen, normals))
+    exposures = Exposures(observations=seen, normals=normals, are_apart=False, has_falloff=True)
+    gains = exposures.gains(curve_from_name("standard"))
+    assert gains.by_view == {}
+    assert gains.falloff.strength == pytest.approx(0.7, abs=0.02)

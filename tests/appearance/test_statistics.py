@@ -18,6 +18,7 @@ def observations(weight: np.ndarray, clipped: np.ndarray | None = None) -> Obser
         display=np.zeros(shape, np.uint8),
         weight=weight.astype(np.float32),
         clipped=np.zeros(shape, bool) if clipped is None else clipped,
+        off_axis=np.zeros(weight.shape, np.uint8),
         positions=np.zeros((weight.shape[1], 3), np.float32),
         views=tuple(map(str, range(weight.shape[1]))),
     )

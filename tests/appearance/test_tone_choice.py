@@ -59,6 +59,7 @@ def histogram(codes: list[int]) -> Observations:
         display=display,
         weight=np.ones(display.shape[:2], np.float32),
         clipped=display == 255,
+        off_axis=np.zeros(display.shape[:2], np.uint8),
         positions=np.zeros((1, 3), np.float32),
         views=("a",),
     )

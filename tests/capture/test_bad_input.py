@@ -43,7 +43,7 @@ def refused(root: Path, *words: str, masks: Path | None = None) -> str:
     with pytest.raises(CaptureError) as caught:
         read_capture(root, masks, CaptureConfig())
     assert caught.value.exit_code == 3
-    capture, findings = check_capture(root, masks, CaptureConfig())
+    capture, findings, _ = check_capture(root, masks, CaptureConfig())
     assert capture is None
     assert findings[0].level == "error"
     assert findings[0].cure
@@ -279,7 +279,7 @@ def test_masks_of_other_photographs(sparse):
     masks = [(sparse / "masks" / name).read_bytes() for name in names]
     for name, mask in zip(names, masks[3:] + masks[:3], strict=True):
         (sparse / "masks" / name).write_bytes(mask)
-    _, findings = check_capture(sparse, None, CaptureConfig())
+    _, findings, _ = check_capture(sparse, None, CaptureConfig())
     assert "masks-disagree" in {f.code for f in findings if f.level == "warning"}
 
 

@@ -242,7 +242,7 @@ def test_checks_are_part_of_reading_a_capture(tmp_path):
     views[5] = blurred(views[5], 3.0)
     shots = [Shot(v.camera, np.dstack([v.image_display, v.mask])) for v in views]
     writers.nerf_synthetic(tmp_path, shots)
-    _, findings = check_capture(tmp_path, None, CaptureConfig())
+    _, findings, _ = check_capture(tmp_path, None, CaptureConfig())
     found = {finding.code: finding for finding in findings}
     assert found["moving-light"].level == "warning"
     assert found["blurred"].files == ("r_5",)

@@ -26,7 +26,7 @@ def levels(findings) -> dict[str, str]:
 
 
 def test_scissors_neus():
-    capture, findings = check_capture(DATA / "scissors_neus", None, SMALL)
+    capture, findings, _ = check_capture(DATA / "scissors_neus", None, SMALL)
     assert "error" not in levels(findings).values()
     assert capture is not None
     assert len(capture.views) == 49
@@ -40,7 +40,7 @@ def test_scissors_neus():
 
 
 def test_milk_carton_llff_is_matted_and_ordered_by_text():
-    capture, findings = check_capture(DATA / "milk_carton_llff", None, SMALL)
+    capture, findings, _ = check_capture(DATA / "milk_carton_llff", None, SMALL)
     assert "error" not in levels(findings).values()
     assert capture is not None
     assert len(capture.views) == 43
@@ -56,7 +56,7 @@ def test_milk_carton_llff_is_matted_and_ordered_by_text():
     ("name", "posed"), [("mouse_colmap", "56 posed"), ("gum_nerfstudio", "99 posed")]
 )
 def test_captures_without_masks_are_given_some(name, posed):
-    capture, findings = check_capture(DATA / name, None, SMALL)
+    capture, findings, _ = check_capture(DATA / name, None, SMALL)
     assert capture is not None
     assert "masks were guessed" in next(f for f in findings if f.code == "guessed-masks").message
     counts = next(finding for finding in findings if finding.code == "counts")
@@ -67,7 +67,7 @@ def test_captures_without_masks_are_given_some(name, posed):
 
 def test_photographs_without_poses_are_refused_where_pycolmap_is_missing(monkeypatch):
     monkeypatch.setattr(solve, "is_available", lambda: False)
-    capture, findings = check_capture(DATA / "banana_photos", None, SMALL)
+    capture, findings, _ = check_capture(DATA / "banana_photos", None, SMALL)
     assert capture is None
     assert findings[0].code == "no-poses"
     assert "16 photographs but no camera poses" in findings[0].message

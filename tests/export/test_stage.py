@@ -193,7 +193,7 @@ def test_exposures_of_photographs_are_reported(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     names = [view.name for view in load_capture(paths.stage("capture")).views]
     steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
-    write_json(paths.stage("appearance") / "exposure.json", steps)
+    write_json(paths.stage("appearance") / "exposure.json", {"steps": steps, "corner_steps": 0.25})
     stage.run(context(paths, Recorder(), renders=False))
     exposure = read_json(paths.report_json)["exposure"]
     assert not exposure["is_even"]
@@ -201,14 +201,16 @@ def test_exposures_of_photographs_are_reported(tmp_path):
     assert exposure["views"][names[0]] == {"exposure": 0.1, "white_balance": [0.0, 0.3]}
     spread = 0.1 * np.arange(len(names)).std()
     assert exposure["spread_steps"] == pytest.approx(spread, abs=1e-3)
+    assert exposure["corner_steps"] == 0.25
     page = paths.report.read_text(encoding="utf-8")
+    assert "darkens the corners of all photographs by 0.25 steps" in page
     assert f"differ in exposure by {spread:.2f} steps" in page
     assert f'<td>{names[0]}</td><td class="n">+0.10</td>' in page
 
 
 def test_alike_photographs_are_said_to_be_alike(exported):
     exposure = read_json(exported[0].report_json)["exposure"]
-    assert exposure == {"is_even": True, "spread_steps": 0.0, "views": {}}
+    assert exposure == {"is_even": True, "spread_steps": 0.0, "corner_steps": 0.0, "views": {}}
     assert "exposed and balanced alike" in exported[0].report.read_text(encoding="utf-8")
 
 

@@ -77,7 +77,7 @@ def test_masks_of_a_capture_without_masks_are_the_silhouettes(tmp_path, shots):
 
 def test_check_tells_what_would_be_guessed_and_writes_nothing(tmp_path, shots):
     source = scene.save_nerfstudio(tmp_path / "capture", shots)
-    capture, findings = check_capture(source, None, SMALL)
+    capture, findings, _ = check_capture(source, None, SMALL)
     assert capture is not None
     assert "folder masks of the result" in _found(findings, "guessed-masks").message
     assert [path.name for path in tmp_path.iterdir()] == ["capture"]
@@ -110,10 +110,10 @@ def test_masks_of_a_distorting_lens_lie_on_the_photographs_themselves(tmp_path):
 def test_a_kept_ground_is_a_disc_about_the_object(tmp_path, shots):
     source = scene.save_nerfstudio(tmp_path / "capture", shots)
     keep = replace(SMALL, ground="keep")
-    capture, findings = check_capture(source, None, keep)
+    capture, findings, _ = check_capture(source, None, keep)
     assert capture is not None
     assert "disc of the table is kept" in _found(findings, "ground").message
-    cut, _ = check_capture(source, None, SMALL)
+    cut, *_ = check_capture(source, None, SMALL)
     assert cut is not None
     for with_ground, without in zip(capture.views, cut.views, strict=True):
         assert (with_ground.mask >= without.mask).all()

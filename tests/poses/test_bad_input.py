@@ -127,7 +127,7 @@ def test_damaged_exif_and_a_panorama_of_50_megapixels(walk: Walk, tmp_path: Path
 
 def test_without_pycolmap_the_refusal_names_the_extra(walk: Walk, monkeypatch):
     monkeypatch.setattr(solve, "is_available", lambda: False)
-    capture, findings = check_capture(walk.folder, None, CaptureConfig())
+    capture, findings, _ = check_capture(walk.folder, None, CaptureConfig())
     assert capture is None
     assert findings[0].code == "no-poses"
     assert "pip install 'robir[photos]'" in findings[0].cure

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robir.poses.consistency import forget, hold_against_links
-from robir.poses.diagnose import look_alikes
+from robir.poses import register
+from robir.poses.consistency import Verdict, forget, hold_against_links
+from robir.poses.diagnose import Links, _strangers, look_alikes
 from robir.poses.prepare import Prepared
 from robir.poses.solve import Workplace
 
@@ -18,8 +19,8 @@ pytestmark = pytest.mark.pycolmap
 
 COUNT = 12
 SIZE = {"width": 640, "height": 480}
-FALSE = 40
-"""Matches of a side with the one that looks like it, against hundreds of true ones."""
+LABEL = 250
+"""Matches of a side with the one that looks like it: more than true ones, but all on one label."""
 
 
 def ring(turned: range):
@@ -41,12 +42,13 @@ def ring(turned: range):
 
 @pytest.fixture
 def place(tmp_path: Path) -> Workplace:
-    """Neighbours match truly; 0 to 5 match 6 to 11 a little, as if they saw the same side."""
+    """Neighbours match truly; 0 to 5 match a label of 6 to 11 as if they saw the same side."""
     import pycolmap
 
     place = Workplace(tmp_path)
     truth, astray = ring(range(0)), ring(range(6, COUNT))
-    points = np.random.default_rng(0).uniform(-0.5, 0.5, (300, 3))
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 3))
+    label = np.random.default_rng(1).uniform(-0.05, 0.05, (LABEL, 3))
     with closing(pycolmap.Database.open(place.database)) as database:
         camera = truth.camera(1)
         camera.camera_id = database.write_camera(camera)
@@ -54,10 +56,10 @@ def place(tmp_path: Path) -> Workplace:
         for i in range(COUNT):
             database.write_image(pycolmap.Image(name=f"{i:02d}.png", camera_id=camera.camera_id))
             sees = [
-                np.array([model.image(i + 1).project_point(point) for point in points])
-                for model in (truth, astray)
+                np.array([model.image(i + 1).project_point(point) for point in seen])
+                for model, seen in ((truth, points), (astray, label))
             ]
-            # The second half of the points is where the misplaced model sees them.
+            # The label is where the misplaced model sees it.
             keypoints.append(np.concatenate(sees))
             database.write_keypoints(i + 1, keypoints[-1].astype(np.float32))
         for i in range(COUNT):
@@ -66,7 +68,7 @@ def place(tmp_path: Path) -> Workplace:
                 if step <= 2:
                     which = np.arange(200 - 40 * step)
                 elif (i < 6) != (j < 6) and step >= 5:
-                    which = 300 + np.arange(FALSE)
+                    which = 200 + np.arange(LABEL)
                 else:
                     continue
                 geometry = pycolmap.TwoViewGeometry()
@@ -83,25 +85,84 @@ def photographs() -> list[Prepared]:
     ]
 
 
+def apart(pair: tuple[str, str]) -> bool:
+    """Whether one of the two is among those that the misplaced model turns."""
+    one, two = (int(name[:2]) for name in pair)
+    return (one < 6) != (two < 6)
+
+
+def steps(pair: tuple[str, str]) -> int:
+    """Steps along the ring between two."""
+    one, two = (int(name[:2]) for name in pair)
+    return min(abs(one - two), COUNT - abs(one - two))
+
+
 def test_the_true_model_contradicts_no_sure_link(place: Workplace):
     verdict = hold_against_links(place, photographs(), ring(range(0)))
     assert verdict.broken == ()
     assert verdict.suspects == ()
-    assert look_alikes(photographs(), verdict, None) == []
+    assert look_alikes(photographs(), verdict, 0) == []
 
 
 def test_a_model_led_astray_is_found_out_and_its_ties_are_forgotten(place: Workplace):
     verdict = hold_against_links(place, photographs(), ring(range(6, COUNT)))
-    assert set(verdict.broken) == {("05.png", "06.png"), ("00.png", "11.png")}
-    assert verdict.suspects
-    assert all((int(a[:2]) < 6) != (int(b[:2]) < 6) for a, b in verdict.suspects)
+    assert verdict.broken
+    assert all(apart(pair) and steps(pair) <= 2 for pair in verdict.broken)
+    by_the_label = {pair for pair in verdict.suspects if steps(pair) >= 5}
+    assert len(by_the_label) == 16
+    assert all(apart(pair) for pair in by_the_label)
     forget(place, verdict.suspects)
     after = hold_against_links(place, photographs(), ring(range(6, COUNT)))
     assert after.suspects == ()
-    (warning,) = look_alikes(photographs(), after, None)
+    (warning,) = look_alikes(photographs(), after, 18)
     assert warning.level == "warning"
     assert "IMG_" in warning.files[0]
     assert "newspaper" in warning.cure
     mended = hold_against_links(place, photographs(), ring(range(0)))
-    (warning,) = look_alikes(photographs(), verdict, mended)
-    assert "may not be enough" in warning.message
+    (warning,) = look_alikes(photographs(), mended, 18)
+    assert "18 pairs were left out" in warning.message
+
+
+@pytest.mark.parametrize(
+    ("turned", "compared", "count"),
+    [(range(6, COUNT), True, 6), (range(6, COUNT), False, 0), (range(0), True, 0)],
+    ids=["sides laid on each other", "never compared", "true"],
+)
+def test_photographs_side_by_side_without_matches_are_strangers(turned, compared, count):
+    """0 to 5 and 6 to 11 have neighbours in common, but nothing with the opposite side."""
+    step = np.abs(np.subtract.outer(range(COUNT), range(COUNT)))
+    matches = np.where(np.minimum(step, COUNT - step) <= 2, 200, 0)
+    links = Links(matches, np.full((COUNT, COUNT), compared), 0.1, 0.0)
+    found = _strangers(photographs(), links, ring(turned))
+    assert [f"{count} pairs" in finding.message for finding in found] == [True] * bool(count)
+    if found:
+        assert "IMG_0.jpg and IMG_6.jpg" in found[0].files
+
+
+VERDICTS = {
+    "mended by the second": ([4, 3, 0], "third", False),
+    "never mended": ([4, 2, 3, 3, 3, 0], "second", True),
+    "right at once": ([0], "first", None),
+}
+"""Broken links of one model after the other, which one is to be used, and whether it is doubted."""
+
+
+@pytest.mark.parametrize(("broken", "used", "is_doubted"), VERDICTS.values(), ids=VERDICTS.keys())
+def test_cameras_are_placed_anew_until_no_link_is_broken(
+    monkeypatch, tmp_path: Path, broken, used, is_doubted
+):
+    """Each time without the suspects; at last the model that breaks the fewest links is used."""
+    models = iter(["first", "second", "third", "fourth", "fifth", "sixth"])
+    far, alike = (("00.png", "01.png"),), (("00.png", "05.png"),)
+    verdicts = iter(Verdict(far * number, alike * number) for number in broken)
+    forgotten: list[tuple[str, str]] = []
+    monkeypatch.setattr(register, "hold_against_links", lambda *_: next(verdicts))
+    monkeypatch.setattr(register, "forget", lambda _, pairs: forgotten.extend(pairs))
+    monkeypatch.setattr(register._Registration, "_mapped", lambda *_: [next(models)])
+    registration = register._Registration(tmp_path, tmp_path, 0, lambda *_: None)
+    (chosen,), findings = registration._models(photographs())
+    assert chosen == used
+    assert len(forgotten) == sum(broken[: register.MAX_ANEW])
+    assert ["may have been put" in finding.message for finding in findings] == (
+        [] if is_doubted is None else [is_doubted]
+    )

@@ -6,14 +6,12 @@ the same points is the photographs' doing:
 
     log linear(p, v) = point(p) + gain(v) + highlight or error,
 
-solved by robust least squares. A plane's sheen changes a whole photograph of it as a gain
-would, but each orientation by another amount: every orientation has one vote, in which its
-dull points count more than its glossy ones. The tone curve is not known by then. Whether gains are
-needed is judged under a plain one, as any curve makes the same photographs brighter; how large they
-are is solved anew under every curve that is tried.
+solved by robust least squares. The tone curve is not known by then. Whether gains are needed is
+judged under a plain one, as any curve makes the same photographs brighter; how large they are is
+solved anew under every curve that is tried.
 
 Gains are taken only where they are larger than gloss feigns them, and explain most of what the
-points differ by.
+points differ by; a falloff towards the corners by the same rule, before them.
 """
 
 from __future__ import annotations
@@ -26,6 +24,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.robust import Weighing, deviation
+from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import View
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
@@ -44,9 +44,6 @@ LEAST_SHARE = 0.5
 """Share of the points' deviations between photographs that gains must explain. Polished metal alone
 can feign gains of 0.5 steps, but those explain no more than 0.3."""
 
-PRIOR_STEPS = 0.5
-"""Standard deviation of gains before anything is seen, steps."""
-
 POINTS = 1500
 """Surface points that are compared."""
 
@@ -56,40 +53,39 @@ SIDE = 200
 FRONTAL = 0.5
 """Cosine from which a view of a point counts: flatter views show mostly sheen."""
 
-NORMAL_SHARPNESS = 10.0
-"""Of the lobe within which normals share one vote, about 25 degrees."""
-
-MATTE = 0.02
-"""Deviation between views, log radiance, of which a photograph's noise alone is capable."""
-
 DARKEST, BRIGHTEST = 10, 250
 """Codes between which a curve's slope is worth something in all three channels."""
 
 FEWEST_VIEWS, FEWEST_POINTS = 4, 50
 """Views of a point, and points in all, from which photographs can be compared."""
 
-FIRST_WIDTH, LAST_WIDTH, NARROWING = 0.4, 0.05, 0.7
-"""Deviations, log radiance, from which an observation counts little (Geman-McClure): at first, in
-the end, and by what this shrinks from round to round."""
-
-ROUNDS = 20
-
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """How much brighter than at the capture's common exposure each photograph is.
+    """How much brighter than at the capture's common exposure each photograph is, and where.
 
     Attributes:
         by_view: Factors (3,) on linear radiance by the view's name, of geometric mean 1 in every
             channel; empty where all photographs are taken to be alike.
+        falloff: Of all photographs towards their corners.
     """
 
     by_view: Mapping[str, Array]
+    falloff: Falloff = NO_FALLOFF
 
     def of(self, views: Sequence[str]) -> Tensor:
         """Factors (V, 3) float32 of some views, 1 where nothing is known."""
         rows = [self.by_view.get(view, np.ones(3)) for view in views]
         return torch.from_numpy(np.array(rows, np.float32))
+
+    def dimmed(self, factors: Tensor, off_axis: NDArray[np.uint8]) -> Tensor:
+        """Factors (..., 3) of views, where their photographs show something.
+
+        Args:
+            factors: As from `of`, of the middle of the photographs.
+            off_axis: (...) as in `Observations.off_axis`.
+        """
+        return factors * self.falloff.factor(off_axis) if self.falloff.strength else factors
 
     def steps(self) -> dict[str, list[float]]:
         """Steps (log2) per channel by the view's name."""
@@ -108,9 +104,9 @@ class Gains:
         Returns:
             (N, V, 3); the very same values where all photographs are alike.
         """
-        if not self.by_view:
+        if not self.by_view and not self.falloff.strength:
             return linear
-        evened = linear / self.of(observations.views)
+        evened = linear / self.dimmed(self.of(observations.views), observations.off_axis)
         clipped = torch.from_numpy(observations.clipped)
         hidden = clipped | torch.from_numpy(observations.weight <= 0)[..., None]
         brightest = evened.masked_fill(hidden, 0.0).amax(1, keepdim=True)
@@ -124,16 +120,29 @@ class Exposures:
     Attributes:
         observations: A few surface points in all views, the held-out ones included.
         normals: (N, 3) of the points.
+        are_apart: Whether photographs have gains of their own.
+        has_falloff: Whether they are darker towards their corners.
     """
 
     observations: Observations
     normals: Floats
+    are_apart: bool
+    has_falloff: bool
 
     def gains(self, curve: AbstractToneCurve) -> Gains:
-        """Gains of all views under a tone curve."""
-        log, _ = solve_gains(*logarithms(self.observations, curve, self.normals))
+        """Gains of all views, and their falloff, under a tone curve."""
+        log, kept = comparable(self.observations, curve)
+        normals, off_axis = self.normals[kept], self.observations.off_axis[kept]
+        falloff = NO_FALLOFF
+        if self.has_falloff:
+            falloff = solve_falloff(log, normals, off_axis).falloff
+            log = log - falloff.log(off_axis)[..., None]
+        if not self.are_apart:
+            return Gains({}, falloff)
+        rows, _ = solve_gains(log, normals)
         names = self.observations.views
-        return Gains({name: np.exp(row) for name, row in zip(names, log, strict=True)})
+        by_view = {name: np.exp(row) for name, row in zip(names, rows, strict=True)}
+        return Gains(by_view, falloff)
 
 
 def find_exposures(
@@ -157,41 +166,64 @@ def find_exposures(
     keep = np.zeros(len(surfels), bool)
     keep[chosen] = True
     points = surfels.subset(keep)
-    if not are_uneven(seen.subset(keep), points.normal):
+    falloff = find_falloff(seen.subset(keep), points.normal)
+    are_apart = are_uneven(seen.subset(keep), points.normal, falloff)
+    if not are_apart and not falloff.strength:
         return None
     small = tuple(resize_view(view, SIDE) for view in views)
     offset = transport.visibility.offset
     observations = observe(tracer, points.position, points.normal, small, offset)
-    return Exposures(observations=observations, normals=points.normal)
+    return Exposures(
+        observations=observations,
+        normals=points.normal,
+        are_apart=are_apart,
+        has_falloff=falloff.strength > 0,
+    )
 
 
-def are_uneven(observations: Observations, normals: Floats) -> bool:
-    """Whether photographs were so unlike that gains explain most of what points differ by.
+def find_falloff(observations: Observations, normals: Floats) -> Falloff:
+    """The falloff under a plain tone curve, of strength 0 where none is needed.
 
     Args:
         observations: Surface points.
         normals: (N, 3) of the points.
     """
-    log, normals = logarithms(observations, curve_from_name("standard"), normals)
+    log, kept = comparable(observations, curve_from_name("standard"))
+    if len(log) < FEWEST_POINTS:
+        return NO_FALLOFF
+    fit = solve_falloff(log, normals[kept], observations.off_axis[kept])
+    return fit.falloff if fit.is_needed else NO_FALLOFF
+
+
+def are_uneven(observations: Observations, normals: Floats, falloff: Falloff) -> bool:
+    """Whether photographs were so unlike that gains explain most of what points differ by.
+
+    Args:
+        observations: Surface points.
+        normals: (N, 3) of the points.
+        falloff: Of all photographs under a plain tone curve.
+    """
+    log, kept = comparable(observations, curve_from_name("standard"))
     if len(log) < FEWEST_POINTS:
         return False
-    gains, explained = solve_gains(log, normals)
+    if falloff.strength:
+        log = log - falloff.log(observations.off_axis[kept])[..., None]
+    gains, explained = solve_gains(log, normals[kept])
     steps = float(np.sqrt((gains**2).mean()) / np.log(2))
     return steps > LEAST_STEPS and explained > LEAST_SHARE
 
 
-def logarithms(
-    observations: Observations, curve: AbstractToneCurve, normals: Floats
-) -> tuple[Array, Floats]:
+def comparable(
+    observations: Observations, curve: AbstractToneCurve
+) -> tuple[Array, NDArray[np.bool_]]:
     """Log radiance (P, V, 3) of the points that enough views show well, NaN where they do not.
 
     Args:
         observations: N points.
         curve: Tone curve to undo.
-        normals: (N, 3) of the points.
 
     Returns:
-        Log radiance, and the normals (P, 3) of the points that are left.
+        Log radiance, and which (N,) points are left.
     """
     log = np.log(decoded(observations, curve).numpy().astype(np.float64).clip(1e-4))
     display = observations.display
@@ -199,7 +231,7 @@ def logarithms(
     poor = poor | (display < DARKEST) | (display > BRIGHTEST)
     log[poor.any(2)] = np.nan
     kept = np.isfinite(log[..., 0]).sum(1) >= FEWEST_VIEWS
-    return log[kept], normals[kept]
+    return log[kept], kept
 
 
 def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:
@@ -233,20 +265,12 @@ def solve_gains(log: Array, normals: Floats) -> tuple[Array, float]:
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log)
-    alike = np.exp(NORMAL_SHARPNESS * (normals @ normals.T - 1))
-    dull, trust, noise = np.ones(len(log)), known.astype(np.float64), FIRST_WIDTH
+    weighing = Weighing(known, normals)
     gains = np.zeros(log.shape[1:])
-    for step in range(ROUNDS):
-        weight = trust * (dull / (alike @ dull))[:, None]
-        prior = weight[known].mean() * (noise / (PRIOR_STEPS * np.log(2))) ** 2
-        gains, points = _least_squares(values, weight, prior)
-        apart = np.abs(values - gains - points[:, None]).mean(2)
-        width = max(LAST_WIDTH, FIRST_WIDTH * NARROWING**step)
-        trust = known / (1 + (apart / width) ** 2) ** 2
-        apart[~known] = np.nan
-        dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + MATTE**2)
-        noise = 1.48 * float(np.nanmedian(apart))
-    before, after = _deviation(log), _deviation(log - gains)
+    for _ in weighing.rounds():
+        gains, points = _least_squares(values, weighing.weight, weighing.prior())
+        weighing.renew(np.abs(values - gains - points[:, None]).mean(2))
+    before, after = deviation(log), deviation(log - gains)
     return gains, 1 - after / max(before, 1e-9)
 
 
@@ -267,10 +291,3 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
     system = np.diag(weight.sum(0)) - weight.T @ (weight / mass[:, None])
     gains = np.linalg.solve(system + prior * np.eye(len(system)), right)
     return gains, mean - weight @ gains / mass[:, None]
-
-
-def _deviation(log: Array) -> float:
-    """Median deviation between views of one point."""
-    by_view = np.ascontiguousarray(log.transpose(0, 2, 1))  # sorting the last axis is faster
-    middle = np.nanmedian(by_view, axis=2, keepdims=True)
-    return float(np.nanmedian(np.abs(by_view - middle)))

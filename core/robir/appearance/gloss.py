@@ -168,6 +168,7 @@ def _costs(
     clipped = torch.from_numpy(observations.clipped[rows])[sample, view]
     valid = torch.from_numpy(observations.weight[rows] > 0)
     gain = problem.gains.of(observations.views)[view]
+    gain = problem.gains.dimmed(gain, observations.off_axis[rows][sample.numpy(), view.numpy()])
 
     def error(prediction: Tensor) -> Tensor:
         shown = (problem.curve.display_from_linear(gain * prediction) - display).abs()

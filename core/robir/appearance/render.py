@@ -13,6 +13,7 @@ from robir.appearance.solver import Light
 from robir.appearance.texture import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
 from robir.geometry.mesh import Mesh
+from robir.transport.observe import off_axis_codes
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer
 
@@ -102,7 +103,10 @@ def render_view(
     filled = np.flatnonzero(count)
     sums = [np.bincount(pixel, radiance[:, channel], len(rows)) for channel in range(3)]
     mean = np.stack(sums, axis=1)[filled] / count[filled, None]
-    gain = problem.gains.of((view.name,))
+    centres = np.stack([columns[filled], rows[filled]], axis=1) + 0.5
+    gain = problem.gains.dimmed(
+        problem.gains.of((view.name,)), off_axis_codes(view.camera, centres)
+    )
     shown = problem.curve.display_from_linear(gain * torch.from_numpy(mean.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)
     image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from robir.appearance import vignetting
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains, find_exposures
@@ -34,7 +35,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 9
+REVISION = 10
 
 TEXTURE_VIEWS = 48
 
@@ -95,10 +96,10 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_textures(folder, inside, values)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
-    write_json(folder / "exposure.json", problem.gains.steps())
+    _write_exposure(folder, problem.gains)
     choices = _choices(tone, light, gloss, seconds)
-    choices += sized.rows
-    write_json(folder / "choices.json", [*choices, _exposure_choice(problem.gains, seconds)])
+    exposed = [_exposure_choice(problem.gains, seconds), _falloff_choice(problem.gains)]
+    write_json(folder / "choices.json", [*choices, *sized.rows, *exposed])
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -251,6 +252,12 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     )
 
 
+def _write_exposure(folder: Path, gains: Gains) -> None:
+    """Store how each photograph was exposed and how much darker the corners of all are."""
+    table = {"steps": gains.steps(), "corner_steps": gains.falloff.corner_steps}
+    write_json(folder / "exposure.json", table)
+
+
 def _exposure_choice(gains: Gains, seconds: dict[str, float]) -> dict[str, Any]:
     """Whether photographs were taken at their own exposures, for the report."""
     alike, apart = "one for all", "each photograph its own"
@@ -263,6 +270,23 @@ def _exposure_choice(gains: Gains, seconds: dict[str, float]) -> dict[str, Any]:
         "why": "photographs are exposed apart where that explains at least "
         f"{LEAST_SHARE:.0%} of what they differ by at the same points of the surface, and by more "
         f"than {LEAST_STEPS} steps",
+    }
+
+
+def _falloff_choice(gains: Gains) -> dict[str, Any]:
+    """Whether the lens darkens the corners, for the report."""
+    steps = gains.falloff.corner_steps
+    even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
+    return {
+        "choice": "corners of the photographs",
+        "chosen": darker if steps else even,
+        "alternatives": [even] if steps else ["darker than the middle"],
+        "held_out_error": None,
+        "cost_seconds": None,
+        "why": "corners are darker where that explains at least "
+        f"{vignetting.LEAST_SHARE:.0%} of what photographs differ by at the same points of the "
+        f"surface, and the outermost that is seen is more than {vignetting.LEAST_STEPS} steps "
+        "darker",
     }
 
 

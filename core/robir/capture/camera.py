@@ -91,6 +91,14 @@ class Camera:
         y = -self.fy * local[:, 1] / safe + self.cy
         return np.stack([x, y], axis=1), depth
 
+    def off_axis(self, pixels: Array) -> Array:
+        """Squared distances (N,) of points (N, 2), pixels, from the lens's axis.
+
+        A corner's is 1 where the axis is in the middle of the picture; more counts as 1.
+        """
+        away = pixels - [self.cx, self.cy]
+        return ((away**2).sum(1) * 4 / (self.width**2 + self.height**2)).clip(max=1.0)
+
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with another number of pixels over the same field of view."""
         sx, sy = width / self.width, height / self.height

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
+from robir.capture.frames import FrameSet
 from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import CaptureRefusedError
 from robir.capture.views import Progress, unheard
@@ -15,7 +16,7 @@ from robir.capture.views import Progress, unheard
 
 def check_capture(
     source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
-) -> tuple[Capture | None, tuple[Finding, ...]]:
+) -> tuple[Capture | None, tuple[Finding, ...], FrameSet | None]:
     """Read a capture and say what was noticed; a bad capture is no exception here.
 
     Args:
@@ -25,15 +26,16 @@ def check_capture(
         progress: Told how far reading is.
 
     Returns:
-        The capture, or None if errors are among the findings; all findings, errors first.
+        The capture, or None if errors are among the findings; all findings, errors first; of a
+        refused capture the posed photographs, if there are any.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="robir-") as folder:
             workshop = Workshop(folder=Path(folder), seed=0)
             capture = read_capture(source, masks, config, progress, workshop)
     except CaptureRefusedError as refusal:
-        return None, _sorted(refusal.findings)
-    return capture, _sorted(capture.findings)
+        return None, _sorted(refusal.findings), refusal.frames
+    return capture, _sorted(capture.findings), None
 
 
 def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:

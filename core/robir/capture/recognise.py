@@ -200,7 +200,7 @@ def read_capture(
 
     Raises:
         CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
-            hold everything that was noticed until then.
+            hold everything that was noticed until then, and its frames the poses if they are sound.
     """
     if workshop is not None and solve.is_available() and _lacks_poses(source):
         frames = register(
@@ -212,8 +212,24 @@ def read_capture(
         progress = _rest_of(progress, _REGISTERING)
     else:
         frames = read_frames(source)
+    _stop_on_errors([*frames.findings, *check_frames(frames)])
+    try:
+        return _read_posed(source, frames, masks, (config, guesses), progress)
+    except CaptureRefusedError as refusal:
+        refusal.frames = frames
+        raise
+
+
+def _read_posed(
+    source: Path,
+    frames: FrameSet,
+    masks: Path | None,
+    how: tuple[CaptureConfig, Path | None],
+    progress: Progress,
+) -> Capture:
+    """The rest of `read_capture`, once poses are known to be sound."""
+    config, _ = how
     findings = [*frames.findings, *check_frames(frames)]
-    _stop_on_errors(findings)
     findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
     if masks is None:
@@ -223,7 +239,7 @@ def read_capture(
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
     except CaptureRefusedError as refusal:
         raise CaptureRefusedError([*findings, *refusal.findings]) from None
-    loaded, about = _load_masked(frames, chosen, drawn, (config, guesses), progress)
+    loaded, about = _load_masked(frames, chosen, drawn, how, progress)
     findings += about
     if loaded.views:
         findings += check_photographs(loaded.views)

@@ -86,10 +86,12 @@ def view_path(folder: Path, name: str) -> Path:
 
 def plain_view(view: View) -> dict[str, Any]:
     """Name, split and camera of a view as plain values for JSON."""
-    camera = view.camera
+    return {"name": view.name, "split": view.split} | plain_camera(view.camera)
+
+
+def plain_camera(camera: Camera) -> dict[str, Any]:
+    """A camera as plain values for JSON."""
     return {
-        "name": view.name,
-        "split": view.split,
         "width": camera.width,
         "height": camera.height,
         "fx": camera.fx,

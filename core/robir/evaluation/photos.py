@@ -49,19 +49,23 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
     }
 
 
-def exposed(picture: Picture, steps: Sequence[float], curve: AbstractToneCurve) -> Picture:
+def exposed(
+    picture: Picture, steps: Sequence[float] | NDArray[np.float64], curve: AbstractToneCurve
+) -> Picture:
     """A picture as a camera with another exposure and white balance would show it.
 
     Args:
         picture: (H, W, 3) or (H, W, 4) display codes.
-        steps: (3,) by which each channel is brighter, log2.
+        steps: (3,) or (H, W, 3) by which each channel is brighter, log2.
         curve: Tone curve that the picture went through.
 
     Returns:
         The picture, alpha as it was.
     """
     display = torch.from_numpy(picture[..., :3].astype(np.float32) / 255)
-    linear = curve.linear_from_display(display) * 2.0 ** torch.tensor(steps)
+    linear = curve.linear_from_display(display) * torch.from_numpy(
+        2.0 ** np.asarray(steps, np.float32)
+    )
     shown = curve.display_from_linear(linear).clamp(0, 1).numpy()
     return np.dstack([np.rint(255 * shown).astype(np.uint8), picture[..., 3:]])
 

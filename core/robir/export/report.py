@@ -82,7 +82,7 @@ class Products:
     light: RecoveredLight
     tone_curve: dict[str, Any]
     choices: list[dict[str, Any]]
-    exposure: dict[str, list[float]]
+    exposure: dict[str, Any]
     rendering: Rendering
     seconds: Callable[[], dict[str, float]]
 
@@ -210,7 +210,9 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
     )
     cycles = mean_scores(
         [
-            photo_scores(_as_photographed(read_picture(file), name, products), by_name[name])
+            photo_scores(
+                _as_photographed(read_picture(file), by_name[name], products), by_name[name]
+            )
             for name, file in rendering.rerenders.items()
         ]
     )
@@ -247,35 +249,45 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
     }
 
 
-def _as_photographed(picture: Picture, name: str, products: Products) -> Picture:
-    """A Cycles picture of a view at the exposure of its photograph."""
-    if name not in products.exposure:
+def _as_photographed(picture: Picture, view: View, products: Products) -> Picture:
+    """A Cycles picture of a view at the exposure of its photograph, corners included."""
+    steps, corner_steps = products.exposure["steps"], products.exposure["corner_steps"]
+    if view.name not in steps and not corner_steps:
         return picture
+    camera = view.camera.resized(picture.shape[1], picture.shape[0])
+    off_axis = camera.off_axis(camera.pixel_centres()).reshape(picture.shape[:2])
+    own = np.array(steps.get(view.name, [0.0, 0.0, 0.0]))
     table = products.tone_curve
     curve = tone.curve_from_name(table["family"], table["parameters"])
-    return exposed(picture, products.exposure[name], curve)
+    return exposed(picture, own - corner_steps * off_axis[..., None], curve)
 
 
-def exposure_summary(steps: dict[str, list[float]]) -> dict[str, Any]:
+def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
     """How photographs were exposed, for report.json.
 
     Args:
-        steps: Steps (log2) of each channel by the view's name; empty where all are alike.
+        exposure: "steps" (log2) of each channel by the view's name, empty where all are alike, and
+            "corner_steps" by which the corners of all are darker than the middle.
 
     Returns:
         "is_even"; "spread_steps", the standard deviation of the views' exposures; "views" by name,
         brightest first, each with its "exposure" (mean of the channels) and the "white_balance" of
-        red and blue against green, in steps.
+        red and blue against green, in steps; "corner_steps".
     """
     views = {
         name: {
             "exposure": round(sum(rgb) / 3, 3),
             "white_balance": [round(rgb[0] - rgb[1], 3), round(rgb[2] - rgb[1], 3)],
         }
-        for name, rgb in sorted(steps.items(), key=lambda item: -sum(item[1]))
+        for name, rgb in sorted(exposure["steps"].items(), key=lambda item: -sum(item[1]))
     }
     spread = float(np.std([view["exposure"] for view in views.values()])) if views else 0.0
-    return {"is_even": not views, "spread_steps": round(spread, 3), "views": views}
+    return {
+        "is_even": not views,
+        "spread_steps": round(spread, 3),
+        "corner_steps": round(exposure["corner_steps"], 3),
+        "views": views,
+    }
 
 
 def _light_summary(light: RecoveredLight) -> dict[str, Any]:

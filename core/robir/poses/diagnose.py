@@ -29,6 +29,18 @@ STILL = 0.004
 COMPARABLE = 0.5
 """A second model of this share of the first is no leftover but half of the capture."""
 
+BESIDE_DEGREES, BESIDE_SHARE = 15.0, 0.3
+"""Photographs stand side by side within this angle and this share of the cameras' distance from
+their middle."""
+
+STRANGE = 0.35
+"""Matches of photographs side by side, against what either has with its third best partner, below
+which they are strangers. The right models of five captures have no such pair; one of a round tub
+with sides laid on each other has nine."""
+
+MIN_STRANGE = 3
+"""Pairs of strangers side by side from which on sides were laid on each other."""
+
 FEW = 0.7
 """Below this share of photographs placed, the user is warned."""
 
@@ -40,6 +52,10 @@ _OVERLAP = (
     "Photograph the way between them in steps of at most 15 degrees, in one sitting and without "
     "moving the object, or give the photographs of one of them alone."
 )
+_TELL_APART = (
+    "Look at the cameras before you go on. Something that is different on every side, such as a "
+    "newspaper or a few things around the object, tells the sides apart."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +64,14 @@ class Links:
 
     Attributes:
         matches: (N, N) int, verified matches, symmetric.
+        compared: (N, N) bool, pairs that were looked at, symmetric.
         motion: Median motion of matched points over all linked pairs, in longer sides of the
             picture; NaN without any.
         flat_share: Share of the linked pairs that a plane or a mere turn of the camera explains.
     """
 
     matches: NDArray[np.int64]
+    compared: NDArray[np.bool_]
     motion: float
     flat_share: float
 
@@ -71,6 +89,7 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
     flat_kinds = [int(k) for k in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)]
     rows = {photograph.copy: row for row, photograph in enumerate(photographs)}
     matches = np.zeros((len(rows), len(rows)), dtype=np.int64)
+    compared = np.zeros(matches.shape, dtype=bool)
     motions, flat = [], []
     with closing(pycolmap.Database.open(place.database)) as database:
         images = {image.image_id: rows[image.name] for image in database.read_all_images()}
@@ -79,6 +98,7 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
             one, two = pycolmap.pair_id_to_image_pair(pair)
             i, j = images[one], images[two]
             inliers = geometry.inlier_matches
+            compared[i, j] = compared[j, i] = True
             matches[i, j] = matches[j, i] = len(inliers)
             if len(inliers) < LINK:
                 continue
@@ -87,7 +107,7 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
             motions.append(np.median(np.linalg.norm(moved, axis=1)))
             flat.append(geometry.config in flat_kinds)
     motion = float(np.median(motions)) if motions else float("nan")
-    return Links(matches, motion, float(np.mean(flat)) if flat else 0.0)
+    return Links(matches, compared, motion, float(np.mean(flat)) if flat else 0.0)
 
 
 def judge(
@@ -127,6 +147,7 @@ def judge(
             "nor how large the object is",
         ),
     ]
+    found += _strangers(photographs, links, models[0])
     if rest:
         severity = "Only " if len(first) < FEW * total else ""
         found.append(
@@ -142,39 +163,68 @@ def judge(
     return found
 
 
-def look_alikes(
-    photographs: Sequence[Prepared], first: Verdict, second: Verdict | None
-) -> list[Finding]:
+def look_alikes(photographs: Sequence[Prepared], verdict: Verdict, forgotten: int) -> list[Finding]:
     """What sides that look alike did to the model, in words.
 
     Args:
         photographs: All that were tried.
-        first: On the model made from all matches.
-        second: On the model that is used instead, or None if the first one is used.
+        verdict: On the model that is used.
+        forgotten: Pairs whose matches were left out to make it, 0 if all were used.
     """
-    if not first.broken:
+    if not verdict.broken and not forgotten:
         return []
-    names = {photograph.copy: photograph.relative for photograph in photographs}
-    left = (second or first).broken
-    if not left:
+    if not verdict.broken:
         return [
             warning(
                 "look-alike",
-                "The object looks alike from several sides, and matches of different sides "
-                f"contradicted the surest links between photographs; {len(first.suspects)} pairs "
-                "were left out, which may not be enough",
+                "The object looks alike from several sides; matches of different sides "
+                f"contradicted the surest links between photographs, and {forgotten} pairs were "
+                "left out until none did",
                 "Look at the cameras before you go on.",
             )
         ]
-    between = (f"{names[one]} and {names[two]}" for one, two in left[:MAX_FILES])
+    names = {photograph.copy: photograph.relative for photograph in photographs}
+    between = (f"{names[one]} and {names[two]}" for one, two in verdict.broken[:MAX_FILES])
     return [
         warning(
             "look-alike",
             "The object looks alike from several sides, and some photographs may have been put on "
-            f"the wrong one: {len(left)} pairs that have much in common are far apart",
-            "Look at the cameras before you go on. Something that is different on every side, "
-            "such as a newspaper or a few things around the object, tells the sides apart.",
+            f"the wrong one: {len(verdict.broken)} pairs that have much in common are far apart",
+            _TELL_APART,
             *between,
+        )
+    ]
+
+
+def _strangers(
+    photographs: Sequence[Prepared], links: Links, model: pycolmap.Reconstruction
+) -> list[Finding]:
+    """A warning where the model puts photographs side by side that have little in common."""
+    posed = {image.name: image for image in model.images.values() if image.has_pose}
+    placed = [row for row, photograph in enumerate(photographs) if photograph.copy in posed]
+    images = [posed[photographs[row].copy] for row in placed]
+    turned = np.stack([image.cam_from_world().rotation.matrix() for image in images])
+    centres = np.stack([image.projection_center() for image in images])
+    away = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
+    near = np.linalg.norm(centres[:, None] - centres, axis=2) < BESIDE_SHARE * away
+    cosine = (np.einsum("aij,bij->ab", turned, turned) - 1) / 2
+    beside = near & (cosine > np.cos(np.radians(BESIDE_DEGREES)))
+    among = np.ix_(placed, placed)
+    third = np.sort(links.matches[among], axis=1)[:, -3]
+    expected = np.minimum(third[:, None], third)
+    strange = beside & links.compared[among] & (expected >= LINK)
+    strange &= links.matches[among] < STRANGE * expected
+    pairs = np.argwhere(np.triu(strange, 1))
+    if len(pairs) < MIN_STRANGE:
+        return []
+    names = [photographs[row].relative for row in placed]
+    return [
+        warning(
+            "look-alike",
+            f"{len(pairs)} pairs of photographs were placed side by side and yet have little in "
+            "common: sides that look alike may have been laid on each other",
+            _TELL_APART,
+            *(f"{names[one]} and {names[two]}" for one, two in pairs),
         )
     ]
 

@@ -30,8 +30,11 @@ if TYPE_CHECKING:
     import pycolmap
 
 FORMAT = "photos"
-REVISION = 1
+REVISION = 2
 """Raised by hand when the results of this room change."""
+
+MAX_ANEW = 4
+"""How often cameras are placed anew where sides that look alike led them astray."""
 
 _SHARES = {"frames": 0.1, "copies": 0.1, "features": 0.35, "matches": 0.25, "cameras": 0.2}
 """Typical share of each step in the time."""
@@ -123,22 +126,29 @@ class _Registration:
     def _models(
         self, photographs: Sequence[Prepared]
     ) -> tuple[list[pycolmap.Reconstruction], list[Finding]]:
-        """Models, the largest refined; where sides that look alike led it astray, anew."""
+        """Models, the largest refined; where sides that look alike led it astray, anew.
+
+        A stretch that stood wrong ties others together, so that each model shows new suspects.
+        """
         telling = self._step("cameras", "placing cameras:")
         models = self._mapped(len(photographs), telling)
         if not models:
             return [], []
         verdict = hold_against_links(self._place, photographs, models[0])
-        if not verdict.suspects:
-            return models, look_alikes(photographs, verdict, None)
-        telling(1.0, "once more, without what looks alike from several sides")
-        forget(self._place, verdict.suspects)
-        again = self._mapped(len(photographs), telling)
-        if again:
-            second = hold_against_links(self._place, photographs, again[0])
-            if len(second.broken) < len(verdict.broken):
-                return again, look_alikes(photographs, verdict, second)
-        return models, look_alikes(photographs, verdict, None)
+        best, fewest, forgotten = models, verdict, 0
+        for _ in range(MAX_ANEW):
+            if not verdict.suspects:
+                break
+            telling(1.0, "once more, without what looks alike from several sides")
+            forget(self._place, verdict.suspects)
+            forgotten += len(verdict.suspects)
+            models = self._mapped(len(photographs), telling)
+            if not models:
+                break
+            verdict = hold_against_links(self._place, photographs, models[0])
+            if len(verdict.broken) < len(fewest.broken):
+                best, fewest = models, verdict
+        return best, look_alikes(photographs, fewest, forgotten)
 
     def _mapped(self, count: int, telling: Progress) -> list[pycolmap.Reconstruction]:
         """Models from what the database holds, the largest first and refined."""

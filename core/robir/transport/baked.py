@@ -45,6 +45,7 @@ class Transport:
                 "display": seen.display,
                 "weight": seen.weight,
                 "clipped": np.packbits(seen.clipped, axis=None),
+                "off_axis": seen.off_axis,
                 "camera_positions": seen.positions,
                 "views": np.array(seen.views),
             },
@@ -79,6 +80,7 @@ class Transport:
                 display=display,
                 weight=arrays["weight"],
                 clipped=clipped.reshape(display.shape),
+                off_axis=arrays["off_axis"],
                 positions=arrays["camera_positions"],
                 views=tuple(arrays["views"].tolist()),
             )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.images import shrink, size_within
 from robir.maths.vectors import farthest_points
@@ -38,6 +39,7 @@ class Observations:
         display: (N, V, 3) uint8, display-referred; meaningless where `weight` is 0.
         weight: (N, V) float32, 0 where the view does not show the point, else its cosine.
         clipped: (N, V, 3) bool, code 255: the true value is at least this bright.
+        off_axis: (N, V) uint8, as `off_axis_codes` gives it; meaningless where `weight` is 0.
         positions: (V, 3) float32, camera centres.
         views: Names of the V views.
     """
@@ -45,6 +47,7 @@ class Observations:
     display: NDArray[np.uint8]
     weight: Floats
     clipped: NDArray[np.bool_]
+    off_axis: NDArray[np.uint8]
     positions: Floats
     views: tuple[str, ...]
 
@@ -55,6 +58,7 @@ class Observations:
             display=self.display[keep],
             weight=self.weight[keep],
             clipped=self.clipped[keep],
+            off_axis=self.off_axis[keep],
         )
 
 
@@ -105,6 +109,7 @@ def observe(
     display = np.zeros((count, len(views), 3), np.uint8)
     weight = np.zeros((count, len(views)), np.float32)
     clipped = np.zeros((count, len(views), 3), bool)
+    off_axis = np.zeros((count, len(views)), np.uint8)
     for index, view in enumerate(views):
         camera = view.camera
         towards = camera.position - position
@@ -121,14 +126,21 @@ def observe(
         display[kept, index] = colour[whole]
         clipped[kept, index] = top[whole]
         weight[kept, index] = cosine[kept]
+        off_axis[kept, index] = off_axis_codes(camera, pixels[kept])
     centres = np.stack([view.camera.position for view in views]).astype(np.float32)
     return Observations(
         display=display,
         weight=weight,
         clipped=clipped,
+        off_axis=off_axis,
         positions=centres,
         views=tuple(view.name for view in views),
     )
+
+
+def off_axis_codes(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """`Camera.off_axis` of points (N, 2), pixels, in 255ths, (N,)."""
+    return np.rint(255 * camera.off_axis(pixels)).astype(np.uint8)
 
 
 def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much each observation counts where photographs of the same points are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PRIOR_STEPS = 0.5
+"""Standard deviation of gains before anything is seen, steps."""
+
+NORMAL_SHARPNESS = 10.0
+"""Of the lobe within which normals share one vote, about 25 degrees."""
+
+MATTE = 0.02
+"""Deviation between views, log radiance, of which a photograph's noise alone is capable."""
+
+FIRST_WIDTH, LAST_WIDTH, NARROWING = 0.4, 0.05, 0.7
+"""Deviations, log radiance, from which an observation counts little (Geman-McClure): at first, in
+the end, and by what this shrinks from round to round."""
+
+ROUNDS = 20
+
+
+class Weighing:
+    """Weights that are renewed from round to round.
+
+    A plane's sheen changes a whole photograph of it as a gain would, but each orientation by
+    another amount: every orientation has one vote, in which its dull points count more than its
+    glossy ones.
+
+    Attributes:
+        known: (P, V) bool, where a view shows a point.
+        weight: (P, V), 0 where it does not.
+        noise: Typical deviation of what counts, log radiance.
+    """
+
+    def __init__(self, known: NDArray[np.bool_], normals: NDArray[np.float32]) -> None:
+        self.known = known
+        self.noise = FIRST_WIDTH
+        self.weight = known.astype(np.float64)
+        self._alike = np.exp(NORMAL_SHARPNESS * (normals @ normals.T - 1))
+        self._dull, self._trust = np.ones(len(known)), known.astype(np.float64)
+        self._width = FIRST_WIDTH
+
+    def rounds(self) -> Iterator[int]:
+        """Rounds; in each, solve with `weight` and hand what is left to `renew`."""
+        for step in range(ROUNDS):
+            self.weight = self._trust * (self._dull / (self._alike @ self._dull))[:, None]
+            self._width = max(LAST_WIDTH, FIRST_WIDTH * NARROWING**step)
+            yield step
+
+    def prior(self) -> float:
+        """Weight with which every gain is drawn to 0."""
+        return self.weight[self.known].mean() * (self.noise / (PRIOR_STEPS * np.log(2))) ** 2
+
+    def renew(self, apart: Array) -> None:
+        """Take what is left, (P, V) absolute deviations, into account."""
+        self._trust = self.known / (1 + (apart / self._width) ** 2) ** 2
+        apart[~self.known] = np.nan
+        self._dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + MATTE**2)
+        self.noise = 1.48 * float(np.nanmedian(apart))
+
+
+def deviation(log: Array) -> float:
+    """Median deviation between views of one point, of log radiance (P, V, 3)."""
+    by_view = np.ascontiguousarray(log.transpose(0, 2, 1))  # sorting the last axis is faster
+    middle = np.nanmedian(by_view, axis=2, keepdims=True)
+    return float(np.nanmedian(np.abs(by_view - middle)))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lens that darkens the corners of all photographs alike.
+
+The same surface points stand now in the middle of a photograph, now near its edge. With s the
+square of the distance from the middle, 1 in the corners, a point p in view v shows
+
+    log linear(p, v) = point(p) + gain(v) - k s(p, v) + highlight or error,
+
+solved by robust least squares together with the gains, which would otherwise take part of it. The
+law cos^4 of a simple lens is this to first order in s; of a further coefficient objects in the
+middle of their photographs tell nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.robust import Weighing, deviation
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.uint8]
+
+LEAST_STEPS = 0.08
+"""Darkening, steps, of the outermost parts that are seen, from which a falloff is taken; gloss and
+errors of the mesh feign up to 0.04."""
+
+LEAST_SHARE = 0.04
+"""Share of the points' deviations between photographs that the falloff alone must explain; where
+there is none it explains up to 0.01."""
+
+PRIOR = 1.0
+"""Standard deviation of the strength before anything is seen."""
+
+OUTERMOST = 0.98
+"""Rank of the distance from the middle up to which the falloff is seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Falloff:
+    """How much darker than in its middle a photograph is.
+
+    Attributes:
+        strength: Natural logarithm of the middle's radiance over the corners'; 0 where there is no
+            falloff.
+    """
+
+    strength: float = 0.0
+
+    @property
+    def corner_steps(self) -> float:
+        """Steps (log2) by which the corners are darker."""
+        return self.strength / float(np.log(2))
+
+    def log(self, off_axis: Codes) -> Array:
+        """Log radiance against the middle, of codes as in `Observations.off_axis`."""
+        return -self.strength * (off_axis / 255.0)
+
+    def factor(self, off_axis: Codes) -> Tensor:
+        """Factors (..., 1) float32 on linear radiance, of codes (...)."""
+        return torch.from_numpy(np.exp(self.log(off_axis)).astype(np.float32))[..., None]
+
+
+NO_FALLOFF = Falloff()
+"""Corners as bright as the middle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FalloffFit:
+    """A falloff and what speaks for it.
+
+    Attributes:
+        falloff: As solved.
+        edge_steps: Steps by which the outermost parts that are seen are darker.
+        explained: Share of the points' median deviation, after the gains, that it explains.
+    """
+
+    falloff: Falloff
+    edge_steps: float
+    explained: float
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether photographs are darker outside by more than gloss feigns."""
+        return self.edge_steps > LEAST_STEPS and self.explained > LEAST_SHARE
+
+
+def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> FalloffFit:
+    """Falloff of all views by the points they share.
+
+    Args:
+        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
+            point is shown by some view.
+        normals: (P, 3) unit.
+        off_axis: (P, V) codes as in `Observations.off_axis`.
+
+    Returns:
+        The falloff, needed or not.
+    """
+    known = np.isfinite(log[..., 0])
+    values = np.nan_to_num(log).mean(2)
+    square = off_axis / 255.0
+    weighing = Weighing(known, normals)
+    strength, gains = 0.0, np.zeros(log.shape[1])
+    for _ in weighing.rounds():
+        strength, gains, points = _least_squares(values, square, weighing)
+        weighing.renew(np.abs(values + strength * square - gains - points[:, None]))
+    falloff = Falloff(strength)
+    evened = log - gains[:, None]
+    before, after = deviation(evened), deviation(evened - falloff.log(off_axis)[..., None])
+    reach = float(np.quantile(square[known], OUTERMOST))
+    return FalloffFit(
+        falloff=falloff,
+        edge_steps=falloff.corner_steps * reach,
+        explained=1 - after / max(before, 1e-9),
+    )
+
+
+def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[float, Array, Array]:
+    """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V).
+
+    Points are eliminated first, then gains.
+    """
+    weight = weighing.weight
+    mass = weight.sum(1)
+    share = weight / mass[:, None]
+    columns = np.stack([-square, values], axis=2)
+    columns -= np.einsum("pv,pvk->pk", share, columns)[:, None]
+    right = np.einsum("pv,pvk->vk", weight, columns)
+    system = np.diag(weight.sum(0)) - weight.T @ share
+    through = np.linalg.solve(system + weighing.prior() * np.eye(len(system)), right)
+    moments = np.einsum("pvk,pv,pvl->kl", columns, weight, columns) - right.T @ through
+    ridge = weight[weighing.known].mean() * (weighing.noise / PRIOR) ** 2
+    strength = float(moments[0, 1] / (moments[0, 0] + ridge))
+    gains = through[:, 1] - strength * through[:, 0]
+    points = (share * (values + strength * square - gains)).sum(1)
+    return strength, gains, points
