@@ -35,6 +35,10 @@ GRADIENT_PASSES = 2
 SMOOTH_EVERY = 10
 """Steps between the proximal steps on the field."""
 
+SMOOTHING = 0.05
+"""Share of the way towards its neighbours' mean that such a step moves a node. It shrinks what is
+round: at .15 the chessmen's sides came out a quarter of a pixel too thin."""
+
 
 _FEATURES = 1
 """Where the optimiser keeps the features."""
@@ -169,6 +173,6 @@ def fit(
                 if not math.isfinite(loss.item()):
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
-                    laplacian_step(field.sdf, level, 0.15)
+                    laplacian_step(field.sdf, level, SMOOTHING)
         settle(field)
     return field
