@@ -20,7 +20,7 @@ class ExportConfig:
     """
 
     renders: bool = True
-    render_views: int = 4
+    render_views: int = 8
     render_samples: int = 64
     render_max_side: int = 400
 

@@ -26,10 +26,13 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.transport.observe import spread_views
 
-REVISION = 6
+REVISION = 7
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
+
+RELIT_VIEWS = 2
+"""Most views that are rendered under it."""
 
 _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
@@ -111,14 +114,16 @@ def _render(
     _remove_old_renders(paths)
     if not config.renders:
         return Rendering(missing=("Blender was not asked for (export.renders = false)",))
-    chosen = spread_views(capture.held_out or capture.train, config.render_views)
-    views = [view.name for view in chosen]
+    again, relit = (
+        ",".join(view.name for view in spread_views(capture.held_out or capture.train, count))
+        for count in (config.render_views, min(RELIT_VIEWS, config.render_views))
+    )
     quality = ["--samples", str(config.render_samples), "--max-side", str(config.render_max_side)]
     out = str(paths.root)
-    environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", ",".join(views)]
+    environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", relit]
     commands = (
         ("scene", ["scene", out]),
-        ("rerender", ["render", out, "--views", ",".join(views), *quality]),
+        ("rerender", ["render", out, "--views", again, *quality]),
         ("relight", ["relight", out, *environment, *quality]),
     )
     done: dict[str, Outcome] = {}
