@@ -18,7 +18,7 @@ from robir.appearance.exposure import (
     solve_gains,
 )
 from robir.appearance.statistics import diffuse_radiance, linear_observations
-from robir.appearance.vignetting import NO_FALLOFF
+from robir.appearance.vignetting import NO_FALLOFF, Falloff
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations
@@ -73,6 +73,18 @@ def gains_of(seen: Observations, family: str, normals: np.ndarray) -> tuple[np.n
     return solve_gains(log, normals[kept])
 
 
+def falloff_of(seen: Observations, normals: np.ndarray) -> Falloff:
+    """Falloff under a plain curve."""
+    log, kept = comparable(seen, curve_from_name("standard"))
+    return find_falloff(log, normals[kept], seen.off_axis[kept])
+
+
+def uneven(seen: Observations, normals: np.ndarray, falloff: Falloff) -> bool:
+    """Whether photographs are unlike under a plain curve, their falloff undone."""
+    log, kept = comparable(seen, curve_from_name("standard"))
+    return are_uneven(log - falloff.log(seen.off_axis[kept])[..., None], normals[kept])
+
+
 def jitter(rng, steps: float, hue: float) -> np.ndarray:
     """Log gains (V, 3) of mean 0."""
     gains = steps * rng.standard_normal((VIEWS, 1)) + hue * rng.standard_normal((VIEWS, 3))
@@ -84,7 +96,7 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
     linear, weight, normals = glossy
     true = jitter(rng, 0.3, 0.08)
     seen = photographed(linear * np.exp(true), family, weight)
-    assert are_uneven(seen, normals, NO_FALLOFF)
+    assert uneven(seen, normals, NO_FALLOFF)
     gains, explained = gains_of(seen, family, normals)
     assert explained > 0.6
     # of 0.3 steps, hundredths are left; the sheen alone amounts to 0.6
@@ -93,7 +105,7 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
 
 def test_gloss_alone_is_no_exposure(glossy):
     linear, weight, normals = glossy
-    assert not are_uneven(photographed(linear, "filmic", weight), normals, NO_FALLOFF)
+    assert not uneven(photographed(linear, "filmic", weight), normals, NO_FALLOFF)
 
 
 def test_gains_too_small_to_matter_are_not_taken(rng):
@@ -103,7 +115,7 @@ def test_gains_too_small_to_matter_are_not_taken(rng):
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
     _, explained = gains_of(seen, "standard", normals)
     assert explained > 0.6
-    assert not are_uneven(seen, normals, NO_FALLOFF)
+    assert not uneven(seen, normals, NO_FALLOFF)
 
 
 def test_a_polished_thing_is_no_exposure(rng):
@@ -111,7 +123,7 @@ def test_a_polished_thing_is_no_exposure(rng):
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
     linear = np.exp(rng.standard_normal((POINTS, VIEWS, 1)) - 2) * np.ones(3)
     linear *= np.exp(jitter(rng, 0.2, 0.0))
-    assert not are_uneven(
+    assert not uneven(
         photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals, NO_FALLOFF
     )
 
@@ -204,9 +216,9 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     dimmed = np.exp(-0.7 * square) if law == "exponential" else (1 + 0.35 * square) ** -2.0
     true = jitter(rng, 0.3, 0.05)
     seen = photographed(linear * dimmed[..., None] * np.exp(true), family, weight, codes)
-    falloff = find_falloff(seen, normals)
+    falloff = falloff_of(seen, normals)
     assert falloff.strength > 0
-    assert are_uneven(seen, normals, falloff)
+    assert uneven(seen, normals, falloff)
     exposures = Exposures(observations=seen, normals=normals, are_apart=True, has_falloff=True)
     gains = exposures.gains(curve_from_name(family))
     # steps of what is seen: s reaches 0.4
@@ -224,11 +236,11 @@ def test_no_falloff_is_taken_where_there_is_none(glossy, rng):
     """Nor with unlike exposures, nor of corners that are brighter."""
     linear, weight, normals = glossy
     codes, square = walk(rng)
-    assert not find_falloff(photographed(linear, "filmic", weight, codes), normals).strength
-    uneven = photographed(linear * np.exp(jitter(rng, 0.3, 0.05)), "standard", weight, codes)
-    assert not find_falloff(uneven, normals).strength
+    assert not falloff_of(photographed(linear, "filmic", weight, codes), normals).strength
+    unlike = photographed(linear * np.exp(jitter(rng, 0.3, 0.05)), "standard", weight, codes)
+    assert not falloff_of(unlike, normals).strength
     bright = photographed(linear * np.exp(0.5 * square)[..., None], "standard", weight, codes)
-    assert not find_falloff(bright, normals).strength
+    assert not falloff_of(bright, normals).strength
 
 
 def test_a_falloff_alone_leaves_the_photographs_alike(rng):
@@ -236,7 +248,7 @@ def test_a_falloff_alone_leaves_the_photographs_alike(rng):
     codes, square = walk(rng)
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(-0.7 * square)[..., None]
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)), codes)
-    assert not are_uneven(seen, normals, find_falloff(seen, normals))
+    assert not uneven(seen, normals, falloff_of(seen, normals))
     exposures = Exposures(observations=seen, normals=normals, are_apart=False, has_falloff=True)
     gains = exposures.gains(curve_from_name("standard"))
     assert gains.by_view == {}

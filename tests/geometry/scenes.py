@@ -92,6 +92,13 @@ def disc(radius: float = 0.9, top: float = -0.3) -> trimesh.Trimesh:
     return plate
 
 
+def drum(half: float, low: float, high: float) -> trimesh.Trimesh:
+    """An upright cylinder between two heights."""
+    part = trimesh.creation.cylinder(half, high - low)
+    part.apply_translation([0.0, 0.0, 0.5 * (low + high)])
+    return part
+
+
 def ball(radius: float, centre: tuple[float, float, float]) -> trimesh.Trimesh:
     """A sphere."""
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)

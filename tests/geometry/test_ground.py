@@ -12,7 +12,7 @@ from robir.geometry.hull import carve
 from robir.geometry.plane import detect
 from robir.geometry.rays import reduce_view
 from robir.geometry.stage import hull_of
-from tests.geometry.scenes import capture_of, disc
+from tests.geometry.scenes import capture_of, disc, drum
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -24,13 +24,6 @@ RIM = (0.4, 0.6)
 def pale(points: np.ndarray) -> np.ndarray:
     """Ground and things, pale and without texture."""
     return np.where(points[:, 2:] > TOP + 0.01, [205.0, 205.0, 205.0], [160.0, 165.0, 170.0])
-
-
-def cylinder(radius: float, low: float, high: float) -> trimesh.Trimesh:
-    """An upright cylinder, heights above the ground."""
-    part = trimesh.creation.cylinder(radius, high - low, sections=64)
-    part.apply_translation([0.0, 0.0, TOP + 0.5 * (low + high)])
-    return part
 
 
 def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -54,7 +47,7 @@ def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def test_what_hangs_higher_than_columns_are_searched_stays() -> None:
-    mast = cylinder(0.1, 0.0, HIGHEST + 0.2)
+    mast = drum(0.1, TOP, TOP + HIGHEST + 0.2)
     arms = trimesh.creation.box(extents=(1.0, 0.2, 0.12))
     arms.apply_translation([0.0, 0.0, TOP + HIGHEST + 0.14])
     nodes, before, after = flattened(trimesh.util.concatenate([mast, arms]))
@@ -64,7 +57,9 @@ def test_what_hangs_higher_than_columns_are_searched_stays() -> None:
 
 
 def test_a_low_plate_of_about_the_colour_of_the_ground_stays() -> None:
-    plate = trimesh.util.concatenate([cylinder(RIM[0], 0.0, 0.05), cylinder(RIM[1], 0.04, 0.1)])
+    plate = trimesh.util.concatenate(
+        [drum(RIM[0], TOP, TOP + 0.05), drum(RIM[1], TOP + 0.04, TOP + 0.1)]
+    )
     nodes, before, after = flattened(plate)
     radius = np.hypot(nodes[:, 0], nodes[:, 1])
     rim = (before < 0) & (radius > RIM[0]) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)

@@ -14,7 +14,7 @@ from robir.geometry.plane import detect
 from robir.geometry.rays import reduce_view
 from robir.geometry.stage import hull_of
 from robir.geometry.undercut import undercut
-from tests.geometry.scenes import capture_of, disc
+from tests.geometry.scenes import capture_of, disc, drum
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -51,13 +51,6 @@ def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tu
     before = torch.from_numpy(np.min(parts, axis=0)).float()
     ground = Ground(plane, photos, lattice, hull)
     return lattice, before, undercut(ground, photos, lattice, before)  # type: ignore[return-value]
-
-
-def drum(half: float, low: float, high: float) -> trimesh.Trimesh:
-    """An upright cylinder."""
-    part = trimesh.creation.cylinder(half, high - low)
-    part.apply_translation([0.0, 0.0, 0.5 * (low + high)])
-    return part
 
 
 def test_a_wall_below_a_rim_is_freed() -> None:

@@ -166,8 +166,13 @@ def find_exposures(
     keep = np.zeros(len(surfels), bool)
     keep[chosen] = True
     points = surfels.subset(keep)
-    falloff = find_falloff(seen.subset(keep), points.normal)
-    are_apart = are_uneven(seen.subset(keep), points.normal, falloff)
+    few = seen.subset(keep)
+    log, kept = comparable(few, curve_from_name("standard"))
+    if len(log) < FEWEST_POINTS:
+        return None
+    normals, off_axis = points.normal[kept], few.off_axis[kept]
+    falloff = find_falloff(log, normals, off_axis)
+    are_apart = are_uneven(log - falloff.log(off_axis)[..., None], normals)
     if not are_apart and not falloff.strength:
         return None
     small = tuple(resize_view(view, SIDE) for view in views)
@@ -181,34 +186,26 @@ def find_exposures(
     )
 
 
-def find_falloff(observations: Observations, normals: Floats) -> Falloff:
+def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
     """The falloff under a plain tone curve, of strength 0 where none is needed.
 
     Args:
-        observations: Surface points.
-        normals: (N, 3) of the points.
+        log: (P, V, 3) log radiance from `comparable`.
+        normals: (P, 3) of the points.
+        off_axis: (P, V) as in `Observations.off_axis`.
     """
-    log, kept = comparable(observations, curve_from_name("standard"))
-    if len(log) < FEWEST_POINTS:
-        return NO_FALLOFF
-    fit = solve_falloff(log, normals[kept], observations.off_axis[kept])
+    fit = solve_falloff(log, normals, off_axis)
     return fit.falloff if fit.is_needed else NO_FALLOFF
 
 
-def are_uneven(observations: Observations, normals: Floats, falloff: Falloff) -> bool:
+def are_uneven(log: Array, normals: Floats) -> bool:
     """Whether photographs were so unlike that gains explain most of what points differ by.
 
     Args:
-        observations: Surface points.
-        normals: (N, 3) of the points.
-        falloff: Of all photographs under a plain tone curve.
+        log: (P, V, 3) log radiance under a plain tone curve, without any falloff.
+        normals: (P, 3) of the points.
     """
-    log, kept = comparable(observations, curve_from_name("standard"))
-    if len(log) < FEWEST_POINTS:
-        return False
-    if falloff.strength:
-        log = log - falloff.log(observations.off_axis[kept])[..., None]
-    gains, explained = solve_gains(log, normals[kept])
+    gains, explained = solve_gains(log, normals)
     steps = float(np.sqrt((gains**2).mean()) / np.log(2))
     return steps > LEAST_STEPS and explained > LEAST_SHARE
 

@@ -97,9 +97,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains)
-    choices = _choices(tone, light, gloss, seconds)
-    exposed = [_exposure_choice(problem.gains, seconds), _falloff_choice(problem.gains)]
-    write_json(folder / "choices.json", [*choices, *sized.rows, *exposed])
+    choices = [
+        *_choices(tone, light, gloss, seconds),
+        *sized.rows,
+        _exposure_choice(problem.gains, seconds),
+        _falloff_choice(problem.gains),
+    ]
+    write_json(folder / "choices.json", choices)
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),

@@ -212,9 +212,10 @@ def read_capture(
         progress = _rest_of(progress, _REGISTERING)
     else:
         frames = read_frames(source)
-    _stop_on_errors([*frames.findings, *check_frames(frames)])
+    findings = [*frames.findings, *check_frames(frames)]
+    _stop_on_errors(findings)
     try:
-        return _read_posed(source, frames, masks, (config, guesses), progress)
+        return _read_posed(source, (frames, findings), masks, (config, guesses), progress)
     except CaptureRefusedError as refusal:
         refusal.frames = frames
         raise
@@ -222,14 +223,13 @@ def read_capture(
 
 def _read_posed(
     source: Path,
-    frames: FrameSet,
+    posed: tuple[FrameSet, list[Finding]],
     masks: Path | None,
     how: tuple[CaptureConfig, Path | None],
     progress: Progress,
 ) -> Capture:
     """The rest of `read_capture`, once poses are known to be sound."""
-    config, _ = how
-    findings = [*frames.findings, *check_frames(frames)]
+    (frames, findings), (config, _) = posed, how
     findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
     if masks is None:

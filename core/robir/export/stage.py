@@ -114,16 +114,17 @@ def _render(
     _remove_old_renders(paths)
     if not config.renders:
         return Rendering(missing=("Blender was not asked for (export.renders = false)",))
-    again, relit = (
-        ",".join(view.name for view in spread_views(capture.held_out or capture.train, count))
-        for count in (config.render_views, min(RELIT_VIEWS, config.render_views))
-    )
+
+    def names(count: int) -> str:
+        shown = spread_views(capture.held_out or capture.train, min(count, config.render_views))
+        return ",".join(view.name for view in shown)
+
     quality = ["--samples", str(config.render_samples), "--max-side", str(config.render_max_side)]
     out = str(paths.root)
-    environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", relit]
+    environment = ["--environment", RELIGHT_ENVIRONMENT, "--views", names(RELIT_VIEWS)]
     commands = (
         ("scene", ["scene", out]),
-        ("rerender", ["render", out, "--views", again, *quality]),
+        ("rerender", ["render", out, "--views", names(config.render_views), *quality]),
         ("relight", ["relight", out, *environment, *quality]),
     )
     done: dict[str, Outcome] = {}

@@ -45,9 +45,13 @@ def feet_agree(
         The columns' shape; False where not wanted.
     """
     foot = deviations(columns, wanted, np.zeros_like(tops), tops, photos)
-    surface = deviations(columns, wanted & np.isfinite(tops), tops, tops, photos)
-    with np.errstate(invalid="ignore"):
-        return (foot < AGREEMENT) & ~(foot > surface + LEAD)
+    agree = foot < AGREEMENT
+    # a surface at the foot, or none at all, has nothing over it
+    raised = agree & np.isfinite(tops) & (tops != 0)
+    if not raised.any():
+        return agree
+    surface = deviations(columns, raised, tops, tops, photos)
+    return agree & ~(foot > surface + LEAD)
 
 
 def deviations(
