@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from appearance import synthetic
 
 from robir.appearance.gloss import LEVELS, estimate_gloss, lowest_cost
 from robir.appearance.problem import make_problem
+from robir.appearance.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
@@ -45,6 +47,21 @@ def test_metal_and_plastic_are_told_apart(ball):
     before = np.nanstd(whole, axis=1) / np.nanmean(whole, axis=1)
     assert np.nanmedian(spread) < 0.25 * np.nanmedian(before)
     assert sum(row["share"] for row in gloss.table) == pytest.approx(1)
+
+
+def test_what_the_textures_subtract_is_what_their_views_show(ball):
+    problem, light, is_gold, _ = ball
+    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
+    weight = problem.scene.transport.observations.weight
+    plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
+    sharpest = torch.from_numpy(sharpest_views(weight) > 0)
+    darker = darker_view_weights(problem.linear, sharpest).numpy()[..., None]
+    read = (problem.linear.numpy() * darker).sum(1)
+    below = ((read - gloss.floor) / gloss.kept)[plastic]
+    # the same without highlights view by view
+    expected = (diffuse.numpy() * darker).sum(1)[plastic]
+    np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
+    assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
 
 
 @pytest.mark.parametrize(

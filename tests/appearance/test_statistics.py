@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.statistics import diffuse_radiance, neighbour_pairs, shadow_pairs
+from robir.appearance.statistics import Pairs, diffuse_radiance, neighbour_pairs, shadow_pairs
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
 
@@ -88,3 +88,17 @@ def test_a_sun_without_a_shadow_has_no_pairs(floor):
     everywhere = np.ones(2000, bool)
     pairs = shadow_pairs(floor.position, floor.normal, [np.stack([everywhere, ~everywhere])])
     assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
+
+
+def test_pairs_of_one_hue_count_and_brightness_does_not_matter():
+    grey, red = torch.zeros(3), torch.tensor([0.2, -0.1, -0.1])
+    log_albedo = torch.stack([grey, grey - 1.5, grey + red, grey + red + 2])
+    pairs = Pairs(
+        first=torch.tensor([0, 0, 2]),
+        second=torch.tensor([1, 2, 3]),
+        weight=torch.tensor([0.5, 0.25, 0.25]),
+    )
+    weight = pairs.of_one_hue(log_albedo, 0.1).weight
+    other = 0.25 * float(np.exp(-0.5 * 0.06 / 0.01))
+    expected = torch.tensor([0.5, other, 0.25]) / (0.75 + other)
+    torch.testing.assert_close(weight, expected)

@@ -29,7 +29,7 @@ from robir.appearance.reflections import (
     view_rays,
 )
 from robir.appearance.solver import Light
-from robir.appearance.statistics import darker_view_weights
+from robir.appearance.statistics import darker_view_weights, sharpest_views
 
 Floats = NDArray[np.float32]
 
@@ -339,8 +339,9 @@ def _apply(
         through = 1 - _dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
         linear = diffuse[rows]
         below = torch.maximum(linear - dielectric, 0.02 * linear) / through
-        valid = torch.from_numpy(observations.weight[rows] > 0)
-        low = darker_view_weights(below, valid)[..., None]
+        # the views that the textures are read from, see texture.py
+        sharpest = torch.from_numpy(sharpest_views(observations.weight[rows]) > 0)
+        low = darker_view_weights(linear, sharpest)[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()
         kept[rows] = (through * low).sum(1).numpy()
         is_metal = torch.from_numpy(full_metal[rows] > 0.5)[:, None, None]

@@ -38,18 +38,15 @@ EDGE_SHARPNESS = 250.0
 """Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
 across, about what a mesh error of one grid cell does to a shadow."""
 
-SKY_CHANGES = np.linspace(-0.6, 0.6, 25)
-"""Log of the factors by which the sky is tried brighter or darker against the suns."""
+ALIKE_HUE = 0.1
+"""Difference in hue of log albedo at which two samples across a shadow hardly are one material."""
 
-VOTE_WIDTH = 0.12
-"""Difference of log albedo within which two samples vote for being one material."""
+SHADOW_WEIGHT = 1.0
+"""Weight of equal albedo across shadows once a first light tells which pairs are one material."""
 
 EVEN_SKY = 0.05
 """Weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
 material into another."""
-
-MIN_VOTES = 200
-"""Pairs that the balance of sky and suns needs."""
 
 MIN_GAIN = 0.02
 """Share by which a sun must lower the neighbour loss; the first need not if its shadow shows."""
@@ -163,65 +160,35 @@ def fit(
 ) -> Light:
     """Strengths of all lobes for fixed suns.
 
+    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
+    what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
+    such pairs are of two materials. Once there is a light to start from, those of one hue under it
+    alone count, and count more.
+
     Args:
         problem: Scene under a tone curve.
         axes: (J, 3) of the sharp lobes.
         sharpness: (J,).
         iterations: Adam steps.
         parsimony: Weight of few distinct albedos.
-        start: Where to begin.
+        start: A first light to begin from.
 
     Returns:
         The light.
     """
     rows = problem.scene.rows
-    sharp = problem.scene.sharp_transfer(axes, sharpness, rows)
+    radiance = problem.rows_radiance(rows)
+    transfer = problem.transfer(problem.scene.sharp_transfer(axes, sharpness, rows), rows)
+    across, priors = _across_shadows(problem, axes), Priors(parsimony=parsimony)
+    if start is not None:
+        across = across.of_one_hue(
+            log_ratio(radiance.linear, start.irradiance(transfer)), ALIKE_HUE
+        )
+        priors = replace(priors, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
     amplitudes, loss = solve_amplitudes(
-        problem.rows_radiance(rows),
-        problem.transfer(sharp, rows),
-        (problem.scene.pairs, _across_shadows(problem, axes)),
-        Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
-        iterations,
-        start=start,
+        radiance, transfer, (problem.scene.pairs, across), priors, iterations, start=start
     )
     return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
-
-
-def balance(problem: Problem, light: Light) -> Light:
-    """Sky against suns by the shadows alone.
-
-    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
-    what a sky does. Across a shadow, at equal normals, they cancel. Sought is the sky under which
-    most pairs of a lit and a shaded sample have one albedo; pairs of two materials do not vote.
-
-    Args:
-        problem: Scene under a tone curve, highlights removed if known.
-        light: Solved light.
-
-    Returns:
-        The light with its sky scaled, and all of it so that the mean albedo stays.
-    """
-    pairs = _across_shadows(problem, light.axes)
-    rows = problem.scene.rows
-    radiance = problem.rows_radiance(rows)
-    whole = ~(radiance.clipped[pairs.first] | radiance.clipped[pairs.second]).any(1)
-    first, second = pairs.first[whole], pairs.second[whole]
-    if len(first) < MIN_VOTES:
-        return light
-    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
-    transfer = problem.transfer(sharp, rows)
-    best, best_votes = light.amplitudes, -1.0
-    for change in SKY_CHANGES:
-        soft = light.amplitudes.soft * float(np.exp(change))
-        tried = Amplitudes(soft=soft, sharp=light.amplitudes.sharp)
-        log_albedo = log_ratio(radiance.linear, tried.irradiance(transfer)).mean(1)
-        apart = (log_albedo[first] - log_albedo[second]) / VOTE_WIDTH
-        votes = float(torch.exp(-0.5 * apart**2).mean())
-        if votes > best_votes:
-            best, best_votes = tried, votes
-    before = light.amplitudes.irradiance(transfer).log().mean()
-    scale = float((before - best.irradiance(transfer).log().mean()).exp())
-    return replace(light, amplitudes=Amplitudes(soft=scale * best.soft, sharp=scale * best.sharp))
 
 
 def _across_shadows(problem: Problem, axes: Floats) -> Pairs:

@@ -20,7 +20,7 @@ from robir.appearance.light import lobes_of
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.render import AtlasLookup, render_view
-from robir.appearance.solver import Light, balance, fit, polish
+from robir.appearance.solver import Light, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
@@ -35,7 +35,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 10
+REVISION = 11
 
 TEXTURE_VIEWS = 48
 
@@ -126,7 +126,7 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     Returns:
         The scene without its highlights, its light, and its gloss.
     """
-    light = balance(sized.problem, polish(sized.problem, sized.light, config, seed))
+    light = polish(sized.problem, sized.light, config, seed)
     _, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
     problem = sized.problem.without_highlights(diffuse)
     refitted = fit(
@@ -137,7 +137,7 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
         parsimony=config.parsimony_weight,
         start=light.amplitudes,
     )
-    final = replace(balance(problem, refitted), history=light.history)
+    final = replace(refitted, history=light.history)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
     return sized.problem.without_highlights(diffuse), final, gloss
 

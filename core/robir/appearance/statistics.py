@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -60,6 +60,12 @@ def linear_observations(
     return gains.undone(decoded(observations, curve), observations)
 
 
+def sharpest_views(weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (N, V) of the views without the flattest of each sample: those blur its texture."""
+    best = weight.max(1, keepdims=True)
+    return np.where(weight > 0.5 * best, weight, 0).astype(np.float32)
+
+
 def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
     """Weights of the views between LOW_SHARE and HIGH_SHARE of each sample's brightness.
 
@@ -109,6 +115,19 @@ class Pairs:
     first: Tensor
     second: Tensor
     weight: Tensor
+
+    def of_one_hue(self, log_albedo: Tensor, width: float) -> Pairs:
+        """The same pairs, each counting by how alike its samples are in hue.
+
+        Args:
+            log_albedo: (U, 3) of the samples, under some light.
+            width: Standard deviation of the difference in hue, log units, at which a weight falls
+                to exp(-1/2). Brightness does not matter.
+        """
+        apart = log_albedo[self.first] - log_albedo[self.second]
+        hue = ((apart - apart.mean(1, keepdim=True)) ** 2).sum(1)
+        weight = self.weight * torch.exp(-0.5 * hue / width**2)
+        return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
 
 def neighbour_pairs(

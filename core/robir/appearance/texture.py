@@ -21,7 +21,11 @@ from torch import Tensor
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.solver import EDGE_SHARPNESS, Light
-from robir.appearance.statistics import diffuse_radiance, linear_observations
+from robir.appearance.statistics import (
+    diffuse_radiance,
+    linear_observations,
+    sharpest_views,
+)
 from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
@@ -169,7 +173,8 @@ def texel_albedo(
     sun = light.amplitudes.sharp.numpy()
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve, problem.gains)
-    radiance = diffuse_radiance(_sharpest(seen), linear)
+    sharpest = replace(seen, weight=sharpest_views(seen.weight))
+    radiance = diffuse_radiance(sharpest, linear)
     total = radiance.linear.numpy()
     irradiance = soft + narrow @ sun
     exitant = np.pi * np.maximum(total - floor, 0.1 * total) / kept
@@ -244,13 +249,6 @@ def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
         lit.append(np.stack(columns, axis=1))
     count = np.sum(lit, axis=0)
     return (count > 0) & (count < len(lit))
-
-
-def _sharpest(seen: Observations) -> Observations:
-    """Observations without the flattest views of a texel: those blur its texture."""
-    best = seen.weight.max(1, keepdims=True)
-    weight = np.where(seen.weight > 0.5 * best, seen.weight, 0).astype(np.float32)
-    return replace(seen, weight=weight)
 
 
 def _spread(linear: Tensor, seen: Observations) -> Floats:
