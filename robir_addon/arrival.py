@@ -9,7 +9,7 @@ from .blocks import MARK
 from .gateway import JobPaths
 from .importer import import_result, read_json
 from .startup import put_aside
-from .view_transform import view_transform_differs
+from .view_transform import view_name, view_transform_differs
 
 
 def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
@@ -40,9 +40,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     _frame(context)
     notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
     if view_transform_differs(scene, curve):
-        wanted = curve["blender_view_transform"] or "another curve"
         notes.append(
-            f"The photographs were made through {wanted}, the scene is shown through "
+            f"The photographs were made through {view_name(curve)}, the scene is shown through "
             f"{scene.view_settings.view_transform}; Match View Transform makes them alike"
         )
     if hidden:

@@ -25,6 +25,7 @@ class GlbMesh:
         faces: (F, 3) indices into vertices.
         corner_normals: (F, 3, 3) unit normals.
         corner_uvs: (F, 3, 2) texture coordinates, v upwards.
+        specular: 1 where what is no metal reflects as any paint, 0 where it does not.
     """
 
     name: str
@@ -32,6 +33,7 @@ class GlbMesh:
     faces: np.ndarray
     corner_normals: np.ndarray
     corner_uvs: np.ndarray
+    specular: float
 
 
 def read_glb(path: Path) -> GlbMesh:
@@ -50,6 +52,8 @@ def read_glb(path: Path) -> GlbMesh:
         corners = _array(document, binary, primitive["indices"]).reshape(-1, 3)
         position = _z_up(arrays["POSITION"])
         normal, uv = _z_up(arrays["NORMAL"]), arrays["TEXCOORD_0"]
+        extensions = document["materials"][primitive["material"]].get("extensions", {})
+        specular = extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0)
     except (OSError, ValueError, KeyError, IndexError, struct.error) as fault:
         raise ResultError(
             f"{path} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
@@ -62,6 +66,7 @@ def read_glb(path: Path) -> GlbMesh:
         faces=welded.reshape(-1)[corners].astype(np.int32),
         corner_normals=normal[corners],
         corner_uvs=np.stack([uv[corners][..., 0], 1.0 - uv[corners][..., 1]], axis=-1),
+        specular=float(specular),
     )
 
 

@@ -32,20 +32,21 @@ def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types
     layer.uv.foreach_set("vector", mesh.corner_uvs.reshape(-1).astype(np.float32))
     data.polygons.foreach_set("use_smooth", np.ones(len(mesh.faces), dtype=bool))
     data.normals_split_custom_set(mesh.corner_normals.reshape(-1, 3).tolist())
-    data.materials.append(_material(name, paths, mark))
+    data.materials.append(_material(name, mesh.specular, paths, mark))
     data.update()
     asset = bpy.data.objects.new(mesh.name, data)
     asset[MARK] = mark
     return asset
 
 
-def _material(name: str, paths: JobPaths, mark: str) -> bpy.types.Material:
-    """Principled material from the texture files; IOR stays Blender's 1.5."""
+def _material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.types.Material:
+    """Principled material from the texture files; IOR stays Blender's 1.5, specular is a share."""
     material = bpy.data.materials.new(name)
     material[MARK] = mark
     enable_nodes(material)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Specular IOR Level"].default_value *= specular  # 0.5: as the IOR says
     for row, (file, socket, space) in enumerate(texture_sockets(paths)):
         texture = nodes.new("ShaderNodeTexImage")
         texture.location = (-420, 300 - 300 * row)

@@ -18,12 +18,12 @@ def match_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> 
     """
     wanted, settings = tone_curve["blender_view_transform"], scene.view_settings
     settings.look = "None"
-    settings.gamma = 1.0
     settings.exposure = tone_curve["exposure"]
     try:
         settings.view_transform = wanted or "Standard"
     except TypeError:  # not in this Blender's list
         settings.view_transform, wanted = "Standard", None
+    settings.gamma = _gamma(tone_curve) if wanted else 1.0
     if wanted:
         return ()
     return (
@@ -34,8 +34,22 @@ def match_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> 
 
 def view_transform_differs(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> bool:
     """Whether the scene is shown through another curve than the photographs."""
-    settings = scene.view_settings
-    wanted = (tone_curve["blender_view_transform"] or "Standard", "None", 1.0)
-    if (settings.view_transform, settings.look, settings.gamma) != wanted:
+    settings, named = scene.view_settings, tone_curve["blender_view_transform"]
+    if (settings.view_transform, settings.look) != (named or "Standard", "None"):
         return True
-    return abs(settings.exposure - tone_curve["exposure"]) > 1e-4
+    gamma = _gamma(tone_curve) if named else 1.0
+    distance = max(abs(settings.exposure - tone_curve["exposure"]), abs(settings.gamma - gamma))
+    return distance > 1e-4
+
+
+def view_name(tone_curve: dict[str, Any]) -> str:
+    """The recovered curve in the terms of Blender's colour management."""
+    named, gamma = tone_curve["blender_view_transform"], _gamma(tone_curve)
+    if not named:
+        return "another curve"
+    return named if gamma == 1.0 else f"{named} with gamma {gamma:g}"
+
+
+def _gamma(tone_curve: dict[str, Any]) -> float:
+    """Blender's gamma, which comes after the view transform; curves written earlier have none."""
+    return tone_curve.get("blender_gamma", 1.0)

@@ -9,9 +9,11 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.gloss import LEVELS
+from robir.appearance.gloss import specular_towards
 from robir.appearance.light import lobes_of, soft_lobes
 from robir.appearance.model_size import smallest_model
+from robir.appearance.problem import make_problem
+from robir.appearance.roughness import DULL, EACH, GLOSSY, MATTE, ONE
 from robir.appearance.stage import solve
 from robir.appearance.tone_choice import choose_tone_curve
 from robir.maths.tone import curve_from_name
@@ -29,7 +31,12 @@ def chosen(scene):
     first = tone.candidates[0]
     sized = smallest_model(first.problem, first.light, CONFIG)
     _, light, gloss = solve(sized, CONFIG, 0)
-    return first.curve.name, {row["choice"]: row["chosen"] for row in sized.rows}, light, gloss
+    rows = {row["choice"]: row["chosen"] for row in (*sized.rows, *gloss.rows)}
+    return first.curve.name, rows, light, gloss
+
+
+def seen_samples(scene):
+    return (scene.transport.observations.weight > 0).sum(1) >= 2
 
 
 def halves(first, second):
@@ -84,25 +91,47 @@ def test_an_isolated_convex_object_throws_no_light_on_itself():
 
 @pytest.mark.parametrize("roughness", [0.3, 0.56])
 def test_one_material_has_one_roughness(roughness):
-    """Two paints under one varnish: what is judged at all is judged alike."""
+    """Two paints under one varnish."""
     parts = halves(synthetic.Material(CLAY, roughness), synthetic.Material(SLATE, roughness))
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    gloss = chosen(scene)[3]
-    judged = [row for row in gloss.table if row["roughness"] != 0.5]
-    assert sum(row["share"] for row in judged) > 0.5
-    assert not any(row["metallic"] * row["share"] for row in gloss.table)
-    for row in judged:
-        assert row["roughness"] == pytest.approx(roughness, abs=0.08)
+    _, rows, _, gloss = chosen(scene)
+    assert (rows["specular"], rows["roughness"]) == (GLOSSY, ONE)
+    seen = seen_samples(scene)
+    assert len(set(gloss.roughness[seen])) == 1
+    assert gloss.roughness[seen][0] == pytest.approx(roughness, abs=0.08)
+    assert not gloss.metallic.any()
+
+
+def test_a_polished_half_and_a_rough_one_have_each_its_roughness():
+    polished, rough = synthetic.Material(CLAY, 0.3), synthetic.Material(SLATE, 0.72)
+    parts = halves(polished, rough)
+    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
+    _, rows, _, gloss = chosen(scene)
+    assert (rows["specular"], rows["roughness"]) == (GLOSSY, EACH)
+    seen = seen_samples(scene)
+    is_polished = scene.transport.surfels.position[:, 1] > 0
+    assert np.median(gloss.roughness[seen & is_polished]) == pytest.approx(0.3, abs=0.1)
+    assert np.median(gloss.roughness[seen & ~is_polished]) == pytest.approx(0.72, abs=0.1)
 
 
 def test_a_matte_object_has_no_highlights():
-    """Lambert's paint without any varnish: nothing in it is glossy."""
+    """Lambert's paint without any varnish: nothing in it is glossy, nothing is taken off it."""
     parts = halves(*(synthetic.Material(base, 0.5, specular=0.0) for base in (CLAY, SLATE)))
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    gloss = chosen(scene)[3]
-    judged = [row for row in gloss.table if row["roughness"] != 0.5]
-    assert sum(row["share"] for row in judged) > 0.3
-    assert all(row["roughness"] == max(LEVELS) and row["metallic"] == 0 for row in judged)
+    _, rows, light, gloss = chosen(scene)
+    assert (rows["specular"], rows["roughness"]) == (DULL, ONE)
+    seen = seen_samples(scene)
+    assert not gloss.has_highlights
+    assert not gloss.metallic.any()
+    assert not gloss.floor.any()
+    np.testing.assert_array_equal(gloss.kept, 1)
+    np.testing.assert_array_equal(gloss.roughness[seen], MATTE)
+    problem = make_problem(scene, curve_from_name("filmic"))
+    few = np.flatnonzero(seen)[:5]
+    towards = scene.transport.surfels.normal[few]
+    dielectric, _, kept = specular_towards(problem, light, gloss, few, towards)
+    np.testing.assert_array_equal(dielectric, 0)
+    np.testing.assert_array_equal(kept, 1)
 
 
 def test_gold_is_metal_and_nothing_else():
@@ -110,7 +139,7 @@ def test_gold_is_metal_and_nothing_else():
     parts = [(lambda at: at[:, 0] < 2, gold)]
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
     gloss = chosen(scene)[3]
-    seen = (scene.transport.observations.weight > 0).sum(1) >= 2
+    seen = seen_samples(scene)
     assert gloss.metallic[seen].mean() > 0.95
     red, green, blue = np.median(gloss.metal[seen], 0)
     assert red > 1.15 * green > 1.15**2 * blue

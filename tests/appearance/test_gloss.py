@@ -8,7 +8,7 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.gloss import LEVELS, estimate_gloss, lowest_cost
+from robir.appearance.gloss import estimate_gloss
 from robir.appearance.problem import make_problem
 from robir.appearance.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
@@ -62,20 +62,3 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     expected = (diffuse.numpy() * darker).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
     assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
-
-
-@pytest.mark.parametrize(
-    ("costs", "lowest", "highest"),
-    [
-        # a valley, with its bottom between two levels
-        ((9.0, 7.0, 4.0, 3.8, 6.0, 9.0, 11.0), 0.3, 0.42),
-        # no view shows the sharpest, none the roughest: the sharp one is not believed
-        ((6.3, 6.8, 8.2, 8.5, 7.1, 6.5, 6.6), 0.56, 0.8),
-        # it is where it does much better
-        ((3.0, 4.0, 6.0, 7.0, 8.0, 9.0, 9.5), 0.12, 0.12),
-        ((5.0, 4.0, 4.9, 7.0, 8.0, 9.0, 9.5), 0.17, 0.25),
-    ],
-)
-def test_roughness_is_at_the_lowest_cost_that_photographs_can_show(costs, lowest, highest):
-    assert len(costs) == len(LEVELS)
-    assert lowest <= lowest_cost(np.array(costs)) <= highest

@@ -160,7 +160,9 @@ def test_texels_of_a_lit_floor_have_their_paint():
         floor=np.zeros((count, 3), np.float32),
         metal=np.ones((count, 3), np.float32),
         kept=np.ones((count, 1), np.float32),
+        has_highlights=True,
         table=(),
+        rows=(),
     )
     texels = Texels(position=position, normal=normal)
     values = texel_albedo(make_problem(scene, curve), light, texels, views, matte, tracer)

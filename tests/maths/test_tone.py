@@ -212,7 +212,9 @@ def test_a_power_is_taken_after_the_curve_and_undone_before_it(curve, power):
     again = tone.curve_from_name(retoned.name, retoned.parameters)
     assert again.parameters == retoned.parameters == curve.parameters | {"display_power": power}
     torch.testing.assert_close(again.display_from_linear(linear), shown)
-    assert again.blender_view_transform is None
+    assert again.blender_view_transform == curve.blender_view_transform
+    assert again.blender_gamma == pytest.approx(1 / power)
+    assert curve.blender_gamma == 1.0
 
 
 def test_no_power_leaves_a_curve_alone_and_wrong_ones_are_refused():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Means over pairs of samples, with standard errors over blocks of the surface.
+"""Means over samples or pairs of them, with standard errors over blocks of the surface.
 
-Pairs near each other share their materials and the errors of the mesh, so they are no independent
+Those near each other share their materials and the errors of the mesh, so they are no independent
 draws; blocks of BLOCK nearly are.
 """
 
@@ -22,16 +22,20 @@ BLOCK = 0.2
 """Side of a block, unit frame."""
 
 
+def block_numbers(position: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Block number of points (N, 3) in the unit frame, from 0 without gaps."""
+    cell = np.floor(position / BLOCK).astype(np.int64)
+    return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+
+
 def blocks_of(scene: Scene) -> NDArray[np.int64]:
     """Block number of the first sample of every ordered pair, (2 P,)."""
-    position = scene.transport.surfels.position[scene.rows]
-    cell = np.floor(position / BLOCK).astype(np.int64)
-    _, block = np.unique(cell, axis=0, return_inverse=True)
+    block = block_numbers(scene.transport.surfels.position[scene.rows])
     return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
 
 
 def table_of(blocks: NDArray[np.int64], value: Floats, weight: Floats) -> Table:
-    """The sums of each block of values (2 P,) and their weights."""
+    """The sums of each block of values (N,) and their weights."""
     total, mass = (np.bincount(blocks, each).astype(float) for each in (value * weight, weight))
     return total, mass
 

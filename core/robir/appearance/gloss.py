@@ -4,13 +4,14 @@
 A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
 reflects with its base colour. Both are predicted for every view at several roughnesses. What is
 metal is judged by the neighbourhood of each sample: its views differ more than any dielectric's
-may. Roughness is judged over a whole cluster of alike samples: one sample sees a highlight in a few
-views at most, a cluster in many.
+may. Roughness is judged over many samples, see roughness.py: one of them sees a highlight in a few
+views at most.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,19 +29,14 @@ from robir.appearance.reflections import (
     reflected_share,
     view_rays,
 )
+from robir.appearance.roughness import LEVELS, UNKNOWN, Highlights, choose_roughness
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
 
 Floats = NDArray[np.float32]
 
-LEVELS = (0.12, 0.2, 0.3, 0.42, 0.56, 0.72, 0.9)
-"""Roughnesses that are tried."""
-
 TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
 """Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
-
-MATTE = 0.5
-"""Roughness given to materials whose views say nothing about it."""
 
 ALIKE_NORMAL = 0.06
 """Distance, unit frame, that half the difference of opposite normals counts as."""
@@ -48,18 +44,9 @@ ALIKE_NORMAL = 0.06
 ROUGHEST_METAL = 5
 """Levels at which metal is tried: a rougher metal looks like a dielectric of another shade."""
 
-FIRST_SHOWN = 2
-"""First level whose highlight is wide enough for a few dozen views to show it."""
-
-SHARP_LEAD = 0.9
-"""Cost of a sharper level against the best of the rough ones at which it is believed."""
-
-MATTE_LEAD = 0.4
-"""Cost without any highlight against the best with one at which a material is as rough as can be:
-a highlight too sharp for any view to show fits a matte surface nearly as well as none."""
-
-MIN_HIGHLIGHTS = 100
-"""Views near a sun's mirror direction that a material must have for its roughness to be judged."""
+SHARPEST_SKY = 0.5
+"""Roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
+sky and of the surroundings, errors of both and of the mesh displace."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +60,9 @@ class Gloss:
             scene has none.
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
-        table: One dictionary per material for the report.
+        has_highlights: Whether anything but metal has a specular layer.
+        table: One dictionary per material.
+        rows: What was chosen against what, for the report.
     """
 
     roughness: Floats
@@ -81,7 +70,9 @@ class Gloss:
     metal: Floats
     floor: Floats
     kept: Floats
+    has_highlights: bool
     table: tuple[dict[str, float], ...]
+    rows: tuple[dict[str, Any], ...]
 
 
 def specular_towards(
@@ -112,6 +103,8 @@ def specular_towards(
         both = Reflections(problem, light, rows).radiance(rays, float(roughness))
         result[:, chosen] = both.numpy().transpose(1, 0, 2)
         kept[chosen] = 1 - reflected_share(rays, float(roughness))[:, None].numpy()
+    if not gloss.has_highlights:
+        result[0], kept[:] = 0, 1
     return result[0], result[1], kept
 
 
@@ -127,29 +120,14 @@ class _Costs:
     """Display errors of some samples at every level.
 
     Attributes:
-        highlight: (U, L) error of a dielectric in views near a sun's mirror direction.
-        plain: (U,) the same without any highlight.
-        num_highlight: (U,) number of such views.
+        highlights: Of a dielectric in views near a sun's mirror direction.
         whole: (U, 2, L) error of a dielectric and of a metal in all views.
         num_whole: (U,) number of views.
     """
 
-    highlight: Tensor
-    plain: Tensor
-    num_highlight: Tensor
+    highlights: Highlights
     whole: Tensor
     num_whole: Tensor
-
-    def pooled(self, chosen: NDArray[np.bool_]) -> _Costs:
-        """Sums over the chosen samples."""
-        rows = torch.from_numpy(chosen)
-        return _Costs(
-            self.highlight[rows].sum(0),
-            self.plain[rows].sum(),
-            self.num_highlight[rows].sum(),
-            self.whole[rows].sum(0),
-            self.num_whole[rows].sum(),
-        )
 
 
 def _costs(
@@ -158,7 +136,8 @@ def _costs(
     """Errors of both models at every level, and the radiance (M, 3) that every ray sees.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
-    rougher surface merely hides errors of the sky and of the mesh, and would always win.
+    rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
+    sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
     """
     observations = problem.scene.transport.observations
     shape = (len(rows), observations.weight.shape[1])
@@ -181,7 +160,6 @@ def _costs(
     near = reflections.near_highlight(rays)
     highlight = torch.full((len(rows), len(LEVELS)), float("inf"))
     whole = torch.zeros(len(rows), 2, len(LEVELS))
-    even = reflections.from_sky(rays, MATTE)[:, 0]
     for index, level in enumerate(LEVELS):
         both = reflections.radiance(rays, level)
         through = 1 - reflected_share(rays, level)[:, None]
@@ -191,6 +169,7 @@ def _costs(
         colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
         whole[:, 0, index] = summed(error(base + both[:, 0]))
         whole[:, 1, index] = summed(error(colour.clamp(0, 1)[sample] * both[:, 1]))
+        even = reflections.from_sky(rays, max(level, SHARPEST_SKY))[:, 0]
         lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
         below = torch.maximum(linear - lit, 0.02 * linear) / through
         base = _low_mean(below, rays, valid)[sample] * through
@@ -199,7 +178,8 @@ def _costs(
             total = summed(error(base + even + sun) * near)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
     plain = summed(error(_low_mean(linear, rays, valid)[sample]) * near)
-    return _Costs(highlight, plain, summed(near), whole, valid.sum(1).float()), linear
+    highlights = Highlights(highlight.numpy(), plain.numpy(), summed(near).numpy())
+    return _Costs(highlights, whole, valid.sum(1).float()), linear
 
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
@@ -241,24 +221,38 @@ def estimate_gloss(
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
     cluster = _clusters(_features(problem, light, seen), num_materials, seed)
-    choices = [
-        _roughness(costs.pooled((cluster[in_solve] == index) & ~is_metal))
-        for index in range(num_materials)
-    ]
-    level = np.array(choices)[cluster]
+    choice = choose_roughness(
+        costs.highlights.of(~is_metal),
+        cluster[in_solve][~is_metal],
+        surfels.position[rows][~is_metal],
+        num_materials,
+    )
+    level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
-    gloss, diffuse = _apply(problem, light, seen, level, (part >= 0).astype(np.float64))
+    metallic = (part >= 0).astype(np.float64)
+    gloss, diffuse = _apply(problem, light, seen, level, metallic, choice.has_highlights)
     metal = np.zeros((len(surfels), 3), np.float32)
     if is_metal.any():
         nearest = cKDTree(surfels.position[rows[is_metal]]).query(surfels.position)[1]
         metal = parts.base[parts.part[is_metal][nearest]]
-    kinds = [(choice, 0.0, (cluster == k) & (part < 0)) for k, choice in enumerate(choices)]
+    kinds = [
+        (float(value), 0.0, (cluster == k) & (part < 0)) for k, value in enumerate(choice.roughness)
+    ]
     kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts.roughness)]
     table = tuple(
         {"roughness": roughness, "metallic": metallic, "share": float(chosen.mean())}
         for roughness, metallic, chosen in kinds
     )
-    return Gloss(**{**gloss, "metal": metal, "table": table}), diffuse
+    return (
+        Gloss(
+            **gloss,
+            metal=metal,
+            has_highlights=choice.has_highlights,
+            table=table,
+            rows=choice.rows,
+        ),
+        diffuse,
+    )
 
 
 def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats:
@@ -284,52 +278,27 @@ def _clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
     return labels.astype(np.int64)
 
 
-def _roughness(pooled: _Costs) -> float:
-    """Roughness of a cluster of dielectrics from its pooled costs."""
-    if float(pooled.num_highlight) < MIN_HIGHLIGHTS:
-        return MATTE
-    if pooled.plain < MATTE_LEAD * pooled.highlight.min():
-        return LEVELS[-1]
-    return lowest_cost(pooled.highlight.numpy())
-
-
-def lowest_cost(curve: Floats) -> float:
-    """Roughness at the minimum of a parabola through the lowest level and its neighbours.
-
-    A highlight too sharp for any view to show and one too wide to stand out predict the same
-    photographs; unless the sharp one does much better it is not believed.
-
-    Args:
-        curve: (L,) costs of the levels.
-    """
-    best = int(curve.argmin())
-    if best < FIRST_SHOWN and curve[best] > SHARP_LEAD * curve[FIRST_SHOWN + 1 :].min():
-        best = FIRST_SHOWN + int(curve[FIRST_SHOWN:-1].argmin())
-    if best in (0, len(curve) - 1):
-        return LEVELS[best]
-    around = slice(best - 1, best + 2)
-    square, slope, _ = np.polyfit(LEVELS[around], curve[around].astype(np.float64), 2)
-    vertex = -slope / (2 * square) if square > 0 else LEVELS[best]
-    return float(np.clip(vertex, LEVELS[best - 1], LEVELS[best + 1]))
-
-
 def _apply(
     problem: Problem,
     light: Light,
     seen: NDArray[np.int64],
     level: NDArray[np.float64],
     metal: NDArray[np.float64],
+    has_highlights: bool,
 ) -> tuple[dict[str, Floats], Tensor]:
-    """Diffuse radiance of all observations, each sample with its own roughness."""
+    """Diffuse radiance of all observations, each sample with its own roughness.
+
+    Without highlights it is all there is; that of metal is left as it is seen.
+    """
     scene = problem.scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)
     diffuse = problem.linear.clone()
     floor = np.zeros((num, 3), np.float32)
     kept = np.ones((num, 1), np.float32)
-    full_level, full_metal = np.full(num, MATTE, np.float32), np.zeros(num, np.float32)
+    full_level, full_metal = np.full(num, UNKNOWN, np.float32), np.zeros(num, np.float32)
     full_level[seen], full_metal[seen] = level, metal
-    for roughness in np.unique(level):
+    for roughness in np.unique(level) if has_highlights else ():
         rows = seen[level == roughness]
         reflections = Reflections(problem, light, rows)
         rays = view_rays(surfels, observations, rows, scene.transport.visibility.directions)

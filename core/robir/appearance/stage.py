@@ -93,12 +93,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     lookup = AtlasLookup(mesh, inside)
     psnr = _held_out(folder, problem, light, gloss, capture, (mesh, tracer, lookup, values))
     _show(context.paths, capture)
-    _write_textures(folder, inside, values)
+    _write_textures(folder, inside, values, gloss)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains)
     choices = [
         *_choices(tone, light, gloss, seconds),
+        *gloss.rows,
         *sized.rows,
         _exposure_choice(problem.gains, seconds),
         _falloff_choice(problem.gains),
@@ -191,7 +192,7 @@ def _show(paths: JobPaths, capture: Capture) -> None:
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
 
-def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo) -> None:
+def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo, gloss: Gloss) -> None:
     """Store the texel values as square arrays."""
 
     def square(column: np.ndarray) -> np.ndarray:
@@ -209,6 +210,7 @@ def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo) -> No
             disagreement=square(values.disagreement),
             uncertainty=square(values.uncertainty),
             inside=inside,
+            specular=np.float32(gloss.has_highlights),
         )
 
 
@@ -251,6 +253,7 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
             ],
             "clipped_share": tone.evidence.clipped_share,
             "blender_view_transform": chosen.blender_view_transform,
+            "blender_gamma": chosen.blender_gamma,
             "exposure": 0.0,
         },
     )

@@ -26,6 +26,7 @@ from robir.jobs.paths import replacing
 
 _FLOAT, _UINT = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
+_SPECULAR = "KHR_materials_specular"
 
 
 class _Buffer:
@@ -66,7 +67,8 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
         path: File to replace.
         mesh: Unwrapped, in the capture's own frame and unit.
         textures: Base colour is embedded as an sRGB PNG; roughness and metallic as one linear PNG
-            with roughness in G and metallic in B.
+            with roughness in G and metallic in B. Specular other than 1 needs an extension, which
+            viewers that lack it pass over.
         name: Name of node, mesh and material.
     """
     buffer = _Buffer()
@@ -87,7 +89,7 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": name}],
         "meshes": [{"name": name, "primitives": [primitive]}],
-        "materials": [_material(name)],
+        "materials": [_material(name, textures.specular)],
         "textures": [{"sampler": 0, "source": 0}, {"sampler": 0, "source": 1}],
         "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
         "images": [
@@ -98,11 +100,13 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data) + -len(buffer.data) % 4}],
     }
+    if textures.specular != 1.0:
+        document["extensionsUsed"] = [_SPECULAR]
     _write_chunks(path, document, bytes(buffer.data))
 
 
-def _material(name: str) -> dict[str, Any]:
-    return {
+def _material(name: str, specular: float) -> dict[str, Any]:
+    material: dict[str, Any] = {
         "name": name,
         # open surfaces (an object without its underside) show from both sides
         "doubleSided": True,
@@ -113,6 +117,9 @@ def _material(name: str) -> dict[str, Any]:
             "roughnessFactor": 1.0,
         },
     }
+    if specular != 1.0:
+        material["extensions"] = {_SPECULAR: {"specularFactor": specular}}
+    return material
 
 
 def _welded(mesh: Mesh) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

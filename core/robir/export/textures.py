@@ -37,6 +37,7 @@ class Textures:
         coverage: (T, T), share of the training views that saw the texel, in [0, 1].
         uncertainty: (T, T), one standard error of the natural log of albedo, up to one factor a
             channel for the whole object.
+        specular: 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not.
     """
 
     albedo_linear: Array
@@ -44,6 +45,7 @@ class Textures:
     metallic: Array | None
     coverage: Array
     uncertainty: Array
+    specular: float
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
@@ -70,7 +72,7 @@ def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
     """Grow the appearance stage's textures to what is shipped.
 
     Args:
-        arrays: Contents of the appearance stage's textures.npz.
+        arrays: Contents of the appearance stage's textures.npz; without "specular" it is 1.
         num_views: Number of training views, the unit of "coverage".
 
     Returns:
@@ -89,6 +91,7 @@ def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
         metallic=np.clip(fill("metallic"), 0.0, 1.0) if has_metal else None,
         coverage=np.clip(np.where(inside, arrays["coverage"] / max(num_views, 1), 0.0), 0.0, 1.0),
         uncertainty=np.maximum(np.where(inside, arrays["uncertainty"], 0.0), 0.0),
+        specular=float(arrays.get("specular", 1.0)),
     )
 
 

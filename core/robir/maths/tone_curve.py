@@ -47,12 +47,14 @@ class AbstractToneCurve(ABC):
     Attributes:
         name: Identifier of the family, as in tone_curve.json.
         blender_view_transform: Name of Blender's view transform that does the same, or None.
+        blender_gamma: Blender's view setting "Gamma" with which it does.
         saturation_level: Display code from which a value means "at least this bright".
         mixes_channels: Whether a display channel depends on more than its own linear one.
     """
 
     name: str
     blender_view_transform: str | None
+    blender_gamma: float = 1.0
     saturation_level: ClassVar[float] = SATURATION_LEVEL
     mixes_channels: bool = False
 

@@ -3,8 +3,8 @@
 
     display = F(linear)^p
 
-p below 1 lifts the darks, p above 1 deepens them; p = 1 is the curve itself. Blender's own view
-setting "Gamma" is 1 / p.
+p below 1 lifts the darks, p above 1 deepens them; p = 1 is the curve itself. Blender shows it by
+the curve's own view transform with the view setting "Gamma" at 1 / p.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ class PoweredToneCurve(AbstractToneCurve):
         power: p, above 0.
     """
 
-    blender_view_transform = None
-
     def __init__(self, base: AbstractToneCurve, power: float) -> None:
         """Fix both; raises ConfigError for a power that is not positive."""
         if not power > 0.0:
@@ -36,6 +34,8 @@ class PoweredToneCurve(AbstractToneCurve):
             )
         self.base, self.power = base, float(power)
         self.name, self.mixes_channels = base.name, base.mixes_channels
+        self.blender_view_transform = base.blender_view_transform
+        self.blender_gamma = 1.0 / self.power
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Curves of photographs that were re-toned by a power, in Blender's own colour management."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from robir.maths import tone
+
+pytestmark = pytest.mark.blender
+
+RADIANCES = (0.01, 0.09, 0.5)
+
+
+@pytest.fixture
+def grey():
+    """A scene that shows nothing but its World."""
+    import bpy
+
+    from robir_addon.rendering import prepare_scene
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("grey")
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    prepare_scene(scene)
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    scene.render.film_transparent = False
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    return scene
+
+
+def table_of(curve):
+    """What the appearance stage writes of a curve."""
+    return {
+        "family": curve.name,
+        "parameters": curve.parameters,
+        "blender_view_transform": curve.blender_view_transform,
+        "blender_gamma": curve.blender_gamma,
+        "exposure": 0.0,
+    }
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0])
+@pytest.mark.parametrize("family", ["standard", "filmic"])
+def test_a_power_is_shown_live(grey, tmp_path, family, power):
+    from robir_addon.rendering import render_still
+    from robir_addon.view_transform import match_view_transform, view_transform_differs
+
+    curve = tone.powered(tone.curve_from_name(family), power)
+    table = table_of(curve)
+    assert view_transform_differs(grey, table)
+    assert match_view_transform(grey, table) == ()
+    assert not view_transform_differs(grey, table)
+    found = []
+    for radiance in RADIANCES:
+        grey.world.color = (radiance,) * 3
+        render_still(grey, tmp_path / "grey.png")
+        with Image.open(tmp_path / "grey.png") as image:
+            found.append(np.asarray(image.convert("RGB"))[2, 2])
+    expected = curve.display_from_linear(torch.tensor(RADIANCES)[:, None].expand(-1, 3))
+    np.testing.assert_allclose(found, 255 * expected.numpy(), atol=2)
+
+
+def test_another_gamma_is_another_curve(grey):
+    from robir_addon.view_transform import match_view_transform, view_name, view_transform_differs
+
+    plain, retoned = (table_of(tone.powered(tone.curve_from_name("agx"), p)) for p in (1.0, 0.5))
+    match_view_transform(grey, retoned)
+    assert grey.view_settings.gamma == pytest.approx(2.0)
+    assert view_transform_differs(grey, plain)
+    assert (view_name(plain), view_name(retoned)) == ("AgX", "AgX with gamma 2")
+    # results of before there was a gamma have none
+    del plain["blender_gamma"]
+    match_view_transform(grey, plain)
+    assert grey.view_settings.gamma == 1.0
+    assert view_name(plain) == "AgX"
+
+
+def test_a_power_of_a_curve_that_blender_lacks_leaves_its_gamma_alone(grey):
+    from robir_addon.view_transform import match_view_transform, view_name, view_transform_differs
+
+    table = table_of(tone.powered(tone.curve_from_name("robir_aces"), 0.5))
+    (note,) = match_view_transform(grey, table)
+    assert "tone_curve.cube" in note
+    assert (grey.view_settings.view_transform, grey.view_settings.gamma) == ("Standard", 1.0)
+    assert not view_transform_differs(grey, table)
+    assert view_name(table) == "another curve"
