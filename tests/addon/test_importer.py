@@ -12,6 +12,8 @@ from evaluation import sphere_run
 
 from robir.capture.camera import Camera
 from robir.capture.store import load_capture
+from robir.export.gltf import write_glb
+from robir.export.textures import finished_textures
 from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = pytest.mark.blender
@@ -66,6 +68,25 @@ def test_colour_states_and_view_transform(result, scene):
     world = next(n for n in imported.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
     assert world.image.colorspace_settings.name == "Linear Rec.709"
     assert scene.world == imported.world
+
+
+@pytest.mark.parametrize("specular", [1.0, 0.0])
+def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, specular):
+    """By our importer and by Blender's own."""
+    import bpy
+
+    from robir_addon.importer import import_result
+
+    paths = JobPaths(tmp_path / "run")
+    shutil.copytree(result.root, paths.root)
+    arrays = sphere_run.sphere_textures() | {"specular": np.float32(specular)}
+    write_glb(paths.asset, sphere_run.world_mesh(), finished_textures(arrays, 12), "sphere")
+    asset = import_result(paths.root, scene).asset
+    bpy.ops.import_scene.gltf(filepath=str(paths.asset))
+    for made in (asset, bpy.context.object):
+        nodes = made.data.materials[0].node_tree.nodes
+        shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
+        assert shader.inputs["Specular IOR Level"].default_value == pytest.approx(0.5 * specular)
 
 
 def test_the_view_transform_is_offered_and_never_forced(result, scene):

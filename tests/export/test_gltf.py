@@ -33,6 +33,15 @@ def glb(tmp_path_factory):
     return file
 
 
+@pytest.fixture(scope="module")
+def dull_glb(tmp_path_factory):
+    """The same without highlights."""
+    file = tmp_path_factory.mktemp("glb") / "dull.glb"
+    arrays = sphere_run.sphere_textures() | {"specular": np.float32(0)}
+    write_glb(file, sphere_run.world_mesh(), finished_textures(arrays, 12), "sphere")
+    return file
+
+
 def document(glb):
     content = glb.read_bytes()
     (length,) = struct.unpack_from("<I", content, 12)
@@ -75,7 +84,21 @@ def test_textures_are_where_gltf_wants_them(glb):
     assert table["extras"]["robir_version"]
 
 
-def test_the_khronos_validator_finds_no_fault(glb):
+def test_paint_without_highlights_says_so_by_the_extension(glb, dull_glb):
+    table, _ = document(dull_glb)
+    assert table["extensionsUsed"] == ["KHR_materials_specular"]
+    assert table["materials"][0]["extensions"] == {
+        "KHR_materials_specular": {"specularFactor": 0.0}
+    }
+    # what is as usual needs none
+    table, _ = document(glb)
+    assert "extensionsUsed" not in table
+    assert "extensions" not in table["materials"][0]
+
+
+@pytest.mark.parametrize("name", ["glb", "dull_glb"])
+def test_the_khronos_validator_finds_no_fault(name, request):
+    glb = request.getfixturevalue(name)
     if not (Path(sys.prefix) / "node_modules" / "gltf-validator").is_dir():
         pytest.skip("THE GLB WAS NOT VALIDATED: `make validator` fetches what it needs")
     environment = {**os.environ, "NODE_PATH": str(Path(sys.prefix) / "node_modules")}
