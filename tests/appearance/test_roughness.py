@@ -105,15 +105,17 @@ def test_a_material_that_hardly_any_view_judges_takes_the_roughness_of_all():
     np.testing.assert_allclose(roughness, 0.56, atol=0.05)
 
 
-def test_a_material_that_no_roughness_explains_is_not_judged(material):
-    true = np.array([0.2, 0.2, 0.72])
+@pytest.mark.parametrize(("spoilt", "expected"), [(0, 0.2), (2, UNKNOWN)])
+def test_what_no_roughness_explains_is_not_believed_to_be_rough(material, spoilt, expected):
+    true = np.array([0.2, 0.3, 0.72])
     highlights, position = surface(true[material], 0.004, 0.02)
-    spoilt = material == 1
+    spoilt = material == spoilt
     highlights.error[spoilt] += VIEWS * 0.03
     highlights.plain[spoilt] += VIEWS * 0.03
     _, kind, roughness, _ = answers(highlights, position, material)
     assert kind == EACH
-    np.testing.assert_allclose(roughness, [0.2, UNKNOWN, 0.72], atol=0.06)
+    true[material[spoilt][0]] = expected
+    np.testing.assert_allclose(roughness, true, atol=0.06)
 
 
 def test_where_no_sun_is_mirrored_nothing_is_judged(material):

@@ -32,6 +32,7 @@ from robir.appearance.reflections import (
 from robir.appearance.roughness import LEVELS, UNKNOWN, Highlights, choose_roughness
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
+from robir.maths.tone_curve import AbstractToneCurve
 
 Floats = NDArray[np.float32]
 
@@ -116,70 +117,112 @@ def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
+class _Seen:
+    """What the photographs show along some rays.
+
+    Attributes:
+        curve: Tone curve.
+        linear: (M, 3) radiance.
+        display: (M, 3) display codes, 0..1.
+        clipped: (M, 3) whether the true value is at least `linear`.
+        gain: (M, 1) exposure of the photograph there.
+    """
+
+    curve: AbstractToneCurve
+    linear: Tensor
+    display: Tensor
+    clipped: Tensor
+    gain: Tensor
+
+    def of(self, chosen: Tensor) -> _Seen:
+        """Some of the rays."""
+        parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
+        return _Seen(self.curve, *parts)
+
+    def error(self, prediction: Tensor) -> Tensor:
+        """Display error (M,) of a predicted radiance (M, 3)."""
+        shown = (self.curve.display_from_linear(self.gain * prediction) - self.display).abs()
+        shown = shown.masked_fill(self.clipped & (prediction > self.linear), 0)
+        return shown.clamp(max=0.15).mean(1)
+
+
+def _seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> _Seen:
+    """What the photographs show of some samples."""
+    observations = problem.scene.transport.observations
+    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
+    gain = problem.gains.of(observations.views)[view]
+    off_axis = observations.off_axis[rows][rays.sample, rays.view]
+    return _Seen(
+        curve=problem.curve,
+        linear=problem.linear[rows][sample, view],
+        display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
+        clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
+        gain=problem.gains.dimmed(gain, off_axis),
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class _Costs:
     """Display errors of some samples at every level.
 
     Attributes:
         highlights: Of a dielectric in views near a sun's mirror direction.
-        whole: (U, 2, L) error of a dielectric and of a metal in all views.
-        num_whole: (U,) number of views.
+        dielectric: (U, L) mean over all views.
+        metal: (U, ROUGHEST_METAL) the same of a metal.
     """
 
     highlights: Highlights
-    whole: Tensor
-    num_whole: Tensor
+    dielectric: Floats
+    metal: Floats
 
 
-def _costs(
-    problem: Problem, reflections: Reflections, rays: ViewRays, rows: NDArray[np.int64]
-) -> tuple[_Costs, Tensor]:
-    """Errors of both models at every level, and the radiance (M, 3) that every ray sees.
+def _costs(reflections: Reflections, rays: ViewRays, seen: _Seen, valid: Tensor) -> _Costs:
+    """Errors of both models at every level.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
     sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
     """
-    observations = problem.scene.transport.observations
-    shape = (len(rows), observations.weight.shape[1])
-    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
-    display = torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view]
-    linear = problem.linear[rows][sample, view]
-    clipped = torch.from_numpy(observations.clipped[rows])[sample, view]
-    valid = torch.from_numpy(observations.weight[rows] > 0)
-    gain = problem.gains.of(observations.views)[view]
-    gain = problem.gains.dimmed(gain, observations.off_axis[rows][sample.numpy(), view.numpy()])
-
-    def error(prediction: Tensor) -> Tensor:
-        shown = (problem.curve.display_from_linear(gain * prediction) - display).abs()
-        shown = shown.masked_fill(clipped & (prediction > linear), 0)
-        return shown.clamp(max=0.15).mean(1)
-
-    def summed(values: Tensor) -> Tensor:
-        return torch.zeros(len(rows)).index_add_(0, sample, values)
-
+    shape, linear, sample = (valid.shape[0], valid.shape[1]), seen.linear, rays.sample
     near = reflections.near_highlight(rays)
-    highlight = torch.full((len(rows), len(LEVELS)), float("inf"))
-    whole = torch.zeros(len(rows), 2, len(LEVELS))
+    near_rays, near_seen = rays.of(near), seen.of(near)
+
+    def summed(values: Tensor, rays: ViewRays) -> Tensor:
+        return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
+
+    def below(specular: Tensor, through: Tensor) -> Tensor:
+        """Diffuse radiance (M, 3) that leaves the surface under its specular layer."""
+        diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
+        return _low_mean(diffuse, rays, valid)[sample] * through
+
+    highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
+    dielectric, metal = (torch.zeros(len(valid), n) for n in (len(LEVELS), ROUGHEST_METAL))
+    blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
     for index, level in enumerate(LEVELS):
-        both = reflections.radiance(rays, level)
         through = 1 - reflected_share(rays, level)[:, None]
-        below = torch.maximum(linear - both[:, 0], 0.02 * linear) / through
-        base = _low_mean(below, rays, valid)[sample] * through
-        ratio = _dense(linear / both[:, 1].clamp(min=1e-5), rays, shape)
-        colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
-        whole[:, 0, index] = summed(error(base + both[:, 0]))
-        whole[:, 1, index] = summed(error(colour.clamp(0, 1)[sample] * both[:, 1]))
-        even = reflections.from_sky(rays, max(level, SHARPEST_SKY))[:, 0]
-        lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
-        below = torch.maximum(linear - lit, 0.02 * linear) / through
-        base = _low_mean(below, rays, valid)[sample] * through
+        sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
+        lit, even = sky + sun, sky[:, 0]
+        base = below(lit[:, 0], through)
+        dielectric[:, index] = summed(seen.error(base + lit[:, 0]), rays)
+        if index < ROUGHEST_METAL:
+            ratio = _dense(linear / lit[:, 1].clamp(min=1e-5), rays, shape)
+            colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
+            metal[:, index] = summed(seen.error(colour.clamp(0, 1)[sample] * lit[:, 1]), rays)
+        if level < SHARPEST_SKY:
+            base, even = below(blurred + sun[:, 0], through), blurred
+        soft = (base + even)[near]
         for tilt in TILTS:
-            sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
-            total = summed(error(base + even + sun) * near)
+            shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
+            total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(error(_low_mean(linear, rays, valid)[sample]) * near)
-    highlights = Highlights(highlight.numpy(), plain.numpy(), summed(near).numpy())
-    return _Costs(highlights, whole, valid.sum(1).float()), linear
+    plain = summed(near_seen.error(_low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
+    count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
+    views = valid.sum(1).clamp(min=1)[:, None]
+    return _Costs(
+        Highlights(highlight.numpy(), plain.numpy(), count),
+        (dielectric / views).numpy(),
+        (metal / views).numpy(),
+    )
 
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
@@ -210,13 +253,12 @@ def estimate_gloss(
     rows = seen[in_solve]
     reflections = Reflections(problem, light, rows)
     rays = view_rays(surfels, observations, rows, directions)
-    costs, linear = _costs(problem, reflections, rays, rows)
-    mean = (costs.whole / costs.num_whole.clamp(min=1)[:, None, None]).numpy()
-    metal_errors = mean[:, 1, :ROUGHEST_METAL]
+    looked_at = _seen_along(problem, rays, rows)
+    costs = _costs(reflections, rays, looked_at, torch.from_numpy(observations.weight[rows] > 0))
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
-    metals = metal_samples(mean[:, 0], metal_errors, points[rows])
+    metals = metal_samples(costs.dielectric, costs.metal, points[rows])
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    parts = metal_parts(metals, place, (reflections, rays, linear), metal_errors, LEVELS)
+    parts = metal_parts(metals, place, (reflections, rays, looked_at.linear), costs.metal, LEVELS)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]

@@ -52,6 +52,12 @@ class ViewRays:
     cosine: Tensor
     mirror: Tensor
 
+    def of(self, chosen: Tensor) -> ViewRays:
+        """Those (N,) of the rays whose numbers are given."""
+        sample, view = self.sample[chosen.numpy()], self.view[chosen.numpy()]
+        parts = (self.view_dir, self.cosine, self.mirror)
+        return ViewRays(sample, view, *(part[chosen] for part in parts))
+
 
 def view_rays(
     surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
@@ -145,7 +151,7 @@ class Reflections:
 
     def radiance(self, rays: ViewRays, roughness: float) -> Tensor:
         """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
-        return self.from_sky(rays, roughness) + self.from_suns(rays, roughness, torch.zeros(2))
+        return self.from_sky(rays, roughness) + self.from_suns(rays, roughness)
 
     def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
         """The part (M, 2, 3) that soft lobes and bounces send."""
@@ -166,23 +172,25 @@ class Reflections:
         )
 
     def near_highlight(self, rays: ViewRays) -> Tensor:
-        """1 for observations (M,) near the mirror direction of a sun that is seen, else 0."""
+        """Numbers (N,) of the observations near the mirror direction of a sun that is seen."""
         sample = torch.from_numpy(rays.sample)
         near = torch.zeros(len(sample), dtype=torch.bool)
         for index in range(len(self._light.axes)):
             half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
             facing = (self._normal[sample] * half).sum(1) > HIGHLIGHT_COSINE
             near |= facing & (self._sun[sample, index] > 0.1)
-        return near.float()
+        return near.nonzero()[:, 0]
 
-    def from_suns(self, rays: ViewRays, roughness: float, tilt: Tensor) -> Tensor:
+    def from_suns(
+        self, rays: ViewRays, roughness: float, tilt: tuple[float, float] = (0.0, 0.0)
+    ) -> Tensor:
         """The part (M, 2, 3) that sharp lobes send.
 
         Args:
             rays: Observations.
             roughness: Of the surface.
-            tilt: (2,) how far the normal is tilted along two tangents: where a highlight lies
-                depends on the normal twice over, and the mesh's is a few degrees off.
+            tilt: How far the normal is tilted along two tangents: where a highlight lies depends on
+                the normal twice over, and the mesh's is a few degrees off.
         """
         sample = torch.from_numpy(rays.sample)
         normal = self._normal

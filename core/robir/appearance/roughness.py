@@ -46,8 +46,8 @@ MIN_HIGHLIGHTS = 100
 """Views near a sun's mirror direction that a material must have for its roughness to be judged."""
 
 MISFIT = 0.03
-"""Display error that the best roughness leaves where the mesh is wrong: views there say nothing of
-roughness. Those under a right mesh leave 0.01 to 0.02."""
+"""Display error that the best roughness leaves where the mesh is wrong; under a right mesh it is
+0.01 to 0.02. Wide highlights hide such errors, so that a rough material is not believed there."""
 
 FOLDS = 5
 """Parts of the surface that are held out in turn."""
@@ -105,11 +105,11 @@ def choose_roughness(
         The choice.
     """
     started = time.process_time()
-    is_explained = _explained(highlights, material, num_materials)
-    usable = is_explained[material]
+    is_believed = _believed(highlights, material, num_materials)
+    usable = is_believed[material]
     highlights, material, position = highlights.of(usable), material[usable], position[usable]
     one, each = _fitted(highlights, material, num_materials)
-    each[~is_explained] = UNKNOWN
+    each[~is_believed] = UNKNOWN
     if highlights.count.sum() < MIN_HIGHLIGHTS:
         why = "no highlight of a sun is seen that could tell"
         rows = (_row("specular", GLOSSY, DULL, why), _row("roughness", ONE, EACH, why))
@@ -135,13 +135,16 @@ def choose_roughness(
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, rows=rows)
 
 
-def _explained(
+def _believed(
     highlights: Highlights, material: NDArray[np.int64], num_materials: int
 ) -> NDArray[np.bool_]:
-    """Materials (K,) whose views some roughness explains, and those that hardly any view shows."""
-    errors = [highlights.of(material == index).error.sum(0).min() for index in range(num_materials)]
-    count = np.bincount(material, highlights.count, num_materials)
-    return (count < MIN_HIGHLIGHTS) | (np.array(errors) <= MISFIT * count)
+    """Materials (K,) whose roughness is believed as far as it is judged."""
+    is_believed = np.ones(num_materials, bool)
+    for index in range(num_materials):
+        own = highlights.of(material == index)
+        misfits = own.error.sum(0).min() > MISFIT * own.count.sum()
+        is_believed[index] = not misfits or _roughness(own, 0.0) <= UNKNOWN
+    return is_believed
 
 
 def _fitted(
