@@ -95,14 +95,16 @@ def test_without_highlights_there_are_none(material):
         np.testing.assert_array_equal(roughness, MATTE)
 
 
-def test_a_material_that_hardly_any_view_judges_takes_the_roughness_of_all():
-    material = np.zeros(1500, int)
-    material[:4] = 1
-    true = np.where(material == 1, 0.2, 0.56)
-    highlights, position = surface(true, 0.001, 0.02)
-    assert highlights.of(material == 1).count.sum() < MIN_HIGHLIGHTS
-    _, _, roughness, _ = answers(highlights, position, material)
-    np.testing.assert_allclose(roughness, 0.56, atol=0.05)
+def test_a_material_that_hardly_any_view_judges_goes_half_the_way_to_the_others():
+    material = np.random.default_rng(5).integers(0, 2, 1500)
+    material[:4] = 2
+    true = np.array([0.72, 0.9, 0.2])
+    highlights, position = surface(true[material], 0.001, 0.02)
+    assert highlights.of(material == 2).count.sum() < MIN_HIGHLIGHTS
+    _, kind, roughness, _ = answers(highlights, position, material)
+    assert kind == EACH
+    np.testing.assert_allclose(roughness[:2], true[:2], atol=0.05)
+    assert 0.6 < roughness[2] < 0.7
 
 
 @pytest.mark.parametrize(("spoilt", "expected"), [(0, 0.2), (2, UNKNOWN)])
@@ -129,17 +131,16 @@ def test_where_no_sun_is_mirrored_nothing_is_judged(material):
 
 
 def test_what_a_sample_says_takes_no_part_in_how_it_is_judged():
-    """Every block a material of its own, its errors pure chance: worth nothing."""
+    """Errors that are pure chance in every block: what is fitted to some says nothing of others."""
     rng = np.random.default_rng(1)
-    cell = rng.integers(0, 25, 1500)
-    position = np.column_stack([0.2 * (cell // 5) + 0.1, 0.2 * (cell % 5) + 0.1, 0 * cell])
-    level = 0.02 + 0.01 * rng.random((25, len(LEVELS)))[cell]
+    cell = rng.integers(0, 100, 4000)
+    position = np.column_stack([0.2 * (cell // 10) + 0.1, 0.2 * (cell % 10) + 0.1, 0 * cell])
+    level = 0.02 + 0.01 * rng.random((100, len(LEVELS)))[cell]
     errors = (VIEWS * level).astype(np.float32)
-    highlights = Highlights(errors, 2 * errors.max(1), np.full(1500, VIEWS, np.float32))
-    _, kind, _, rows = answers(highlights, position.astype(np.float32), cell, 25)
-    assert kind == ONE
+    highlights = Highlights(errors, 2 * errors.max(1), np.full(4000, VIEWS, np.float32))
+    _, _, _, rows = answers(highlights, position.astype(np.float32), cell % 20, 20)
     # fitted to themselves they would come to the lowest of seven draws
-    assert rows[1]["held_out_error"] > 255 * 0.0235
+    assert rows[1]["held_out_error"] > 255 * 0.0244
 
 
 @pytest.mark.parametrize(

@@ -150,9 +150,13 @@ def _believed(
 def _fitted(
     highlights: Highlights, material: NDArray[np.int64], num_materials: int
 ) -> tuple[float, NDArray[np.float64]]:
-    """Roughness of all samples together, and of every material (K,): it where none is judged."""
+    """Roughness of all samples together, and of every material (K,).
+
+    What is judged of the object says something of a material that is not: it gets half of that.
+    """
     one = _roughness(highlights, UNKNOWN)
-    each = [_roughness(highlights.of(material == index), one) for index in range(num_materials)]
+    half = (one + UNKNOWN) / 2
+    each = [_roughness(highlights.of(material == index), half) for index in range(num_materials)]
     return one, np.array(each)
 
 
