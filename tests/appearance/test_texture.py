@@ -126,6 +126,19 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     assert np.abs(left[middle]).max() < 0.3
 
 
+@pytest.mark.parametrize(("doubt", "share_left"), [(0.8, 0.25), (0.05, 0.75)])
+def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left):
+    rng = np.random.default_rng(4)
+    position = np.c_[rng.uniform(-0.5, 0.5, (6000, 2)), np.zeros(6000)].astype(np.float32)
+    texels = Texels(position=position, normal=np.tile(np.float32([0, 0, 1]), (6000, 1)))
+    dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
+    albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
+    albedo[dark] *= 0.4
+    evened = _evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), texels)
+    left = np.median(np.log(evened[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
+    assert left < share_left if doubt > 0.5 else left > share_left
+
+
 def test_texels_of_a_lit_floor_have_their_paint():
     """Sun and sky on open ground, photographed: albedo is pi R / E, unseen texels borrow it."""
     mesh = mesh_of(patch((-0.7, -0.7, 0), (1.4, 0, 0), (0, 1.4, 0), 4))

@@ -44,8 +44,9 @@ SIDE_STEP = 0.02
 MESH_ERROR = 0.02
 """Length over which errors of the mesh's normals vary, unit frame."""
 
-EVEN_REACH = 0.25
-"""How far the surroundings reach that a texel is compared with, unit frame."""
+EVEN_REACH, EVEN_COUNT, EVEN_STEPS = 0.4, 128, 3
+"""How far the surroundings reach that a texel is compared with, unit frame, how many of their
+texels, and how often."""
 
 ALIKE, ALIKE_HUE = 0.35, 0.2
 """Difference of log albedo, in brightness and in hue, within which texels may be one material."""
@@ -59,6 +60,10 @@ REFERENCE_STEP = 8
 LIGHT_ERROR = 0.05
 """Error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
 has an albedo that nobody knows."""
+
+GLOSS_ERROR = 0.4
+"""Error of the specular light that is subtracted, over itself: little is known of a dark material
+in the shade, most of whose light is reflected."""
 
 BRIGHTEST = 0.9
 """Albedo that hardly anything exceeds: a texel in shadow that does was taken for shaded wrongly."""
@@ -88,8 +93,8 @@ class TexelAlbedo:
     Attributes:
         albedo: (N, 3) float32, linear Rec.709.
         coverage: (N,) int, views that show the texel.
-        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
-            dim light alone: it weighs the texels against each other.
+        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges,
+            dim light and reflections alone: it weighs the texels against each other.
         uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
         roughness: (N,) float32.
         metallic: (N,) float32, 0 or 1.
@@ -177,7 +182,8 @@ def texel_albedo(
     radiance = diffuse_radiance(sharpest, linear)
     total = radiance.linear.numpy()
     irradiance = soft + narrow @ sun
-    exitant = np.pi * np.maximum(total - floor, 0.1 * total) / kept
+    below = np.maximum(total - floor, 0.1 * total)
+    exitant = np.pi * below / kept
     dim = 0.02 * irradiance.mean(0)
     albedo = exitant / np.sqrt(irradiance**2 + dim**2)
     albedo[metallic] = blend(torch.from_numpy(gloss.metal))[metallic]
@@ -193,7 +199,8 @@ def texel_albedo(
     spread = _spread(linear, seen)
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
     doubt = LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clip(1e-6)
-    known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
+    reflected = GLOSS_ERROR * floor.mean(1) / below.mean(1)
+    known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2 + reflected**2)
     disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
     evened = _evened(albedo, disagreement, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
     distance = distance_to_seen(texels.position, coverage > 0)
@@ -264,22 +271,23 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
 def _evened(albedo: Floats, disagreement: Floats, texels: Texels) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
-    Every texel is drawn towards the mean of its wider surroundings over what is like it, the
-    certain ones counting more. Errors of the light change brightness more than hue, so likeness
-    asks more of hue. The corrections, not the albedo, are then blurred: no error varies faster than
-    the mesh's do, and texture that is finer stays as the photographs have it.
+    Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
+    by the inverse of the variances. Errors of the light change brightness more than hue, so
+    likeness asks more of hue, and of brightness no more than the texel's own is known. The
+    corrections, not the albedo, are then blurred: no error varies faster than the mesh's do, and
+    texture that is finer stays as the photographs have it.
     """
     points = _with_normals(texels.position, texels.normal)
     nodes = np.arange(0, len(points), NODE_STEP)
     afar = np.arange(0, len(nodes), NODE_STEP)
-    distance, index = _nearest(points[nodes], points[nodes[afar]], 96, EVEN_REACH)
+    distance, index = _nearest(points[nodes], points[nodes[afar]], EVEN_COUNT, EVEN_REACH)
     near, other = np.isfinite(distance), afar[index]
     before = smooth = np.log(albedo[nodes])
     doubt = disagreement[nodes]
-    certainty = 1 / (0.03 + doubt)
-    wider = np.minimum(doubt, ALIKE_HUE)  # what is hardly known resembles more, but not everything
+    certainty = 1 / (0.03 + doubt) ** 2
+    wider = np.stack([doubt, np.minimum(doubt, ALIKE_HUE)])  # not everything resembles the unknown
     width = 1 / (2 * (np.array([ALIKE, ALIKE_HUE])[:, None] ** 2 + wider**2))
-    for _ in range(2):
+    for _ in range(EVEN_STEPS):
         apart = smooth[other] - smooth[:, None]
         grey = apart.mean(2)
         hue = (apart**2).sum(2) - 3 * grey**2
