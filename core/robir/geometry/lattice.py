@@ -88,11 +88,15 @@ class Lattice:
             high.append((scaled - low).clamp_(0.0, 1.0))
         _, ny, nz = self.shape
         flat = (base[0] * ny + base[1]) * nz + base[2]
-        offsets = [(i * ny + j) * nz + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        offsets = [(i * ny + j) * nz + k for i, j, k in corners]
         index = flat[:, None] + torch.tensor(offsets, dtype=torch.int32, device=points.device)
         x, y, z = ((1.0 - part, part) for part in high)
-        planes = [xy * along for xy in (x[i] * y[j] for i in (0, 1) for j in (0, 1)) for along in z]
-        return index, torch.stack(planes).T.contiguous()
+        xy = {(i, j): x[i] * y[j] for i in (0, 1) for j in (0, 1)}
+        weight = torch.empty_like(index, dtype=torch.float32)
+        for column, (i, j, k) in enumerate(corners):
+            torch.mul(xy[i, j], z[k], out=weight[:, column])
+        return index, weight
 
 
 class _Interpolate(torch.autograd.Function):
