@@ -170,15 +170,23 @@ def _costs(
     gain = problem.gains.of(observations.views)[view]
     gain = problem.gains.dimmed(gain, observations.off_axis[rows][sample.numpy(), view.numpy()])
 
-    def error(prediction: Tensor) -> Tensor:
-        shown = (problem.curve.display_from_linear(gain * prediction) - display).abs()
-        shown = shown.masked_fill(clipped & (prediction > linear), 0)
+    def error(prediction: Tensor, of: Tensor) -> Tensor:
+        """Display error of predictions for the rays of these numbers."""
+        shown = problem.curve.display_from_linear(gain.index_select(0, of) * prediction)
+        shown = (shown - display.index_select(0, of)).abs()
+        shown = shown.masked_fill(
+            clipped.index_select(0, of) & (prediction > linear.index_select(0, of)), 0
+        )
         return shown.clamp(max=0.15).mean(1)
 
-    def summed(values: Tensor) -> Tensor:
-        return torch.zeros(len(rows)).index_add_(0, sample, values)
+    def summed(values: Tensor, of: Tensor) -> Tensor:
+        """Sums (U,) over the samples of the rays of these numbers."""
+        return torch.zeros(len(rows)).index_add_(0, sample.index_select(0, of), values)
 
-    near = reflections.near_highlight(rays)
+    every = torch.arange(len(sample))
+    # only what is near a highlight tells its tilt: the costliest part, for few of the rays
+    near = reflections.near_highlight(rays).nonzero()[:, 0]
+    near_rays = rays.chosen(near)
     highlight = torch.full((len(rows), len(LEVELS)), float("inf"))
     whole = torch.zeros(len(rows), 2, len(LEVELS))
     even = reflections.from_sky(rays, MATTE)[:, 0]
@@ -189,17 +197,19 @@ def _costs(
         base = _low_mean(below, rays, valid)[sample] * through
         ratio = _dense(linear / both[:, 1].clamp(min=1e-5), rays, shape)
         colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
-        whole[:, 0, index] = summed(error(base + both[:, 0]))
-        whole[:, 1, index] = summed(error(colour.clamp(0, 1)[sample] * both[:, 1]))
+        whole[:, 0, index] = summed(error(base + both[:, 0], every), every)
+        metal = colour.clamp(0, 1)[sample] * both[:, 1]
+        whole[:, 1, index] = summed(error(metal, every), every)
         lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
         below = torch.maximum(linear - lit, 0.02 * linear) / through
-        base = _low_mean(below, rays, valid)[sample] * through
+        base = (_low_mean(below, rays, valid)[sample] * through + even).index_select(0, near)
         for tilt in TILTS:
-            sun = reflections.from_suns(rays, level, torch.tensor(tilt))[:, 0]
-            total = summed(error(base + even + sun) * near)
+            sun = reflections.from_suns(near_rays, level, torch.tensor(tilt))[:, 0]
+            total = summed(error(base + sun, near), near)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(error(_low_mean(linear, rays, valid)[sample]) * near)
-    return _Costs(highlight, plain, summed(near), whole, valid.sum(1).float()), linear
+    plain = summed(error(_low_mean(linear, rays, valid)[sample[near]], near), near)
+    counts = summed(torch.ones(len(near)), near)
+    return _Costs(highlight, plain, counts, whole, valid.sum(1).float()), linear
 
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:

@@ -52,6 +52,17 @@ class ViewRays:
     cosine: Tensor
     mirror: Tensor
 
+    def chosen(self, which: Tensor) -> ViewRays:
+        """Some (N,) of the rays, by their numbers."""
+        index = which.numpy()
+        return ViewRays(
+            self.sample[index],
+            self.view[index],
+            self.view_dir.index_select(0, which),
+            self.cosine.index_select(0, which),
+            self.mirror.index_select(0, which),
+        )
+
 
 def view_rays(
     surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
