@@ -191,7 +191,8 @@ def _costs(
     whole = torch.zeros(len(rows), 2, len(LEVELS))
     even = reflections.from_sky(rays, MATTE)[:, 0]
     for index, level in enumerate(LEVELS):
-        both = reflections.radiance(rays, level)
+        suns = reflections.from_suns(rays, level, torch.zeros(2))
+        both = reflections.from_sky(rays, level) + suns
         through = 1 - reflected_share(rays, level)[:, None]
         below = torch.maximum(linear - both[:, 0], 0.02 * linear) / through
         base = _low_mean(below, rays, valid)[sample] * through
@@ -200,8 +201,7 @@ def _costs(
         whole[:, 0, index] = summed(error(base + both[:, 0], every), every)
         metal = colour.clamp(0, 1)[sample] * both[:, 1]
         whole[:, 1, index] = summed(error(metal, every), every)
-        lit = even + reflections.from_suns(rays, level, torch.zeros(2))[:, 0]
-        below = torch.maximum(linear - lit, 0.02 * linear) / through
+        below = torch.maximum(linear - (even + suns[:, 0]), 0.02 * linear) / through
         base = (_low_mean(below, rays, valid)[sample] * through + even).index_select(0, near)
         for tilt in TILTS:
             sun = reflections.from_suns(near_rays, level, torch.tensor(tilt))[:, 0]
