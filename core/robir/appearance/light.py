@@ -12,6 +12,7 @@ light without a sun.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ EVEN_SHARPNESS = 1e-3
 """Sharpness of a lobe that stands for an even sky alone."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """Irradiance at the samples that take part, per unit of each light.
 
@@ -55,6 +56,11 @@ class Transfer:
     soft: Tensor
     sharp: Tensor
     indirect: Tensor
+
+    @cached_property
+    def soft_rows(self) -> Tensor:
+        """The soft transfer with a row (U,) a lobe."""
+        return self.soft.T.contiguous()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +77,24 @@ class Amplitudes:
 
     def irradiance(self, transfer: Transfer) -> Tensor:
         """Irradiance (U, 3) at the samples of a transfer."""
-        return transfer.soft @ self.soft + transfer.sharp @ self.sharp + transfer.indirect
+        sky = _ThinProduct.apply(transfer.soft, transfer.soft_rows, self.soft)
+        return sky + transfer.sharp @ self.sharp + transfer.indirect
+
+
+class _ThinProduct(torch.autograd.Function):
+    """Matrix (U, K) by a few columns (K, C), differentiable in those.
+
+    A product of few rows takes a quarter of the time of one of few columns.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Tensor, matrix_rows: Tensor, columns: Tensor) -> Tensor:
+        ctx.matrix = matrix
+        return (columns.T @ matrix_rows).T.contiguous()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor]:
+        return None, None, (gradients[0].T @ ctx.matrix).T
 
 
 def soft_lobes(count: int) -> tuple[Tensor, float]:
