@@ -95,7 +95,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     _add_set(parser)
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
-    parser.add_argument("--threads", type=_positive, help="threads of torch, default all cores")
+    parser.add_argument("--threads", type=_positive, help="threads of torch, default one")
     parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
     )

@@ -42,7 +42,7 @@ def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarra
     nodes = lattice.nodes().double().numpy()
     inside = solid.contains(nodes) | (np.hypot(*nodes.T[:2]) < 0.9) & (nodes[:, 2] < TOP)
     before = torch.from_numpy(np.where(inside, -1.0, 1.0) * lattice.cell).float()
-    after = ground.flatten(lattice, before, ground.settled(lattice, before))
+    after = ground.flatten(lattice, before, ground.settled(ground.heights(lattice, before)))
     return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
 
 

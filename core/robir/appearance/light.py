@@ -12,6 +12,7 @@ light without a sun.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ EVEN_SHARPNESS = 1e-3
 """Sharpness of a lobe that stands for an even sky alone."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """Irradiance at the samples that take part, per unit of each light.
 
@@ -55,6 +56,11 @@ class Transfer:
     soft: Tensor
     sharp: Tensor
     indirect: Tensor
+
+    @cached_property
+    def soft_rows(self) -> Tensor:
+        """The soft transfer with a row (U,) a lobe."""
+        return self.soft.T.contiguous()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +77,24 @@ class Amplitudes:
 
     def irradiance(self, transfer: Transfer) -> Tensor:
         """Irradiance (U, 3) at the samples of a transfer."""
-        return transfer.soft @ self.soft + transfer.sharp @ self.sharp + transfer.indirect
+        sky = _ThinProduct.apply(transfer.soft, transfer.soft_rows, self.soft)
+        return sky + transfer.sharp @ self.sharp + transfer.indirect
+
+
+class _ThinProduct(torch.autograd.Function):
+    """Matrix (U, K) by a few columns (K, C), differentiable in those.
+
+    A product of few rows takes a quarter of the time of one of few columns.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Tensor, matrix_rows: Tensor, columns: Tensor) -> Tensor:
+        ctx.matrix = matrix
+        return (columns.T @ matrix_rows).T.contiguous()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor]:
+        return None, None, (gradients[0].T @ ctx.matrix).T
 
 
 def soft_lobes(count: int) -> tuple[Tensor, float]:
@@ -123,15 +146,13 @@ class PairWeights:
 
     Attributes:
         pairs: The pairs.
-        subtract: Sparse (P, U), value of a pair's first sample less that of its second. A sparse
-            product and its transpose cost half of an indexed look-up and its gradient.
-        spread: Its transpose.
-        darker: (P, 3) weight of the first sample coming out darker.
-        brighter: (P, 3) weight of it coming out brighter.
+        spread: Sparse (U, P), adds a pair's value to its first sample and takes it off its second.
+            This product costs a tenth of torch's own scatter.
+        darker: (P, 3) slope of the loss where the first sample comes out darker, at most 0.
+        brighter: (P, 3) slope where it comes out brighter.
     """
 
     pairs: Pairs
-    subtract: csr_matrix
     spread: csr_matrix
     darker: Tensor
     brighter: Tensor
@@ -146,8 +167,14 @@ class PairWeights:
             (signs, ends, np.arange(0, 2 * count + 1, 2)), shape=(count, len(clipped))
         )
         weight = pairs.weight[:, None]
-        darker, brighter = weight * ~clipped[pairs.first], weight * ~clipped[pairs.second]
-        return cls(pairs, subtract, subtract.T.tocsr(), darker, brighter)
+        darker, brighter = -weight * ~clipped[pairs.first], weight * ~clipped[pairs.second]
+        return cls(pairs, subtract.T.tocsr(), darker, brighter)
+
+    def differences(self, values: Tensor) -> Tensor:
+        """A pair's first less its second, (..., P, C), of values (..., U, C)."""
+        # twice as fast as square brackets, or more
+        first = values.index_select(-2, self.pairs.first)
+        return first.sub_(values.index_select(-2, self.pairs.second))
 
     def loss(self, log_albedo: Tensor) -> Tensor:
         """Weighted mean over pairs of the absolute differences, summed over channels."""
@@ -159,8 +186,9 @@ class _PairLoss(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, log_albedo: Tensor, weights: PairWeights) -> Tensor:
-        difference = torch.from_numpy(weights.subtract @ log_albedo.detach().numpy())
-        slope = torch.where(difference > 0, weights.brighter, -weights.darker)
+        difference = weights.differences(log_albedo.detach())
+        # picks one or the other like `where`, three times as fast
+        slope = torch.lerp(weights.darker, weights.brighter, (difference > 0).float())
         ctx.spread, ctx.slope = weights.spread, slope
         return (slope * difference).sum()
 
@@ -229,6 +257,7 @@ def solve_amplitudes(
     near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
     loss_value = 0.0
     neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
+    whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
     generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
@@ -237,7 +266,7 @@ def solve_amplitudes(
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
         loss = neighbour + priors.shadow * across.loss(log_albedo)
-        loss = loss + priors.bounds * range_loss(log_albedo, radiance.clipped, priors)
+        loss = loss + priors.bounds * range_loss(log_albedo, whole, priors)
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
@@ -249,9 +278,7 @@ def solve_amplitudes(
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         if priors.parsimony > 0:
             width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
-            loss = loss + priors.parsimony * parsimony_loss(
-                log_albedo, radiance.clipped, width, generator
-            )
+            loss = loss + priors.parsimony * parsimony_loss(log_albedo, whole, width, generator)
         loss.backward()
         rate = 0.06 * (1 - 0.9 * fraction)
         optimiser.step((rate, rate))
@@ -271,29 +298,40 @@ def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
     return Amplitudes(soft=soft, sharp=sharp)
 
 
-def range_loss(log_albedo: Tensor, clipped: Tensor, priors: Priors) -> Tensor:
+def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
     """Penalty for albedos that no common material has; it fixes the overall scale.
 
     The mean of log albedo is drawn towards that of common scenes, as long as the brightest
     materials stay physical. Only the lowest of the brightest few per cent counts: above it lie
     highlights and shadow edges.
+
+    Args:
+        log_albedo: (U, 3).
+        whole: Samples of which no channel is clipped.
+        priors: Limits.
     """
     brightest = log_albedo.amax(1).quantile(BRIGHTEST_QUANTILE)
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
-    middle = (log_albedo[~clipped.any(1)].mean() - np.log(MEAN_ALBEDO)) ** 2
+    middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()
 
 
 def parsimony_loss(
-    log_albedo: Tensor, clipped: Tensor, width: float, generator: torch.Generator | None
+    log_albedo: Tensor, whole: Tensor, width: float, generator: torch.Generator | None
 ) -> Tensor:
-    """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy."""
-    usable = torch.nonzero(~clipped.any(1))[:, 0]
-    if len(usable) < 2:
+    """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy.
+
+    Args:
+        log_albedo: (U, 3).
+        whole: Samples of which no channel is clipped.
+        width: Width of the kernel, log units.
+        generator: Source of the pairs.
+    """
+    if len(whole) < 2:
         return log_albedo.sum() * 0
     count = 20000
-    first = usable[torch.randint(len(usable), (count,), generator=generator)]
-    second = usable[torch.randint(len(usable), (count,), generator=generator)]
+    first = whole[torch.randint(len(whole), (count,), generator=generator)]
+    second = whole[torch.randint(len(whole), (count,), generator=generator)]
     squared = ((log_albedo[first] - log_albedo[second]) ** 2).sum(1)
     kernel = torch.exp(-squared / (2 * width**2))
     return -torch.log(kernel.mean() + 1e-4)

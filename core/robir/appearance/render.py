@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our own re-render of a view: what the model says a camera would see."""
+"""Our own re-renders of views: what the model says a camera would see."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -21,6 +24,9 @@ Floats = NDArray[np.float32]
 
 SUB_PIXELS = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
 """Where in a pixel rays are cast."""
+
+MOST_POINTS = 1 << 20
+"""Points of several views that are shaded together; memory limits them."""
 
 
 class AtlasLookup:
@@ -56,52 +62,116 @@ class AtlasLookup:
         return found
 
 
-def render_view(
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Points that rays through the object's pixels of one view meet.
+
+    Attributes:
+        view: The view.
+        rows: (M,) rows of the pixels.
+        columns: (M,) their columns.
+        pixel: (N,) pixel of each point.
+        texel: (N,) texel under it.
+        points: Where the points lie.
+        towards: (N, 3) float32, unit, towards the camera.
+    """
+
+    view: View
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    pixel: NDArray[np.int64]
+    texel: NDArray[np.int64]
+    points: Texels
+    towards: Floats
+
+    @classmethod
+    def of(cls, view: View, mesh: Mesh, tracer: AbstractTracer, lookup: AtlasLookup) -> _Seen:
+        """Cast the rays of a view."""
+        rows, columns = np.nonzero(view.mask > 127)
+        places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + SUB_PIXELS
+        origins, directions = view.camera.rays(places.reshape(-1, 2))
+        hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        texel = np.full(len(directions), -1, np.int64)
+        struck = np.flatnonzero(hits.face >= 0)
+        texel[struck] = lookup(hits.face[struck], hits.barycentric[struck])
+        kept = np.flatnonzero(texel >= 0)
+        position, normal = interpolate(mesh, hits.face[kept], hits.barycentric[kept])
+        return cls(
+            view,
+            rows,
+            columns,
+            kept // len(SUB_PIXELS),
+            texel[kept],
+            Texels(position=position, normal=normal),
+            -directions[kept].astype(np.float32),
+        )
+
+
+def render_views(
     problem: Problem,
     light: Light,
     gloss: Gloss,
-    view: View,
+    views: Sequence[View],
     surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Render a view with the recovered asset, light and tone curve.
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
+    """Render views with the recovered asset, light and tone curve.
 
     Args:
         problem: Scene under the chosen tone curve.
         light: Solved light.
         gloss: Specular material of the samples.
-        view: Camera and mask; only object pixels are rendered.
+        views: Cameras and masks; only object pixels are rendered.
         surface: Mesh, its tracer, texel look-up and texel values.
 
-    Returns:
-        Display image (H, W, 3) uint8 and the pixels (H, W) that were rendered.
+    Yields:
+        Of each view the display image (H, W, 3) uint8 and the pixels (H, W) that were rendered.
     """
     mesh, tracer, lookup, values = surface
-    rows, columns = np.nonzero(view.mask > 127)
-    places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + SUB_PIXELS
-    origins, directions = view.camera.rays(places.reshape(-1, 2))
-    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
-    texel = np.full(len(directions), -1, np.int64)
-    struck = np.flatnonzero(hits.face >= 0)
-    texel[struck] = lookup(hits.face[struck], hits.barycentric[struck])
-    kept = np.flatnonzero(texel >= 0)
-    position, normal = interpolate(mesh, hits.face[kept], hits.barycentric[kept])
-    points = Texels(position=position, normal=normal)
+    largest = max((view.mask.size for view in views), default=1)
+    together = max(1, MOST_POINTS // (len(SUB_PIXELS) * largest))
+    for start in range(0, len(views), together):
+        group = views[start : start + together]
+        seen = [_Seen.of(view, mesh, tracer, lookup) for view in group]
+        radiance = _radiance(problem, light, gloss, seen, values)
+        ends = np.cumsum([len(one.texel) for one in seen])[:-1]
+        for one, part in zip(seen, np.split(radiance, ends), strict=True):
+            yield _picture(problem, one, part)
+
+
+def _radiance(
+    problem: Problem, light: Light, gloss: Gloss, seen: list[_Seen], values: TexelAlbedo
+) -> Floats:
+    """Radiance (N, 3), linear Rec.709, that the points of all views send to their cameras.
+
+    Views share most of the surface, and what arrives at it, the costly part, is found once.
+    """
+    points = Texels(
+        position=np.concatenate([one.points.position for one in seen]),
+        normal=np.concatenate([one.points.normal for one in seen]),
+    )
+    texel = np.concatenate([one.texel for one in seen])
     blend = Blend(problem, points)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
     sun = sun_transfer(problem, light, points, light.sharpness, 8)
     irradiance = soft + sun @ light.amplitudes.sharp.numpy()
-    albedo = values.albedo[texel[kept]]
-    metallic = values.metallic[texel[kept], None]
+    albedo = values.albedo[texel]
+    metallic = values.metallic[texel, None]
     dielectric, metal, through = specular_towards(
-        problem, light, gloss, blend.nearest, -directions[kept].astype(np.float32)
+        problem, light, gloss, blend.nearest, np.concatenate([one.towards for one in seen])
     )
     radiance = (1 - metallic) * (through * albedo * irradiance / np.pi + dielectric)
-    radiance += metallic * albedo * metal
+    return radiance + metallic * albedo * metal
+
+
+def _picture(
+    problem: Problem, seen: _Seen, radiance: Floats
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Display image (H, W, 3) of the radiance (N, 3) of a view's points, and the pixels it has."""
     # a pixel is the mean radiance over its square, as on a sensor, and then through the curve
-    pixel = kept // len(SUB_PIXELS)
-    count = np.bincount(pixel, minlength=len(rows))
+    view, rows, columns = seen.view, seen.rows, seen.columns
+    count = np.bincount(seen.pixel, minlength=len(rows))
     filled = np.flatnonzero(count)
-    sums = [np.bincount(pixel, radiance[:, channel], len(rows)) for channel in range(3)]
+    sums = [np.bincount(seen.pixel, radiance[:, channel], len(rows)) for channel in range(3)]
     mean = np.stack(sums, axis=1)[filled] / count[filled, None]
     centres = np.stack([columns[filled], rows[filled]], axis=1) + 0.5
     gain = problem.gains.dimmed(

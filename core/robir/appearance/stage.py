@@ -19,7 +19,7 @@ from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
-from robir.appearance.render import AtlasLookup, render_view
+from robir.appearance.render import AtlasLookup, render_views
 from robir.appearance.solver import Light, fit, polish
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
@@ -171,8 +171,8 @@ def _held_out(
 ) -> float | None:
     """Render and store the held-out views; their PSNR against the photographs."""
     images, squared, count = {}, 0.0, 0
-    for view in capture.held_out:
-        image, drawn = render_view(problem, light, gloss, view, surface)
+    pictures = render_views(problem, light, gloss, capture.held_out, surface)
+    for view, (image, drawn) in zip(capture.held_out, pictures, strict=True):
         images[view.name] = np.dstack([image, np.where(drawn, 255, 0).astype(np.uint8)])
         chosen = drawn & (view.mask > 250)
         difference = (image[chosen].astype(float) - view.image_display[chosen]) / 255

@@ -99,10 +99,9 @@ def _pair_loss(radiance: Radiance, weights: PairWeights, irradiance: Tensor) -> 
     """Mean absolute pair difference for each of (G, U, 3) irradiances."""
     floor = 0.02 * irradiance.mean((1, 2), keepdim=True)
     log_albedo = torch.log(radiance.linear) - 0.5 * torch.log(irradiance**2 + floor**2)
-    pairs = weights.pairs
-    difference = log_albedo[:, pairs.first] - log_albedo[:, pairs.second]
+    difference = weights.differences(log_albedo)
     higher = weights.brighter * difference.clamp(min=0)
-    return (higher - weights.darker * difference.clamp(max=0)).sum((1, 2))
+    return (higher + weights.darker * difference.clamp(max=0)).sum((1, 2))
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:

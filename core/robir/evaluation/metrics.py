@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
-from scipy.stats import norm
+from scipy.special import ndtri
 from skimage.metrics import structural_similarity
 
 from robir.maths import tone
@@ -125,7 +125,7 @@ def band_coverage(estimate_linear: Array, truth_linear: Array, error: Array) -> 
 
 def normal_quantiles() -> list[float]:
     """Half widths, in standard deviations, of the central bands of NOMINAL_SHARES."""
-    return [float(norm.ppf(0.5 * (1.0 + share))) for share in NOMINAL_SHARES]
+    return [float(ndtri(0.5 * (1.0 + share))) for share in NOMINAL_SHARES]
 
 
 def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:

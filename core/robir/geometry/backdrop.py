@@ -30,7 +30,7 @@ from robir.geometry.consistency import colours_at, hidden
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays
+from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays, Solid
 from robir.geometry.plane import SupportPlane
 from robir.geometry.rays import Photo
 
@@ -247,8 +247,9 @@ class Backdrop:
             free = self._cut(lattice, sdf, near & ~kept, masks)
             reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
             through = []
+            solid = Solid(lattice, free < 0)
             for rays, mask in zip(self._rays, masks, strict=True):
-                pixels = rays.unblocked(lattice, free < 0, rays.sample)
+                pixels = rays.unblocked(solid, rays.sample)
                 through.append(np.zeros(mask.shape, bool))
                 through[-1].reshape(-1)[pixels] = True
                 pixels = pixels[rays.meets[pixels]]

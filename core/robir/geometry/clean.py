@@ -8,7 +8,6 @@ import scipy.sparse
 import torch
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
-from torch.nn.functional import max_pool3d
 
 from robir.geometry.field import Field
 from robir.geometry.mesh import Mesh
@@ -59,11 +58,11 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
         solid = target[:, 3] > 0.95
         origins, directions = origins[solid], directions[solid]
         begin = -(origins * directions).sum(1, keepdim=True) - 1.1
-        points = origins[:, None] + (begin + steps)[..., None] * directions[:, None]
-        nodes = lattice.nearest(points.reshape(-1, 3))
-        reached = (sdf[nodes] < 2.0 * lattice.cell).view(len(origins), -1).any(1)
-        nodes = nodes.view(len(origins), -1)[~reached].reshape(-1)
+        along = begin + steps
+        lines = zip(origins.unbind(1), directions.unbind(1), strict=True)
+        planes = [start[:, None] + along * slope[:, None] for start, slope in lines]
+        nodes = lattice.nearest(torch.stack(planes).movedim(0, -1))
+        value = sdf.index_select(0, nodes.view(-1)).view_as(nodes)
+        nodes = nodes[(value >= 2.0 * lattice.cell).all(1)].view(-1)
         marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
-    grid = marked.view(lattice.shape).float()[None, None]
-    near = max_pool3d(grid, 5, stride=1, padding=2).reshape(-1) > 0
-    return torch.where(near, torch.minimum(sdf, hull), sdf)
+    return torch.where(lattice.dilated(marked, 2), torch.minimum(sdf, hull), sdf)

@@ -127,14 +127,14 @@ def hidden(columns: Columns, blocks: Array, spots: Array, photo: Photo) -> NDArr
     """
     eye = columns.plane.local(photo.camera.position)
     highest = blocks.max()
-    below = np.zeros(len(spots), bool)
     if highest <= 0:
-        return below
+        return np.zeros(len(spots), bool)
     across = eye - spots
     rise = (highest - spots[:, 2]) / across[:, 2]
-    for share in np.linspace(0.0, 1.0, 40):
-        at = spots + (share * rise)[:, None] * across
-        column = (at[:, :2] - columns.low) / columns.spacing
-        height = map_coordinates(blocks, column.T, order=0, mode="constant", cval=-1.0)
-        below |= height > at[:, 2]
-    return below
+    share = np.linspace(0.0, 1.0, 40)[:, None]
+    at = spots.T[:, None] + (share * rise) * across.T[:, None]
+    column = (at[:2] - columns.low[:, None, None]) / columns.spacing
+    last = np.array(columns.shape)[:, None, None] - 1.0
+    is_over = ((column >= 0.0) & (column <= last)).all(axis=0)
+    u, v = np.floor(np.where(is_over, column, 0.0) + 0.5).astype(int)
+    return (is_over & (blocks[u, v] > at[2])).any(axis=0)

@@ -141,18 +141,22 @@ class Field:
         origins, directions = rays
         start, ray = intervals.start, intervals.ray
         value = interpolate(self.sdf[:, None], intervals.index, intervals.weight)[:, 0]
-        log_step = log_survival(value[start], value[start + 1], inv_std)
+        # indexing by square brackets and its gradient cost two to four times as much
+        entering, leaving = value.index_select(0, start), value.index_select(0, start + 1)
+        log_step = log_survival(entering, leaving, inv_std)
         weight = weights(log_step, intervals.first)
         coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray, weight)
-        share = weight / coverage.clamp(min=1e-4)[ray]
-        middle = 0.5 * (intervals.distance[start] + intervals.distance[start + 1])
+        share = weight / coverage.clamp(min=1e-4).index_select(0, ray)
         with torch.no_grad():
+            distance = intervals.distance
+            middle = 0.5 * (distance.index_select(0, start) + distance.index_select(0, start + 1))
             depth = torch.zeros_like(coverage).index_add(0, ray, share * middle)
             points = origins + depth[:, None] * directions
             normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
         row = self.row.index_select(0, intervals.index.view(-1)).view_as(intervals.index)
         local = interpolate(self.features, row, intervals.weight)
-        local = 0.5 * (local[start] + local[start + 1]) * share[:, None]
+        local = 0.5 * (local.index_select(0, start) + local.index_select(0, start + 1))
+        local = local * share[:, None]
         mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
         rgb = network(mixed, normals, directions)
         return rgb, coverage

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool3d
 
 from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
@@ -94,9 +93,7 @@ def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     """Update the band around the surface and the nodes that carry features."""
     band = 5.0 / inv_std + field.lattice.cell
     occupancy = Occupancy.of(field.lattice, field.sdf.detach(), band)
-    grid = occupancy.near.view(field.lattice.shape).float()[None, None]
-    wanted = max_pool3d(grid, 3, stride=1, padding=1).reshape(-1) > 0
-    optimiser.follow(field, field.place_features(wanted))
+    optimiser.follow(field, field.place_features(field.lattice.dilated(occupancy.near, 1)))
     return occupancy
 
 

@@ -71,7 +71,7 @@ class Ground:
         self.columns = Columns(plane, lattice.cell)
         self._photos = photos
         lens = lens_heights(self.columns, photos, lattice)
-        self.tops = top = self.columns.tops(lattice, hull, HIGHEST)
+        self.tops = top = self.heights(lattice, hull)
         self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
         inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
@@ -90,35 +90,36 @@ class Ground:
         piece, _ = label(open_ways)
         return np.isin(piece, np.unique(piece[self._rim])) & open_ways
 
-    def settled(self, lattice: Lattice, sdf: Tensor) -> NDArray[np.bool_]:
+    def heights(self, lattice: Lattice, sdf: Tensor) -> Array:
+        """Height of a surface (N,) over each column, -inf where it has none."""
+        return self.columns.tops(lattice, sdf, HIGHEST)
+
+    def settled(self, top: Array) -> NDArray[np.bool_]:
         """Columns that are ground given the present surface.
 
         Args:
-            lattice: Nodes.
-            sdf: (N,) signed distances.
+            top: Its height over each column.
 
         Returns:
             The columns' shape.
         """
-        top = self.columns.tops(lattice, sdf, HIGHEST)
         low = self.columns.inside & (top < STANDING)
         flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
         agree = feet_agree(self.columns, low & ~flat, top, self._photos)
         return self._spread((self.start & low) | flat | agree)
 
-    def is_flat(self, lattice: Lattice, sdf: Tensor, settled: NDArray[np.bool_]) -> bool:
+    def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.
 
         The rim of a plate is as flat as that of a ground, and no mask shows the bowl within. The
         fit digs it, though, wherever the photographs differ at the height of the plane.
 
         Args:
-            lattice: Nodes.
-            sdf: (N,) signed distances.
-            settled: Result of `settled` for them.
+            cell: Of the surface's lattice.
+            top: Height of the surface over each column.
+            settled: Result of `settled` for it.
         """
-        top = self.columns.tops(lattice, sdf, HIGHEST)[settled]
-        return bool(np.median(top) > -DEEPEST * lattice.cell)
+        return bool(np.median(top[settled]) > -DEEPEST * cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the plane over ground columns, and fill pits below it.

@@ -64,11 +64,25 @@ class Lattice:
         return (points - points.new_tensor(self.lower)) / self.cell
 
     def nearest(self, points: Tensor) -> Tensor:
-        """Flat indices of the nodes nearest to points (P, 3), int64; outside, of the border's."""
-        scaled = self.scaled(points)
-        last = scaled.new_tensor([n - 1 for n in self.shape])
-        node = torch.minimum((scaled + 0.5).clamp_(min=0.0), last).long()
-        return (node[:, 0] * self.shape[1] + node[:, 1]) * self.shape[2] + node[:, 2]
+        """Flat indices of the nodes nearest to points (..., 3), int64; outside, of the border's."""
+        flat: Tensor | None = None
+        for axis in range(3):  # as in `corners`
+            node = (points[..., axis] - self.lower[axis]) / self.cell + 0.5
+            node = node.clamp_(0.0, self.shape[axis] - 1.0).int()
+            flat = node if flat is None else flat.mul_(self.shape[axis]).add_(node)
+        assert flat is not None
+        return flat.long()
+
+    def dilated(self, marked: Tensor, reach: int) -> Tensor:
+        """Nodes (N,) bool within `reach` nodes of marked ones (N,) bool along every axis."""
+        grid = marked.view(self.shape)
+        for axis, size in enumerate(self.shape):  # a cube is three runs, 20 times as fast
+            wide = grid.clone()
+            for step in range(1, reach + 1):
+                wide.narrow(axis, step, size - step).logical_or_(grid.narrow(axis, 0, size - step))
+                wide.narrow(axis, 0, size - step).logical_or_(grid.narrow(axis, step, size - step))
+            grid = wide
+        return grid.view(-1)
 
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes and weights of trilinear interpolation; points outside take the nearest cell.
@@ -88,11 +102,15 @@ class Lattice:
             high.append((scaled - low).clamp_(0.0, 1.0))
         _, ny, nz = self.shape
         flat = (base[0] * ny + base[1]) * nz + base[2]
-        offsets = [(i * ny + j) * nz + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        offsets = [(i * ny + j) * nz + k for i, j, k in corners]
         index = flat[:, None] + torch.tensor(offsets, dtype=torch.int32, device=points.device)
         x, y, z = ((1.0 - part, part) for part in high)
-        planes = [xy * along for xy in (x[i] * y[j] for i in (0, 1) for j in (0, 1)) for along in z]
-        return index, torch.stack(planes).T.contiguous()
+        xy = {(i, j): x[i] * y[j] for i in (0, 1) for j in (0, 1)}
+        weight = torch.empty_like(index, dtype=torch.float32)
+        for column, (i, j, k) in enumerate(corners):
+            torch.mul(xy[i, j], z[k], out=weight[:, column])
+        return index, weight
 
 
 class _Interpolate(torch.autograd.Function):

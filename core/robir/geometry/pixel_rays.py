@@ -16,6 +16,40 @@ PIXEL_STEP = 2
 """Every so many pixels are looked at where a sample will do, along rows and columns."""
 
 
+class Solid:
+    """What may block rays.
+
+    Args:
+        lattice: Nodes.
+        inside: (N,) bool, the nodes that are solid.
+    """
+
+    def __init__(self, lattice: Lattice, inside: Tensor) -> None:
+        self.lattice = lattice
+        self.inside = inside
+        self.is_empty = not bool(inside.any())
+        grid = inside.view(lattice.shape).numpy()
+        held = [np.flatnonzero(grid.any(axis=rest)) for rest in ((1, 2), (0, 2), (0, 1))]
+        first = np.array([nodes[0] if len(nodes) else 0 for nodes in held])
+        last = np.array([nodes[-1] if len(nodes) else 0 for nodes in held])
+        # a node speaks for half a cell about it, one at the border for all that lies beyond
+        low, high = (lattice.lower + lattice.cell * end for end in (first - 1.0, last + 1.0))
+        self._low = np.where(first == 0, -np.inf, low)
+        self._high = np.where(last == np.array(lattice.shape) - 1, np.inf, high)
+
+    def crossed(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distances (P,) at which rays (P, 3) enter and leave a box that holds what is solid."""
+        inverse = 1.0 / np.where(np.abs(directions) < 1e-9, 1e-9, directions)
+        one, two = (self._low - origins) * inverse, (self._high - origins) * inverse
+        return np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
+
+    def holds(self, points: Tensor) -> NDArray[np.bool_]:
+        """Whether the nodes nearest to points (P, 3) are solid, (P,)."""
+        return self.inside.index_select(0, self.lattice.nearest(points)).numpy()
+
+
 class PixelRays:
     """Rays through a photograph's pixels and where they meet the ground's plane.
 
@@ -48,24 +82,35 @@ class PixelRays:
         chosen[::PIXEL_STEP, ::PIXEL_STEP] = True
         self.sample = np.flatnonzero(covered & chosen.ravel())
 
-    def unblocked(
-        self, lattice: Lattice, inside: Tensor, pixels: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def unblocked(self, solid: Solid, pixels: NDArray[np.int64]) -> NDArray[np.int64]:
         """Those of some pixels whose rays touch nothing solid above the plane.
 
         Args:
-            lattice: Nodes.
-            inside: (N,) bool, the nodes that are solid.
+            solid: What may block them.
             pixels: Flat indices of pixels.
 
         Returns:
             Flat indices of pixels.
         """
+        if solid.is_empty:
+            return pixels
+        cell = solid.lattice.cell
         origins, directions = self._origins[pixels], self._directions[pixels]
-        middle = -(origins * directions).sum(1, keepdims=True)
-        distance = middle + np.arange(-1.05, 1.05, lattice.cell)
-        points = origins[:, None] + distance[..., None] * directions[:, None]
-        solid = inside[lattice.nearest(torch.from_numpy(points.reshape(-1, 3)).float())]
-        end = self._reach[pixels] - lattice.cell / np.maximum(self._falling[pixels], 1e-6)
-        above = (distance < end[:, None]) | ~self.meets[pixels, None]
-        return pixels[~(solid.view(len(pixels), -1).numpy() & above).any(1)]
+        middle = -(origins * directions).sum(1)
+        end = self._reach[pixels] - cell / np.maximum(self._falling[pixels], 1e-6)
+        end[~self.meets[pixels]] = np.inf
+        steps = np.arange(-1.05, 1.05, cell)
+        # only steps before the ground and near what is solid, one more on either side
+        enter, leave = solid.crossed(origins, directions)
+        zero = middle + steps[0]
+        first = np.clip((enter - zero) / cell - 1.0, 0, len(steps)).astype(int)
+        last = np.clip((np.minimum(leave, end) - zero) / cell + 2.0, 0, len(steps)).astype(int)
+        count = np.maximum(last - first, 0)
+        ray = np.repeat(np.arange(len(pixels)), count)
+        number = np.arange(len(ray)) - np.repeat(np.cumsum(count) - count - first, count)
+        distance = middle[ray] + steps[number]
+        planes = [o[ray] + distance * d[ray] for o, d in zip(origins.T, directions.T, strict=True)]
+        touches = solid.holds(torch.from_numpy(np.stack(planes)).float().T)
+        blocked = np.zeros(len(pixels), bool)
+        blocked[ray[touches & (distance < end[ray])]] = True
+        return pixels[~blocked]

@@ -126,4 +126,4 @@ class RaySampler:
         directions = torch.nn.functional.normalize(directions, dim=1)
         target = self._targets[chosen].float() / 255.0
         device = self._device
-        return pose[:, :3, 3].to(device), directions.to(device), target.to(device)
+        return pose[:, :3, 3].contiguous().to(device), directions.to(device), target.to(device)

@@ -87,23 +87,28 @@ def _flat_index(
     """Flat indices of the cells that points on rays fall into; outside, of the nearest cell.
 
     Args:
-        begin: (B, 3) cell coordinates of the rays' first points.
-        slope: (B, 3) cells per unit of length.
-        along: (B or 1, K) distances of K points a ray from its first.
+        begin: (3, B) or (3, B, 1) cell coordinates of the rays' first points.
+        slope: Likewise, cells per unit of length.
+        along: (K, B) or (K,) distances of K points a ray from its first.
         shape: Number of cells along x, y and z.
         shift: Added to the coordinates before rounding down.
 
     Returns:
-        (B, K) int64.
+        (K, B) or (B, K) int32.
     """
     flat: Tensor | None = None
     for axis in range(3):
-        cell = torch.addcmul(begin[:, axis, None] + shift, along, slope[:, axis, None])
+        cell = torch.addcmul(begin[axis] + shift, along, slope[axis])
         # truncation rounds down once nothing is negative
         cell = cell.clamp_(0.0, shape[axis] - 1.0).int()
         flat = cell if flat is None else flat.mul_(shape[axis]).add_(cell)
     assert flat is not None
-    return flat.long()
+    return flat
+
+
+def _taken(values: Tensor, index: Tensor) -> Tensor:
+    """Entries of a vector, the index' shape; a third of the time of square brackets."""
+    return values.index_select(0, index.reshape(-1)).view_as(index)
 
 
 def _occupied_steps(
@@ -130,23 +135,26 @@ def _occupied_steps(
     leave = torch.maximum(one, two).amin(1)
     count = int(((leave - enter).clamp(min=0.0) / long_step).max().ceil()) + 1
     middle = (torch.arange(count, device=origins.device) + 0.5) * long_step
-    begin = lattice.scaled(origins + enter[:, None] * directions)
-    slope = directions / lattice.cell
-    hit = occupancy.blocks[
-        _flat_index(begin / BLOCK, slope / BLOCK, middle[None], occupancy.block_shape, 0.0)
-    ]
+    # coordinates in rows, and the few steps of a block in a column: short last axes are slow
+    begin = lattice.scaled(origins + enter[:, None] * directions).T.contiguous()
+    slope = (directions / lattice.cell).T.contiguous()
+    blocks = _flat_index(
+        begin[..., None] / BLOCK, slope[..., None] / BLOCK, middle, occupancy.block_shape, 0.0
+    )
+    hit = _taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
     ray, long_number = hit.nonzero(as_tuple=True)
-    number = (
-        long_number[:, None] * BLOCK_STEPS + torch.arange(BLOCK_STEPS, device=ray.device)
-    ).reshape(-1)
-    ray = ray[:, None].expand(-1, BLOCK_STEPS).reshape(-1)
-    along = ((number + 0.5) * step)[:, None]
-    begin, slope = begin.index_select(0, ray), slope.index_select(0, ray)
-    near = occupancy.near[_flat_index(begin, slope, along, lattice.shape, 0.5)[:, 0]].nonzero()[
-        :, 0
-    ]
-    return ray[near], number[near], enter, step
+    within = torch.arange(BLOCK_STEPS, device=ray.device)[:, None]
+    nodes = _flat_index(
+        begin.index_select(1, ray),
+        slope.index_select(1, ray),
+        (long_number * BLOCK_STEPS + within + 0.5) * step,
+        lattice.shape,
+        0.5,
+    )
+    block, late = _taken(occupancy.near, nodes).T.nonzero(as_tuple=True)
+    number = long_number.index_select(0, block) * BLOCK_STEPS + late
+    return ray.index_select(0, block), number, enter, step
 
 
 def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -165,7 +173,7 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     size = 1 + closes.long()
     start = torch.cumsum(size, 0) - size
     owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
-    late = torch.arange(len(owner), device=ray.device) - start[owner]
+    late = torch.arange(len(owner), device=ray.device) - _taken(start, owner)
     return start, owner, late
 
 
@@ -193,24 +201,24 @@ def march(
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
     start, owner, late = _chain(ray, number)
-    ray_of = ray[owner]
-    distance = enter[ray_of] + (number[owner] + late) * step
+    ray_of = _taken(ray, owner)
+    distance = _taken(enter, ray_of) + (_taken(number, owner) + late) * step
     points = origins.index_select(0, ray_of)
     points += distance[:, None] * directions.index_select(0, ray_of)
     index, weight = lattice.corners(points)
     with torch.no_grad():
         value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
-    log_step = log_survival(value[start], value[start + 1], inv_std)
+    log_step = log_survival(_taken(value, start), _taken(value, start + 1), inv_std)
     through = transmittance(log_step, _first_of_runs(ray))
     keep = (-through * torch.expm1(log_step) > LEAST_WEIGHT).nonzero()[:, 0]
-    ray, number, old = ray[keep], number[keep], start[keep]
+    ray, number, old = _taken(ray, keep), _taken(number, keep), _taken(start, keep)
     start, owner, late = _chain(ray, number)
-    point = old[owner] + late
+    point = _taken(old, owner) + late
     return Intervals(
         ray=ray,
         first=_first_of_runs(ray),
         start=start,
-        distance=distance[point],
-        index=index[point],
-        weight=weight[point],
+        distance=_taken(distance, point),
+        index=index.index_select(0, point),
+        weight=weight.index_select(0, point),
     )

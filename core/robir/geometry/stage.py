@@ -110,8 +110,9 @@ def reconstruct(
         restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
         sdf.copy_(restored)
         if ground is not None:
-            settled = ground.settled(field.lattice, sdf)
-            if ground.is_flat(field.lattice, sdf, settled):
+            top = ground.heights(field.lattice, sdf)
+            settled = ground.settled(top)
+            if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
             else:
                 ground = None

@@ -32,9 +32,9 @@ from robir.geometry.backdrop import (
     near_ground,
 )
 from robir.geometry.columns import Columns
-from robir.geometry.ground import HIGHEST, Ground
+from robir.geometry.ground import Ground
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import PixelRays
+from robir.geometry.pixel_rays import PixelRays, Solid
 from robir.geometry.rays import Photo
 
 LAYER = 1.6
@@ -63,11 +63,12 @@ def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor)
         The new signed distances (N,).
     """
     columns, before = ground.columns, sdf.detach().cpu()
-    layer = torch.from_numpy(_topmost(columns, lattice, before))
+    top = ground.heights(lattice, before)
+    layer = Solid(lattice, torch.from_numpy(_topmost(columns, lattice, before, top)))
     rays = [PixelRays(columns, photo) for photo in photos]
-    open_pixels = [own.unblocked(lattice, layer, np.flatnonzero(own.meets)) for own in rays]
+    open_pixels = [own.unblocked(layer, np.flatnonzero(own.meets)) for own in rays]
     colours = _foot_colours(columns, photos, rays, open_pixels)
-    picture = _continued(ground.settled(lattice, before), columns, _agreed(colours))
+    picture = _continued(ground.settled(top), columns, _agreed(colours))
     picture[~ground.joined(np.isfinite(picture[..., 0]))] = np.nan
     masks = ground_pixels(picture, photos, rays)
     for mask, pixels in zip(masks, open_pixels, strict=True):
@@ -78,9 +79,8 @@ def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor)
     return freed((lattice, before), near, columns.plane, photos, masks).to(sdf.device)
 
 
-def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor) -> Mask:
-    """Solid nodes (N,) above the ground in the topmost layer of their column."""
-    top = columns.tops(lattice, sdf, HIGHEST)
+def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:
+    """Solid nodes (N,) above the ground in the topmost layer of columns of heights `top`."""
     local = columns.plane.local(lattice.nodes().double().numpy())
     at = np.round((local[:, :2] - columns.low) / columns.spacing).astype(int)
     at = np.clip(at, 0, np.array(columns.shape) - 1)

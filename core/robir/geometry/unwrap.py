@@ -8,69 +8,18 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.geometry.charts import ATLAS_SIZE, GUTTER
 from robir.geometry.mesh import Mesh
 from robir.geometry.simplify import decimate
 
-ATLAS_SIZE = 1024
-"""Pixels of the atlas the charts are packed for; sets the gutter between them."""
-
 CLOCK_FACTOR = 8
 """Seconds of the clock that a second of processor time may take on a busy machine."""
-
-GUTTER = 3
-"""Pixels between charts in that atlas."""
-
-
-def xatlas_charts(
-    vertices: NDArray[np.float32], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Charts by xatlas; runs as long as it takes.
-
-    Args:
-        vertices: (Nv, 3).
-        faces: (Nf, 3).
-
-    Returns:
-        Texture coordinates (Nu, 2) in [0, 1], v upwards, and their indices (Nf, 3).
-    """
-    import xatlas  # here, because only the child process needs it
-
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices, faces.astype(np.uint32))
-    charts = xatlas.ChartOptions()
-    charts.max_iterations = 1
-    charts.max_cost = 8.0
-    packing = xatlas.PackOptions()
-    packing.resolution = ATLAS_SIZE
-    packing.padding = GUTTER
-    packing.bilinear = True
-    packing.bruteForce = False
-    atlas.generate(chart_options=charts, pack_options=packing)
-    _, uv_faces, uvs = atlas[0]
-    return uvs.astype(np.float32), uv_faces.astype(np.int32)
-
-
-def main(source: str, target: str, seconds: str) -> None:
-    """Entry of the child process: read vertices and faces, write texture coordinates.
-
-    On a busy machine a second of the clock says nothing, so the system ends the process by its
-    processor time where there is such a limit; Windows has none.
-    """
-    with suppress(ImportError):
-        import resource
-
-        limit = math.ceil(float(seconds))
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-    with np.load(source, allow_pickle=False) as arrays:
-        uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"])
-    np.savez(target, uvs=uvs, uv_faces=uv_faces)
 
 
 def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
@@ -81,7 +30,7 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
         command = [
             sys.executable,
             "-c",
-            "import sys; sys.path[:0] = sys.argv[4:]; from robir.geometry.unwrap import main; "
+            "import sys; sys.path[:0] = sys.argv[4:]; from robir.geometry.charts import main; "
             "main(*sys.argv[1:4])",
             str(source),
             str(target),

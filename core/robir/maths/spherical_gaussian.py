@@ -19,6 +19,8 @@ from robir.maths.vectors import dot, equirect_directions, equirect_solid_angles
 _SUBPIXELS = 4
 # Sharpness times squared pixel height from which pixel centres alone miss the shape of a lobe.
 _SHARP = 0.1
+# Exponent below which exp vanishes next to 1 even among the smallest float32.
+_NOTHING = 110.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,32 +161,38 @@ def to_equirect(lobes: SphericalGaussians, height: int) -> Tensor:
     Returns:
         (H, 2H, C), linear, row 0 is +Z.
     """
-    is_sharp = lobes.sharpness * (math.pi / height) ** 2 > _SHARP
-    image = _splatted(_selected(lobes, ~is_sharp), height)
-    if is_sharp.any():
-        fine = height * _SUBPIXELS
-        options = {"dtype": image.dtype, "device": image.device}
-        power = _splatted(_selected(lobes, is_sharp), fine)
-        power = power * equirect_solid_angles(fine, **options)[..., None]
-        power = power.reshape(height, _SUBPIXELS, 2 * height, _SUBPIXELS, -1).sum(dim=(1, 3))
-        image = image + power / equirect_solid_angles(height, **options)[..., None]
-    return image
-
-
-def _selected(lobes: SphericalGaussians, mask: Tensor) -> SphericalGaussians:
-    return SphericalGaussians(lobes.axis[mask], lobes.sharpness[mask], lobes.amplitude[mask])
-
-
-def _splatted(lobes: SphericalGaussians, height: int) -> Tensor:
-    """Map of lobes sampled at pixel centres, each scaled to its integral; (H, 2H, C)."""
-    options = {"dtype": lobes.axis.dtype, "device": lobes.axis.device}
-    directions = equirect_directions(height, **options)
-    angles = equirect_solid_angles(height, **options)
-    image = directions.new_zeros(height, 2 * height, lobes.amplitude.shape[-1])
+    image = lobes.axis.new_zeros(height, 2 * height, lobes.amplitude.shape[-1])
     for axis, sharpness, energy in zip(lobes.axis, lobes.sharpness, integral(lobes), strict=True):
-        # |w - x|^2 / 2 = 1 - w . x, but keeps its digits for lobes much sharper than a pixel.
-        gap = directions - axis
-        exponent = -0.5 * sharpness * dot(gap, gap)
-        shape = torch.exp(exponent - exponent.max())
-        image = image + (shape / (shape * angles).sum())[..., None] * energy
+        is_sharp = float(sharpness) * (math.pi / height) ** 2 > _SHARP
+        rows, power = _splatted(axis, sharpness, height, _SUBPIXELS if is_sharp else 1)
+        angles = equirect_solid_angles(height, rows=rows, dtype=image.dtype, device=image.device)
+        image[rows] += (power / angles)[..., None] * energy
     return image
+
+
+def _splatted(axis: Tensor, sharpness: Tensor, height: int, parts: int) -> tuple[slice, Tensor]:
+    """Shares of a lobe's integral that the pixels of a map hold.
+
+    Args:
+        axis: (3,) of the lobe.
+        sharpness: Of the lobe.
+        height: H, rows of the map.
+        parts: Points a pixel along either axis.
+
+    Returns:
+        The rows it reaches, and the share (rows, 2H) of each of their pixels.
+    """
+    fine = height * parts
+    # beyond this angle the lobe is less than the smallest float32
+    reach = math.sqrt(2.0 * _NOTHING / float(sharpness)) + 2.0 * math.pi / fine
+    middle = math.acos(max(-1.0, min(1.0, float(axis[2]))))
+    low = max(0, math.floor((middle - reach) / math.pi * height))
+    high = min(height, math.ceil((middle + reach) / math.pi * height))
+    rows = slice(parts * low, parts * high)
+    options = {"rows": rows, "dtype": axis.dtype, "device": axis.device}
+    # |w - x|^2 / 2 = 1 - w . x, but keeps its digits for lobes much sharper than a pixel.
+    gap = equirect_directions(fine, **options) - axis
+    exponent = -0.5 * sharpness * dot(gap, gap)
+    power = torch.exp(exponent - exponent.max()) * equirect_solid_angles(fine, **options)
+    power = power / power.sum()
+    return slice(low, high), power.view(high - low, parts, 2 * height, parts).sum(dim=(1, 3))

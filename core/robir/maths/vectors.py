@@ -114,21 +114,43 @@ def direction_from_uv(uv: Tensor) -> Tensor:
 
 
 def equirect_directions(
-    height: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+    height: int,
+    *,
+    rows: slice = slice(None),
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str = "cpu",
 ) -> Tensor:
-    """Unit directions (H, 2H, 3) of the pixel centres of a lat-long map, row 0 on top."""
-    row = (torch.arange(height, dtype=torch.float64) + 0.5) / height
+    """Unit directions (H, 2H, 3) of the pixel centres of a lat-long map, row 0 on top.
+
+    Args:
+        height: H.
+        rows: Rows that are wanted; the result has only these.
+        dtype: Floating type of the result; angles are always formed in float64.
+        device: Where the result lies.
+    """
+    row = ((torch.arange(height, dtype=torch.float64) + 0.5) / height)[rows]
     column = (torch.arange(2 * height, dtype=torch.float64) + 0.5) / (2 * height)
     v, u = torch.meshgrid(row, column, indexing="ij")
     return direction_from_uv(torch.stack([u, v], dim=-1)).to(device=device, dtype=dtype)
 
 
 def equirect_solid_angles(
-    height: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+    height: int,
+    *,
+    rows: slice = slice(None),
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str = "cpu",
 ) -> Tensor:
-    """Exact solid angles (H, 2H) in steradian of the pixels of a lat-long map; they sum to 4 pi."""
+    """Exact solid angles (H, 2H) in steradian of the pixels of a lat-long map; they sum to 4 pi.
+
+    Args:
+        height: H.
+        rows: Rows that are wanted; the result has only these.
+        dtype: Floating type of the result; formed in float64.
+        device: Where the result lies.
+    """
     edge = torch.sin((0.5 - torch.arange(height + 1, dtype=torch.float64) / height) * math.pi)
-    row = (edge[:-1] - edge[1:]) * (math.pi / height)
+    row = ((edge[:-1] - edge[1:]) * (math.pi / height))[rows]
     return row[:, None].repeat(1, 2 * height).to(device=device, dtype=dtype)
 
 

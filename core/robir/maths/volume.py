@@ -48,7 +48,7 @@ def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
     """
     total = torch.cumsum(log_step.double(), dim=0)
     before = total - log_step
-    return torch.exp(before - before[first]).to(log_step.dtype)
+    return torch.exp(before - before.index_select(0, first)).to(log_step.dtype)
 
 
 def weights(log_step: Tensor, first: Tensor) -> Tensor:

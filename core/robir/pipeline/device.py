@@ -46,14 +46,16 @@ def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None)
 
     Args:
         asked: "auto" takes a CUDA device where there is one.
-        threads: Threads of one torch operation; None takes all cores.
+        threads: Threads of one torch operation. None takes one: sums split over threads come out
+            otherwise, and the operations of a fit are so short that waking a second thread costs
+            more than it saves.
 
     Raises:
         DeviceError: If CUDA is asked for and there is none.
     """
     import torch
 
-    torch.set_num_threads(threads or os.cpu_count() or 1)
+    torch.set_num_threads(threads or 1)
     has_cuda = torch.cuda.is_available()
     if asked == "cuda" and not has_cuda:
         raise DeviceError(_why_no_cuda())
