@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,7 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import Amplitudes, PairWeights, log_ratio, soft_transfer
 from robir.appearance.problem import make_problem, with_hidden
-from robir.appearance.solver import find_suns, fit
+from robir.appearance.solver import find_suns, fit, refit
 from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs
 from robir.appearance.sun import SunProblem, refine, scan
 from robir.maths.tone import curve_from_name
@@ -50,7 +52,7 @@ def test_elimination_gives_the_albedo_under_the_true_light(stage, problem):
 def test_shadows_give_the_sky_its_strength_back(problem, factor):
     true = synthetic.true_light(SUN, SKY)
     wrong = Amplitudes(soft=factor * true.amplitudes.soft, sharp=true.amplitudes.sharp)
-    mended = fit(problem, true.axes, true.sharpness, 90, parsimony=0.1, start=wrong).amplitudes
+    mended = refit(problem, replace(true, amplitudes=wrong), CONFIG).amplitudes
     share = (mended.soft.mean() / mended.sharp.mean()) / (SKY * synthetic.COOL.mean())
     assert float(share * SUN * synthetic.WARM.mean()) == pytest.approx(1, abs=0.06)
 

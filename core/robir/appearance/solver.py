@@ -42,7 +42,7 @@ ALIKE_HUE = 0.1
 """Difference in hue of log albedo at which two samples across a shadow hardly are one material."""
 
 SHADOW_WEIGHT = 1.0
-"""Weight of equal albedo across shadows once a first light tells which pairs are one material."""
+"""Weight of equal albedo across shadows once a light tells which pairs are one material."""
 
 EVEN_SKY = 0.05
 """Weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
@@ -160,35 +160,61 @@ def fit(
 ) -> Light:
     """Strengths of all lobes for fixed suns.
 
-    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
-    what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
-    such pairs are of two materials. Once there is a light to start from, those of one hue under it
-    alone count, and count more.
-
     Args:
         problem: Scene under a tone curve.
         axes: (J, 3) of the sharp lobes.
         sharpness: (J,).
         iterations: Adam steps.
         parsimony: Weight of few distinct albedos.
-        start: A first light to begin from.
+        start: Where to begin.
+
+    Returns:
+        The light.
+    """
+    rows = problem.scene.rows
+    sharp = problem.scene.sharp_transfer(axes, sharpness, rows)
+    amplitudes, loss = solve_amplitudes(
+        problem.rows_radiance(rows),
+        problem.transfer(sharp, rows),
+        (problem.scene.pairs, _across_shadows(problem, axes)),
+        Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
+        iterations,
+        start=start,
+    )
+    return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
+
+
+def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
+    """Strengths once more, shadows deciding between sky and suns.
+
+    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
+    what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
+    such pairs are of two materials. Those of one hue under the light that is known count, and
+    count more.
+
+    Args:
+        problem: Scene under a tone curve, highlights removed.
+        light: Its light but for these.
+        config: Sizes.
 
     Returns:
         The light.
     """
     rows = problem.scene.rows
     radiance = problem.rows_radiance(rows)
-    transfer = problem.transfer(problem.scene.sharp_transfer(axes, sharpness, rows), rows)
-    across, priors = _across_shadows(problem, axes), Priors(parsimony=parsimony)
-    if start is not None:
-        across = across.of_one_hue(
-            log_ratio(radiance.linear, start.irradiance(transfer)), ALIKE_HUE
-        )
-        priors = replace(priors, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
+    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
+    transfer = problem.transfer(sharp, rows)
+    log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
+    across = _across_shadows(problem, light.axes).of_one_hue(log_albedo, ALIKE_HUE)
     amplitudes, loss = solve_amplitudes(
-        radiance, transfer, (problem.scene.pairs, across), priors, iterations, start=start
+        radiance,
+        transfer,
+        (problem.scene.pairs, across),
+        Priors(parsimony=config.parsimony_weight, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT),
+        config.iterations // 2,
+        start=light.amplitudes,
     )
-    return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
+    return replace(light, amplitudes=amplitudes, loss=loss)
 
 
 def _across_shadows(problem: Problem, axes: Floats) -> Pairs:

@@ -20,7 +20,7 @@ from robir.appearance.light import lobes_of
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.render import AtlasLookup, render_views
-from robir.appearance.solver import Light, fit, polish
+from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
@@ -128,17 +128,10 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
         The scene without its highlights, its light, and its gloss.
     """
     light = polish(sized.problem, sized.light, config, seed)
+    light = refit(sized.problem, light, config)
     _, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
     problem = sized.problem.without_highlights(diffuse)
-    refitted = fit(
-        problem,
-        light.axes,
-        light.sharpness,
-        config.iterations // 2,
-        parsimony=config.parsimony_weight,
-        start=light.amplitudes,
-    )
-    final = replace(refitted, history=light.history)
+    final = refit(problem, light, config)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
     return sized.problem.without_highlights(diffuse), final, gloss
 
