@@ -35,7 +35,7 @@ MATTE = 1.0
 FIRST_SHOWN = 2
 """First level whose highlight is wide enough for a few dozen views to show it."""
 
-SHARP_LEAD = 0.9
+SHARP_LEAD = 0.8
 """Cost of a sharper level against the best of the rough ones at which it is believed."""
 
 MATTE_LEAD = 0.4
