@@ -126,11 +126,19 @@ def choose_roughness(
     roughness = np.full(num_materials, MATTE if is_dull else one) if is_one else each
     chosen = single if is_one else several
     rows = (
-        _row("specular", *_ordered(is_dull, DULL, GLOSSY), _reason(plain, best, "none"))
-        | {"held_out_error": 255 * mean_of(plain if is_dull else chosen)},
-        _row("roughness", *_ordered(is_one, ONE, EACH), _reason(single, several, "one"))
-        | {"held_out_error": 255 * mean_of(chosen)}
-        | {"cost_seconds": time.process_time() - started},
+        _row(
+            "specular",
+            *_ordered(is_dull, DULL, GLOSSY),
+            _reason(plain, best, "none"),
+            error=255 * mean_of(plain if is_dull else chosen),
+        ),
+        _row(
+            "roughness",
+            *_ordered(is_one, ONE, EACH),
+            _reason(single, several, "one"),
+            error=255 * mean_of(chosen),
+            seconds=time.process_time() - started,
+        ),
     )
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, rows=rows)
 
@@ -244,13 +252,21 @@ def _reason(simple: Table, rich: Table, name: str) -> str:
     )
 
 
-def _row(choice: str, chosen: str, other: str, why: str) -> dict[str, Any]:
-    """A row of the report's table that nothing was measured for."""
+def _row(
+    choice: str,
+    chosen: str,
+    other: str,
+    why: str,
+    *,
+    error: float | None = None,
+    seconds: float | None = None,
+) -> dict[str, Any]:
+    """A row of the report's table; display error and processor time where they were measured."""
     return {
         "choice": choice,
         "chosen": chosen,
         "alternatives": [other],
-        "held_out_error": None,
-        "cost_seconds": None,
+        "held_out_error": error,
+        "cost_seconds": seconds,
         "why": why,
     }

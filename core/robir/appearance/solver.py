@@ -193,8 +193,8 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     count more.
 
     Args:
-        problem: Scene under a tone curve, highlights removed.
-        light: Its light but for these.
+        problem: Scene under a tone curve, highlights removed if known.
+        light: Solved light.
         config: Sizes.
 
     Returns:

@@ -114,7 +114,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 
 
 def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Problem, Light, Gloss]:
-    """Light, then gloss, then the light once more without the highlights, and the gloss again.
+    """Light, then gloss, then its strengths once more without the highlights, and gloss again.
 
     Under the first light a highlight too sharp for any view to show may fit best; the second light
     is nearer to the truth.

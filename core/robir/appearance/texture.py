@@ -21,11 +21,7 @@ from torch import Tensor
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.solver import EDGE_SHARPNESS, Light
-from robir.appearance.statistics import (
-    diffuse_radiance,
-    linear_observations,
-    sharpest_views,
-)
+from robir.appearance.statistics import diffuse_radiance, linear_observations, sharpest_views
 from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame

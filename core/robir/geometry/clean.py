@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from robir.geometry.field import Field
+from robir.geometry.lattice import taken
 from robir.geometry.mesh import Mesh
 from robir.geometry.rays import RaySampler
 from robir.geometry.surface import compacted
@@ -62,7 +63,6 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
         lines = zip(origins.unbind(1), directions.unbind(1), strict=True)
         planes = [start[:, None] + along * slope[:, None] for start, slope in lines]
         nodes = lattice.nearest(torch.stack(planes).movedim(0, -1))
-        value = sdf.index_select(0, nodes.view(-1)).view_as(nodes)
-        nodes = nodes[(value >= 2.0 * lattice.cell).all(1)].view(-1)
+        nodes = nodes[(taken(sdf, nodes) >= 2.0 * lattice.cell).all(1)].view(-1)
         marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
     return torch.where(lattice.dilated(marked, 2), torch.minimum(sdf, hull), sdf)

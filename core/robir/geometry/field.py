@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from robir.geometry.lattice import Lattice, interpolate, resample
+from robir.geometry.lattice import Lattice, interpolate, resample, taken
 from robir.geometry.sampling import Intervals
 from robir.maths.volume import log_survival, weights
 
@@ -153,7 +153,7 @@ class Field:
             depth = torch.zeros_like(coverage).index_add(0, ray, share * middle)
             points = origins + depth[:, None] * directions
             normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
-        row = self.row.index_select(0, intervals.index.view(-1)).view_as(intervals.index)
+        row = taken(self.row, intervals.index)
         local = interpolate(self.features, row, intervals.weight)
         local = 0.5 * (local.index_select(0, start) + local.index_select(0, start + 1))
         local = local * share[:, None]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d, pad
 
-from robir.geometry.lattice import Lattice, interpolate
+from robir.geometry.lattice import Lattice, interpolate, taken
 from robir.maths.volume import log_survival, transmittance
 
 BLOCK = 2
@@ -106,11 +106,6 @@ def _flat_index(
     return flat
 
 
-def _taken(values: Tensor, index: Tensor) -> Tensor:
-    """Entries of a vector, the index' shape; a third of the time of square brackets."""
-    return values.index_select(0, index.reshape(-1)).view_as(index)
-
-
 def _occupied_steps(
     occupancy: Occupancy, origins: Tensor, directions: Tensor, jitter: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -141,7 +136,7 @@ def _occupied_steps(
     blocks = _flat_index(
         begin[..., None] / BLOCK, slope[..., None] / BLOCK, middle, occupancy.block_shape, 0.0
     )
-    hit = _taken(occupancy.blocks, blocks)
+    hit = taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
     ray, long_number = hit.nonzero(as_tuple=True)
     within = torch.arange(BLOCK_STEPS, device=ray.device)[:, None]
@@ -152,7 +147,7 @@ def _occupied_steps(
         lattice.shape,
         0.5,
     )
-    block, late = _taken(occupancy.near, nodes).T.nonzero(as_tuple=True)
+    block, late = taken(occupancy.near, nodes).T.nonzero(as_tuple=True)
     number = long_number.index_select(0, block) * BLOCK_STEPS + late
     return ray.index_select(0, block), number, enter, step
 
@@ -173,7 +168,7 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     size = 1 + closes.long()
     start = torch.cumsum(size, 0) - size
     owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
-    late = torch.arange(len(owner), device=ray.device) - _taken(start, owner)
+    late = torch.arange(len(owner), device=ray.device) - taken(start, owner)
     return start, owner, late
 
 
@@ -201,24 +196,24 @@ def march(
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
     start, owner, late = _chain(ray, number)
-    ray_of = _taken(ray, owner)
-    distance = _taken(enter, ray_of) + (_taken(number, owner) + late) * step
+    ray_of = taken(ray, owner)
+    distance = taken(enter, ray_of) + (taken(number, owner) + late) * step
     points = origins.index_select(0, ray_of)
     points += distance[:, None] * directions.index_select(0, ray_of)
     index, weight = lattice.corners(points)
     with torch.no_grad():
         value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
-    log_step = log_survival(_taken(value, start), _taken(value, start + 1), inv_std)
+    log_step = log_survival(taken(value, start), taken(value, start + 1), inv_std)
     through = transmittance(log_step, _first_of_runs(ray))
     keep = (-through * torch.expm1(log_step) > LEAST_WEIGHT).nonzero()[:, 0]
-    ray, number, old = _taken(ray, keep), _taken(number, keep), _taken(start, keep)
+    ray, number, old = taken(ray, keep), taken(number, keep), taken(start, keep)
     start, owner, late = _chain(ray, number)
-    point = _taken(old, owner) + late
+    point = taken(old, owner) + late
     return Intervals(
         ray=ray,
         first=_first_of_runs(ray),
         start=start,
-        distance=_taken(distance, point),
+        distance=taken(distance, point),
         index=index.index_select(0, point),
         weight=weight.index_select(0, point),
     )
