@@ -113,7 +113,7 @@ def render_views(
     gloss: Gloss,
     views: Sequence[View],
     surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """Render views with the recovered asset, light and tone curve.
 
     Args:
@@ -124,7 +124,8 @@ def render_views(
         surface: Mesh, its tracer, texel look-up and texel values.
 
     Yields:
-        Of each view the display image (H, W, 3) uint8 and the pixels (H, W) that were rendered.
+        Of each view the display image (H, W, 3) uint8 and how much of each pixel the asset covers,
+        (H, W) uint8 in 255ths.
     """
     mesh, tracer, lookup, values = surface
     largest = max((view.mask.size for view in views), default=1)
@@ -165,8 +166,8 @@ def _radiance(
 
 def _picture(
     problem: Problem, seen: _Seen, radiance: Floats
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Display image (H, W, 3) of the radiance (N, 3) of a view's points, and the pixels it has."""
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Display image (H, W, 3) of the radiance (N, 3) of a view's points, and its alpha (H, W)."""
     # a pixel is the mean radiance over its square, as on a sensor, and then through the curve
     view, rows, columns = seen.view, seen.rows, seen.columns
     count = np.bincount(seen.pixel, minlength=len(rows))
@@ -180,6 +181,6 @@ def _picture(
     shown = problem.curve.display_from_linear(gain * torch.from_numpy(mean.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)
     image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())
-    drawn = np.zeros(view.mask.shape, bool)
-    drawn[rows[filled], columns[filled]] = True
-    return image, drawn
+    alpha = np.zeros(view.mask.shape, np.uint8)
+    alpha[rows, columns] = 255 * count // len(SUB_PIXELS)
+    return image, alpha

@@ -165,9 +165,9 @@ def _held_out(
     """Render and store the held-out views; their PSNR against the photographs."""
     images, squared, count = {}, 0.0, 0
     pictures = render_views(problem, light, gloss, capture.held_out, surface)
-    for view, (image, drawn) in zip(capture.held_out, pictures, strict=True):
-        images[view.name] = np.dstack([image, np.where(drawn, 255, 0).astype(np.uint8)])
-        chosen = drawn & (view.mask > 250)
+    for view, (image, alpha) in zip(capture.held_out, pictures, strict=True):
+        images[view.name] = np.dstack([image, alpha])
+        chosen = (alpha > 0) & (view.mask > 250)
         difference = (image[chosen].astype(float) - view.image_display[chosen]) / 255
         squared += float((difference**2).sum())
         count += difference.size

@@ -95,11 +95,16 @@ def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
         Radiance per sample.
     """
     valid = torch.from_numpy(observations.weight > 0)
-    share = darker_view_weights(linear, valid)
+    return weighted_radiance(observations, linear, darker_view_weights(linear, valid))
+
+
+def weighted_radiance(observations: Observations, linear: Tensor, share: Tensor) -> Radiance:
+    """Mean over the views, each sample's counting (N, V) as told; else as `diffuse_radiance`."""
     mean = (linear * share[..., None]).sum(1)
     top = torch.from_numpy(observations.clipped) & (share > 0)[..., None]
     clipped = (top.float() * share[..., None]).sum(1) > 0.3
-    return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=valid.sum(1) >= 2)
+    seen = (observations.weight > 0).sum(1) >= 2
+    return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=torch.from_numpy(seen))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,8 +20,14 @@ from torch import Tensor
 
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
+from robir.appearance.sharpen import sharpened
 from robir.appearance.solver import EDGE_SHARPNESS, Light
-from robir.appearance.statistics import diffuse_radiance, linear_observations, sharpest_views
+from robir.appearance.statistics import (
+    darker_view_weights,
+    linear_observations,
+    sharpest_views,
+    weighted_radiance,
+)
 from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
@@ -175,8 +181,10 @@ def texel_albedo(
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve, problem.gains)
     sharpest = replace(seen, weight=sharpest_views(seen.weight))
-    radiance = diffuse_radiance(sharpest, linear)
-    total = radiance.linear.numpy()
+    share = darker_view_weights(linear, torch.from_numpy(sharpest.weight > 0))
+    radiance = weighted_radiance(sharpest, linear, share)
+    read = (linear.numpy(), share.numpy(), seen.weight)
+    total = sharpened(radiance.linear.numpy(), read, texels.position, views)
     irradiance = soft + narrow @ sun
     below = np.maximum(total - floor, 0.1 * total)
     exitant = np.pi * below / kept

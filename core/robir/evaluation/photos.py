@@ -15,6 +15,7 @@ from PIL import Image
 from robir.capture.capture import View
 from robir.evaluation import metrics
 from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.observe import MASK_INSIDE
 
 Picture = NDArray[np.uint8]
 
@@ -25,10 +26,11 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
     Args:
         rerender: (h, w, 3) or (h, w, 4) display codes of the same view, at any size; where it is
             transparent it counts as black. The photograph is reduced to its size.
-        view: The photograph; pixels whose mask is above a half count.
+        view: The photograph; pixels that are wholly object count. Those at the outline hold what
+            lies behind it too, or have colours that were divided by their alpha.
 
     Returns:
-        {"psnr", "ssim"} of the display values in [0, 1], or None where the mask is empty.
+        {"psnr", "ssim"} of the display values in [0, 1], or None where no pixel is.
     """
     height, width = rerender.shape[:2]
     ours = rerender[..., :3] / 255.0
@@ -39,7 +41,7 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
     if photo.size != (width, height):
         photo = photo.resize((width, height), Image.Resampling.BOX)
         mask = mask.resize((width, height), Image.Resampling.BOX)
-    inside = np.asarray(mask) > 127
+    inside = np.asarray(mask) > MASK_INSIDE
     if not inside.any():
         return None
     theirs = np.asarray(photo) / 255.0
