@@ -41,6 +41,14 @@ SUN_SHARPNESS = 2000.0
 WARM, COOL = np.float32([1.0, 0.93, 0.85]), np.float32([0.8, 0.9, 1.0])
 PALETTE = np.float32([[0.55, 0.5, 0.45], [0.2, 0.3, 0.12], [0.4, 0.15, 0.12], [0.7, 0.7, 0.72]])
 
+Corner = tuple[float, float, float]
+Boxes = tuple[tuple[Corner, Corner], ...]
+TWO_BOXES: Boxes = (
+    ((-0.35, -0.3, 0.0), (0.05, 0.1, 0.4)),
+    ((0.25, 0.2, 0.0), (0.5, 0.45, 0.6)),
+)
+"""Lowest and highest corner of each."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -76,12 +84,11 @@ class Stage:
     albedo: np.ndarray
 
 
-def boxes_on_a_floor(num_surfels: int = 1500) -> Stage:
-    """Two boxes on a chequered floor, inside the unit sphere."""
+def boxes_on_a_floor(num_surfels: int = 1500, boxes: Boxes = TWO_BOXES) -> Stage:
+    """Boxes on a chequered floor, inside the unit sphere."""
     mesh = mesh_of(
         patch((-0.75, -0.75, 0), (1.5, 0, 0), (0, 1.5, 0), 30),
-        *box((-0.35, -0.3, 0), (0.05, 0.1, 0.4)),
-        *box((0.25, 0.2, 0), (0.5, 0.45, 0.6)),
+        *(side for low, high in boxes for side in box(low, high)),
     )
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     surfels = sample_surfels(mesh, num_surfels, np.random.default_rng(0))
@@ -93,9 +100,11 @@ def boxes_on_a_floor(num_surfels: int = 1500) -> Stage:
     return Stage(mesh, tracer, surfels, visibility, PALETTE[piece])
 
 
-def sun_transfer(stage: Stage, axis: np.ndarray = SUN) -> np.ndarray:
-    """Visibility times cosine of a small sun at all samples, (S,)."""
-    rays = lobe_directions(axis, SUN_SHARPNESS, 24)
+def sun_transfer(
+    stage: Stage, axis: np.ndarray = SUN, sharpness: float = SUN_SHARPNESS
+) -> np.ndarray:
+    """Visibility times cosine of a sun at all samples, (S,)."""
+    rays = lobe_directions(axis, sharpness, 24)
     surfels = stage.surfels
     return lobe_transfer(stage.tracer, surfels.position, surfels.normal, rays, OFFSET)
 

@@ -127,10 +127,22 @@ def test_sun_against_sky_is_recovered(stage, problem):
 
 
 def test_scan_and_refinement_find_the_sun_within_a_degree(problem):
+    sun_problem = sun_problem_of(problem)
+    candidates = scan(sun_problem, 1000, 3)
+    losses = [candidate.loss for candidate in candidates]
+    assert losses == sorted(losses) and candidates[0].gain > 0.2
+    assert degrees(candidates[0].axis, synthetic.SUN) < 8
+    found = refine(sun_problem, candidates[0], 0.8 * np.sqrt(4 * np.pi / 1000), 6)
+    assert found.loss < candidates[0].loss
+    assert degrees(found.axis, synthetic.SUN) < 1
+
+
+def sun_problem_of(problem) -> SunProblem:
+    """What the scan compares, under a grey sky."""
     scene, surfels = problem.scene, problem.scene.transport.surfels
     rows = scene.rows
     rng = np.random.default_rng(0)
-    sun_problem = SunProblem(
+    return SunProblem(
         position=surfels.position[rows],
         normal=surfels.normal[rows],
         radiance=problem.rows_radiance(rows),
@@ -140,13 +152,6 @@ def test_scan_and_refinement_find_the_sun_within_a_degree(problem):
         tracer=scene.tracer,
         offset=scene.offset,
     )
-    candidates = scan(sun_problem, 1000, 3)
-    losses = [candidate.loss for candidate in candidates]
-    assert losses == sorted(losses) and candidates[0].gain > 0.2
-    assert degrees(candidates[0].axis, synthetic.SUN) < 8
-    found = refine(sun_problem, candidates[0], 0.8 * np.sqrt(4 * np.pi / 1000), 6)
-    assert found.loss < candidates[0].loss
-    assert degrees(found.axis, synthetic.SUN) < 1
 
 
 def degrees(first, second) -> float:
@@ -158,6 +163,36 @@ def test_one_sun_is_found_where_there_is_one(problem):
     assert len(light.axes) == 1 and len(light.history) == 2
     assert degrees(light.axes[0], synthetic.SUN) < 2
     assert light.history[1] < 0.7 * light.history[0]
+
+
+def test_candidates_are_lights_not_the_slopes_about_one(stage):
+    """Two lamps: the second is the next candidate, not a direction beside the first."""
+    other = unit(-0.5, 0.6, 0.62)
+    second = 0.8 * synthetic.sun_transfer(stage, other)[:, None]
+    candidates = scan(sun_problem_of(problem_under(stage, SUN, SKY, second)), 1000, 2)
+    assert degrees(candidates[0].axis, synthetic.SUN) < 8
+    assert degrees(candidates[1].axis, other) < 8
+
+
+def test_a_soft_box_below_the_ground_is_no_sun():
+    """It lights two sides of a box alone, whose albedo a strong lamp there would even out."""
+    stage = synthetic.boxes_on_a_floor(boxes=(((-0.15, -0.15, 0.0), (0.15, 0.15, 0.6)),))
+    below = synthetic.sun_transfer(stage, unit(-0.6, -0.79, -0.15), sharpness=20.0)[:, None]
+    problem = problem_under(stage, 0.0, 0.2, below)
+    candidates = scan(sun_problem_of(problem), 1000, 10)
+    assert candidates and all(candidate.axis[2] > 0 for candidate in candidates)
+    assert len(find_suns(problem, replace(CONFIG, num_scan_directions=2000), 0).axes) == 0
+
+
+def problem_under(stage, sun, sky, lamp):
+    """What is known under sun, sky and a lamp of some irradiance (S, 1) more."""
+    curve = curve_from_name("filmic")
+    irradiance = synthetic.direct(stage, sun, sky) + lamp
+    return make_problem(synthetic.lit(stage, irradiance, curve), curve)
+
+
+def unit(*direction) -> np.ndarray:
+    return np.float32(direction) / np.linalg.norm(np.float32(direction))
 
 
 def test_no_sun_is_found_under_an_even_sky(stage):

@@ -139,6 +139,9 @@ def _best_addition(
     best: Light | None = None
     best_rank = (False, np.inf)
     for candidate in candidates:
+        # The search may have led it below the ground.
+        if candidate.lit < candidate.least_lit:
+            continue
         if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(MIN_SEPARATION):
             continue
         axes = np.concatenate([light.axes, candidate.axis[None]])

@@ -29,6 +29,17 @@ STRENGTHS = (0.25, 0.8, 2.0, 6.0)
 """Irradiance of the sun at normal incidence over the mean of the base light, tried for each
 direction."""
 
+LIT = 0.05
+"""Visibility times cosine above which a sample is lit."""
+
+LEAST_LIT = 0.4
+"""Samples that a sun lights, over those that the best placed one would. From below the ground only
+one side of what stands on it is lit, and the strength of such a light is whatever evens out the
+albedo there; the soft lobes carry it."""
+
+BASIN = 1.5
+"""Spacings of the scan within which a candidate must be the best."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunProblem:
@@ -64,11 +75,15 @@ class SunCandidate:
         axis: (3,) float32, unit, towards the light.
         loss: Mean absolute log difference with this sun.
         gain: How much lower that is than without any sun, as a share.
+        lit: Share of the samples that it lights.
+        least_lit: Share that it must light to be a sun.
     """
 
     axis: Floats
     loss: float
     gain: float
+    lit: float = 1.0
+    least_lit: float = 0.0
 
 
 def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tensor]:
@@ -105,7 +120,7 @@ def _pair_loss(radiance: Radiance, weights: PairWeights, irradiance: Tensor) -> 
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
-    """Best directions of a dense scan, far enough apart to be different lights.
+    """Lowest points of a dense scan, far enough apart to be different lights.
 
     Args:
         problem: The samples.
@@ -124,17 +139,22 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     kernel[kernel < 0.02] = 0
     kernel /= kernel.sum(1, keepdims=True)
     transfer = kernel @ (bits * cosine)
-    # A sun that lights nothing the cameras see cannot be judged and is none.
-    useful = (transfer > 0.05).mean(1) > 0.05
-    indices = np.flatnonzero(useful)
+    lit = (transfer > LIT).mean(1)
+    least_lit = LEAST_LIT * float(lit.max())
+    indices = np.flatnonzero(lit > least_lit)
     if not len(indices):
         return []
     losses, without = candidate_loss(problem, torch.from_numpy(transfer[indices]).float())
     best = losses.min(1).values
-    order = best.argsort().tolist()
+    # Of the directions about a light only the best is a candidate: a broad lamp that many of them
+    # fit would else leave no room for a small one.
+    useful_axes = directions[indices]
+    around = torch.from_numpy(useful_axes @ useful_axes.T > np.cos(BASIN * spacing))
+    is_lowest = best <= torch.where(around, best, np.inf).min(1).values
+    order = best.argsort()
     chosen: list[SunCandidate] = []
-    for index in order:
-        axis = directions[indices[index]]
+    for index in order[is_lowest[order]].tolist():
+        axis = useful_axes[index]
         if any(float(axis @ other.axis) > np.cos(0.3) for other in chosen):
             continue
         loss = float(best[index])
@@ -143,6 +163,8 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
                 axis=axis,
                 loss=loss,
                 gain=1 - loss / float(without),
+                lit=float(lit[indices[index]]),
+                least_lit=least_lit,
             )
         )
         if len(chosen) == keep:
@@ -204,6 +226,8 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) 
             axis=trials[flat],
             loss=best_loss,
             gain=1 - best_loss / float(without),
+            lit=float((transfer[flat] > LIT).mean()),
+            least_lit=start.least_lit,
         )
     return best
 
