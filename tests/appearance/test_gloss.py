@@ -9,7 +9,9 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.gloss import estimate_gloss
+from robir.appearance.metal import metal_parts
 from robir.appearance.problem import make_problem
+from robir.appearance.reflections import Reflections, view_rays
 from robir.appearance.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
@@ -62,3 +64,28 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     expected = (diffuse.numpy() * darker).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
     assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
+
+
+@pytest.mark.parametrize(("one_in", "parts"), [(2, 1), (5, 0)])
+def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
+    problem, light, is_gold, _ = ball
+    transport = problem.scene.transport
+    rows = np.flatnonzero(problem.radiance.seen.numpy())
+    rays = view_rays(
+        transport.surfels, transport.observations, rows, transport.visibility.directions
+    )
+    likely = is_gold[rows]
+    certain = likely & (np.arange(len(rows)) % one_in == 0)
+    found = metal_parts(
+        (likely, certain),
+        (transport.surfels.position[rows], transport.surfels.spacing),
+        (
+            Reflections(problem, light, rows),
+            rays,
+            problem.linear[rows][torch.from_numpy(rays.sample), torch.from_numpy(rays.view)],
+        ),
+        np.zeros((len(rows), 1), np.float32),
+        (GOLD.roughness,),
+    )
+    assert len(found.base) == parts
+    assert (found.part[likely] >= 0).all() == bool(parts)

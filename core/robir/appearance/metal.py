@@ -45,8 +45,10 @@ DARKEST_READING = 0.45
 """Brightest channel below which a part is no metal, whatever else explains its views badly: a
 wrong mesh does, and is no brighter than paint. A tenth is left to what the light is misjudged."""
 
-LEAST_PART = 8
-"""Samples that a metal part has at least."""
+LEAST_PART, LEAST_SHARE = 8, 1 / 3
+"""Samples that metal must explain better, in number and as a share of a part. Where it is fewer,
+the mesh is too wrong to tell, and what it reflected would be worse than paint: the torn sides of a
+truck shone white."""
 
 LIKELY_METAL = 0.6
 """Base colour towards which a part without any evidence tends."""
@@ -128,7 +130,7 @@ def metal_parts(
     bases, roughness, sizes = [], [], []
     for index in range(piece.max() + 1):
         inside = certain & (piece == index)
-        if inside.sum() < LEAST_PART:
+        if inside.sum() < max(LEAST_PART, LEAST_SHARE * (piece == index).sum()):
             continue
         level = levels[int(errors[inside].mean(0).argmin())]
         seen = inside[rays.sample]

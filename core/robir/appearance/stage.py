@@ -35,7 +35,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 13
+REVISION = 14
 
 TEXTURE_VIEWS = 48
 
