@@ -23,7 +23,7 @@ def laplacian_step(sdf: Tensor, lattice: Lattice, amount: float) -> None:
     Args:
         sdf: (N,).
         lattice: Nodes of the field.
-        amount: Share of the way, in [0, 1).
+        amount: Share of the way, below 1; less than 0 leads away from it.
     """
     grid = sdf.view(lattice.shape)
     wide = _padded(grid)
