@@ -13,23 +13,28 @@ from robir.geometry.lattice import Lattice, interpolate, resample, taken
 from robir.geometry.sampling import Intervals
 from robir.maths.volume import log_survival, weights
 
+OCTAVES = (2.0, 4.0)
+"""Frequencies, radians, at which the mirrored direction is shown to the network as well."""
+
 
 class ColourNetwork(nn.Module):
     """Display colour of a ray from its composited features.
 
     The first three features are the colour itself (before the sigmoid); a small network adds what
     depends on the view. It sees the mirrored viewing direction, so a highlight, which is a
-    function of that direction, need not be explained by a pit in the surface.
+    function of that direction, need not be explained by a pit in the surface; sines and cosines
+    of it let the network follow what changes quickly (Tancik et al. 2020, "Fourier features let
+    networks learn high frequency functions in low dimensional domains").
 
     Args:
         features: Features C of a node, at least 3.
         width: Units of a hidden layer.
     """
 
-    def __init__(self, features: int, width: int = 48) -> None:
+    def __init__(self, features: int, width: int = 64) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Linear(features + 10, width),
+            nn.Linear(features + 10 + 6 * len(OCTAVES), width),
             nn.ReLU(inplace=True),
             nn.Linear(width, width),
             nn.ReLU(inplace=True),
@@ -51,7 +56,8 @@ class ColourNetwork(nn.Module):
         """
         cosine = (normals * directions).sum(1, keepdim=True)
         mirrored = directions - 2.0 * cosine * normals
-        inputs = torch.cat([features, normals, directions, mirrored, cosine], dim=1)
+        waves = [wave(octave * mirrored) for octave in OCTAVES for wave in (torch.sin, torch.cos)]
+        inputs = torch.cat([features, normals, directions, mirrored, cosine, *waves], dim=1)
         return torch.sigmoid(features[:, :3] + self.last(self.layers(inputs)))
 
 
