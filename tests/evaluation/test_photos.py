@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Re-renders against photographs."""
+"""Re-renders against photographs, and at the exposure of the photograph."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from transport.shapes import looking_at
 
 from robir.capture.capture import View
-from robir.evaluation.photos import photo_scores
+from robir.evaluation.photos import exposed, photo_scores
+from robir.maths.tone import curve_from_name
 
 SIZE = 32
 
@@ -46,3 +48,19 @@ def test_what_the_rerender_lacks_counts_as_black():
 def test_without_a_whole_pixel_there_is_no_score():
     colours, mask = disc()
     assert photo_scores(np.dstack([colours, mask]), view_of(colours, mask // 2)) is None
+
+
+def srgb(linear):
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def test_steps_are_factors_of_two_on_linear_light():
+    linear = np.array([[[0.1, 0.2, 0.05]], [[0.3, 0.4, 0.4]]])
+    alpha = np.full((2, 1, 1), 77)
+    picture = np.dstack([np.rint(255 * srgb(linear)), alpha]).astype(np.uint8)
+    again = exposed(picture, [1.0, 0.0, -1.0], curve_from_name("standard"))
+    assert again.dtype == np.uint8 and (again[..., 3] == 77).all()
+    expected = 255 * srgb(linear * [2.0, 1.0, 0.5])
+    assert again[..., :3] == pytest.approx(expected, abs=1.6)
+    white = exposed(picture, [3.0, 3.0, 3.0], curve_from_name("standard"))
+    assert white[1, 0].tolist() == [255, 255, 255, 77]
