@@ -33,7 +33,7 @@ def chosen(scene, config=CONFIG):
     first = tone.candidates[0]
     sized = smallest_model(first.problem, first.light, config)
     _, light, gloss = solve(sized, config, 0)
-    rows = {row["choice"]: row["chosen"] for row in (*sized.rows, *gloss.rows)}
+    rows = {row.choice: row.chosen for row in (*sized.choices, *gloss.choices)}
     return first.curve.name, rows, light, gloss
 
 

@@ -48,12 +48,12 @@ def surface(roughness, noise, plain, seed=0):
 
 def answers(highlights, position, material, num_materials=3):
     choice = choose_roughness(highlights, material, position, num_materials)
-    specular, roughness = choice.rows
-    assert [row["choice"] for row in choice.rows] == ["specular", "roughness"]
-    assert specular["alternatives"] == [GLOSSY if specular["chosen"] == DULL else DULL]
-    assert roughness["alternatives"] == [ONE if roughness["chosen"] == EACH else EACH]
-    assert choice.has_highlights == (specular["chosen"] == GLOSSY)
-    return specular["chosen"], roughness["chosen"], choice.roughness, choice.rows
+    specular, roughness = choice.choices
+    assert [one.choice for one in choice.choices] == ["specular", "roughness"]
+    assert specular.alternatives == (GLOSSY if specular.chosen == DULL else DULL,)
+    assert roughness.alternatives == (ONE if roughness.chosen == EACH else EACH,)
+    assert choice.has_highlights == (specular.chosen == GLOSSY)
+    return specular.chosen, roughness.chosen, choice.roughness, choice.choices
 
 
 @pytest.fixture
@@ -69,13 +69,13 @@ def test_alike_materials_share_one_roughness(material):
     # chance alone goes beyond one standard error now and then
     assert kinds.count(ONE) >= 10
     highlights, position = surface(np.full(1500, 0.42), 0.004, 0.02)
-    specular, kind, roughness, rows = answers(highlights, position, material)
+    specular, kind, roughness, choices = answers(highlights, position, material)
     assert (specular, kind) == (GLOSSY, ONE)
     np.testing.assert_allclose(roughness, 0.42, atol=0.06)
     assert len(set(roughness)) == 1
     # what it costs in codes, as if nothing of it had been fitted
-    assert rows[1]["held_out_error"] == pytest.approx(255 * 0.012, rel=0.2)
-    assert 0 <= rows[1]["cost_seconds"] < 0.5
+    assert choices[1].held_out_error == pytest.approx(255 * 0.012, rel=0.2)
+    assert 0 <= choices[1].cost_seconds < 0.5
 
 
 def test_unlike_materials_have_their_own(material):
@@ -124,10 +124,10 @@ def test_where_no_sun_is_mirrored_nothing_is_judged(material):
     none = np.zeros(1500, np.float32)
     highlights = Highlights(np.zeros((1500, len(LEVELS)), np.float32), none, none)
     position = np.zeros((1500, 3), np.float32)
-    specular, kind, roughness, rows = answers(highlights, position, material)
+    specular, kind, roughness, choices = answers(highlights, position, material)
     assert (specular, kind) == (GLOSSY, ONE)
     np.testing.assert_array_equal(roughness, UNKNOWN)
-    assert rows[0]["held_out_error"] is rows[1]["held_out_error"] is None
+    assert choices[0].held_out_error is choices[1].held_out_error is None
 
 
 def test_what_a_sample_says_takes_no_part_in_how_it_is_judged():
@@ -138,9 +138,9 @@ def test_what_a_sample_says_takes_no_part_in_how_it_is_judged():
     level = 0.02 + 0.01 * rng.random((100, len(LEVELS)))[cell]
     errors = (VIEWS * level).astype(np.float32)
     highlights = Highlights(errors, 2 * errors.max(1), np.full(4000, VIEWS, np.float32))
-    _, _, _, rows = answers(highlights, position.astype(np.float32), cell % 20, 20)
+    _, _, _, choices = answers(highlights, position.astype(np.float32), cell % 20, 20)
     # fitted to themselves they would come to the lowest of seven draws
-    assert rows[1]["held_out_error"] > 255 * 0.0244
+    assert choices[1].held_out_error > 255 * 0.0244
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ views at most.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.choice import Choice
 from robir.appearance.metal import metal_parts, metal_samples
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
@@ -63,7 +63,7 @@ class Gloss:
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
         table: One dictionary per material.
-        rows: What was chosen against what, for the report.
+        choices: What was chosen against what, for the report.
     """
 
     roughness: Floats
@@ -73,7 +73,7 @@ class Gloss:
     kept: Floats
     has_highlights: bool
     table: tuple[dict[str, float], ...]
-    rows: tuple[dict[str, Any], ...]
+    choices: tuple[Choice, ...]
 
 
 def specular_towards(
@@ -291,7 +291,7 @@ def estimate_gloss(
             metal=metal,
             has_highlights=choice.has_highlights,
             table=table,
-            rows=choice.rows,
+            choices=choice.choices,
         ),
         diffuse,
     )

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.choice import Choice
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import soft_transfer
 from robir.appearance.problem import Problem
@@ -41,12 +41,12 @@ class SizedModel:
     Attributes:
         problem: The scene, its sky perhaps one lobe and its bounced light perhaps zero.
         light: The light under it.
-        rows: What was chosen, for the report.
+        choices: What was chosen, for the report.
     """
 
     problem: Problem
     light: Light
-    rows: tuple[dict[str, Any], ...]
+    choices: tuple[Choice, ...]
 
 
 def smallest_model(problem: Problem, light: Light, config: AppearanceConfig) -> SizedModel:
@@ -58,14 +58,14 @@ def smallest_model(problem: Problem, light: Light, config: AppearanceConfig) -> 
         config: Sizes.
 
     Returns:
-        The problem, its light, and one row for the report on each choice.
+        The problem, its light, and each choice, for the report.
     """
     problem, bounced = _without_bounces(problem, light)
     problem, light, sky = _with_even_sky(problem, light, config)
-    return SizedModel(problem=problem, light=light, rows=(sky, bounced))
+    return SizedModel(problem=problem, light=light, choices=(sky, bounced))
 
 
-def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, dict[str, Any]]:
+def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
     """Drop the light from the object itself if there is none."""
     rows = problem.scene.rows
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
@@ -76,52 +76,44 @@ def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, dict[str,
     is_kept = share >= LEAST_BOUNCED
     if not is_kept:
         problem = replace(problem, indirect=torch.zeros_like(problem.indirect))
-    return problem, {
-        "choice": "light from the object itself",
-        "chosen": kept if is_kept else left_out,
-        "alternatives": [left_out if is_kept else kept],
-        "held_out_error": None,
-        "cost_seconds": None,
-        "why": f"it is {float(shares.median()):.1%} of the light of the middle sample and "
+    return problem, Choice(
+        choice="light from the object itself",
+        chosen=kept if is_kept else left_out,
+        alternatives=(left_out if is_kept else kept,),
+        why=f"it is {float(shares.median()):.1%} of the light of the middle sample and "
         f"{share:.1%} where there is most; it has no unknowns and is left out below "
         f"{LEAST_BOUNCED:.0%}",
-    }
+    )
 
 
 def _with_even_sky(
     problem: Problem, light: Light, config: AppearanceConfig
-) -> tuple[Problem, Light, dict[str, Any]]:
+) -> tuple[Problem, Light, Choice]:
     """Take one even sky for all soft lobes if the scene has no sun and shows no difference."""
     num_soft = len(light.amplitudes.soft)
     many, one = f"{num_soft} lobes", "even: one lobe"
-    row = {
-        "choice": "sky",
-        "chosen": many,
-        "alternatives": [one],
-        "held_out_error": None,
-        "cost_seconds": None,
-        "why": "beside a sun the lobes also take up what errors of the mesh do to its light",
-    }
     if len(light.axes):
-        return problem, light, row
+        why = "beside a sun the lobes also take up what errors of the mesh do to its light"
+        return problem, light, Choice(choice="sky", chosen=many, alternatives=(one,), why=why)
     started = time.process_time()
     even, steps = _even(problem), config.iterations // 2
     simple, rich = _held_out_tables((even, problem), light, steps)
     more, error = mean_of(simple) - mean_of(rich), difference_error(simple, rich)
     is_even = more <= error
-    row |= {
-        "chosen": one if is_even else many,
-        "alternatives": [many if is_even else one],
-        "held_out_error": 255 * mean_of(simple if is_even else rich),
-        "cost_seconds": time.process_time() - started,
-        "why": "display error of albedo carried between neighbours of the half that was not fitted "
-        f"is {255 * more:+.2f} codes with an even sky, standard error {255 * error:.2f}; the "
-        "simplest within one standard error",
-    }
+    choice = Choice(
+        choice="sky",
+        chosen=one if is_even else many,
+        alternatives=(many if is_even else one,),
+        held_out_error=255 * mean_of(simple if is_even else rich),
+        cost_seconds=time.process_time() - started,
+        why="display error of albedo carried between neighbours of the half that was not fitted is "
+        f"{255 * more:+.2f} codes with an even sky, standard error {255 * error:.2f}; the simplest "
+        "within one standard error",
+    )
     if is_even:
         fitted = fit(even, light.axes, light.sharpness, steps)
-        return even, replace(fitted, history=light.history), row
-    return problem, light, row
+        return even, replace(fitted, history=light.history), choice
+    return problem, light, choice
 
 
 def _even(problem: Problem) -> Problem:

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, block_numbers, difference_error, mean_of, table_of
+from robir.appearance.choice import Choice
 
 Floats = NDArray[np.float32]
 
@@ -82,12 +82,12 @@ class RoughnessChoice:
     Attributes:
         has_highlights: Whether anything but metal has a specular layer.
         roughness: (K,) of every material.
-        rows: What was chosen against what, for the report.
+        choices: What was chosen against what, for the report.
     """
 
     has_highlights: bool
     roughness: NDArray[np.float64]
-    rows: tuple[dict[str, Any], ...]
+    choices: tuple[Choice, ...]
 
 
 def choose_roughness(
@@ -112,8 +112,11 @@ def choose_roughness(
     each[~is_believed] = UNKNOWN
     if highlights.count.sum() < MIN_HIGHLIGHTS:
         why = "no highlight of a sun is seen that could tell"
-        rows = (_row("specular", GLOSSY, DULL, why), _row("roughness", ONE, EACH, why))
-        return RoughnessChoice(has_highlights=True, roughness=each, rows=rows)
+        choices = (
+            Choice(choice="specular", chosen=GLOSSY, alternatives=(DULL,), why=why),
+            Choice(choice="roughness", chosen=ONE, alternatives=(EACH,), why=why),
+        )
+        return RoughnessChoice(has_highlights=True, roughness=each, choices=choices)
     block = block_numbers(position)
     judged = [
         _table(block, errors, highlights.count)
@@ -125,22 +128,24 @@ def choose_roughness(
     is_one = is_dull or _within_one_error(single, several)
     roughness = np.full(num_materials, MATTE if is_dull else one) if is_one else each
     chosen = single if is_one else several
-    rows = (
-        _row(
-            "specular",
-            *_ordered(is_dull, DULL, GLOSSY),
-            _reason(plain, best, "none"),
-            error=255 * mean_of(plain if is_dull else chosen),
+    choices = (
+        Choice(
+            choice="specular",
+            chosen=DULL if is_dull else GLOSSY,
+            alternatives=(GLOSSY if is_dull else DULL,),
+            held_out_error=255 * mean_of(plain if is_dull else chosen),
+            why=_reason(plain, best, "none"),
         ),
-        _row(
-            "roughness",
-            *_ordered(is_one, ONE, EACH),
-            _reason(single, several, "one"),
-            error=255 * mean_of(chosen),
-            seconds=time.process_time() - started,
+        Choice(
+            choice="roughness",
+            chosen=ONE if is_one else EACH,
+            alternatives=(EACH if is_one else ONE,),
+            held_out_error=255 * mean_of(chosen),
+            cost_seconds=time.process_time() - started,
+            why=_reason(single, several, "one"),
         ),
     )
-    return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, rows=rows)
+    return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
 
 
 def _believed(
@@ -237,11 +242,6 @@ def _within_one_error(simple: Table, rich: Table) -> bool:
     return mean_of(simple) - mean_of(rich) <= difference_error(simple, rich)
 
 
-def _ordered(is_simple: bool, simple: str, rich: str) -> tuple[str, str]:
-    """What was chosen, and the other."""
-    return (simple, rich) if is_simple else (rich, simple)
-
-
 def _reason(simple: Table, rich: Table, name: str) -> str:
     """The figures of a choice, in words."""
     more, error = mean_of(simple) - mean_of(rich), difference_error(simple, rich)
@@ -250,23 +250,3 @@ def _reason(simple: Table, rich: Table, name: str) -> str:
         f"{255 * more:+.2f} codes with {name}, standard error {255 * error:.2f}; the simplest "
         "within one standard error"
     )
-
-
-def _row(
-    choice: str,
-    chosen: str,
-    other: str,
-    why: str,
-    *,
-    error: float | None = None,
-    seconds: float | None = None,
-) -> dict[str, Any]:
-    """A row of the report's table; display error and processor time where they were measured."""
-    return {
-        "choice": choice,
-        "chosen": chosen,
-        "alternatives": [other],
-        "held_out_error": error,
-        "cost_seconds": seconds,
-        "why": why,
-    }

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from robir.appearance import vignetting
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.display_power import POWERS, PowerChoice
-from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains, find_exposures
+from robir.appearance.exposure import Gains, find_exposures
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
+from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views
 from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
@@ -97,14 +96,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains)
-    choices = [
-        *_choices(tone, light, gloss, seconds),
-        *gloss.rows,
-        *sized.rows,
-        _exposure_choice(problem.gains, seconds),
-        _falloff_choice(problem.gains),
-    ]
-    write_json(folder / "choices.json", choices)
+    choices = (
+        *light_choices(tone, light, gloss, seconds),
+        *gloss.choices,
+        *sized.choices,
+        *camera_choices(problem.gains, seconds),
+    )
+    write_json(folder / "choices.json", [choice.plain() for choice in choices])
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -256,104 +254,3 @@ def _write_exposure(folder: Path, gains: Gains) -> None:
     """Store how each photograph was exposed and how much darker the corners of all are."""
     table = {"steps": gains.steps(), "corner_steps": gains.falloff.corner_steps}
     write_json(folder / "exposure.json", table)
-
-
-def _exposure_choice(gains: Gains, seconds: dict[str, float]) -> dict[str, Any]:
-    """Whether photographs were taken at their own exposures, for the report."""
-    alike, apart = "one for all", "each photograph its own"
-    return {
-        "choice": "exposure",
-        "chosen": apart if gains.by_view else alike,
-        "alternatives": [alike if gains.by_view else apart],
-        "held_out_error": None,
-        "cost_seconds": seconds["exposure"],
-        "why": "photographs are exposed apart where that explains at least "
-        f"{LEAST_SHARE:.0%} of what they differ by at the same points of the surface, and by more "
-        f"than {LEAST_STEPS} steps",
-    }
-
-
-def _falloff_choice(gains: Gains) -> dict[str, Any]:
-    """Whether the lens darkens the corners, for the report."""
-    steps = gains.falloff.corner_steps
-    even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
-    return {
-        "choice": "corners of the photographs",
-        "chosen": darker if steps else even,
-        "alternatives": [even] if steps else ["darker than the middle"],
-        "held_out_error": None,
-        "cost_seconds": None,
-        "why": "corners are darker where that explains at least "
-        f"{vignetting.LEAST_SHARE:.0%} of what photographs differ by at the same points of the "
-        f"surface, and the outermost that is seen is more than {vignetting.LEAST_STEPS} steps "
-        "darker",
-    }
-
-
-def _choices(
-    tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
-) -> list[dict[str, Any]]:
-    """What was chosen, against what, and why, for the report."""
-    candidates, evidence = tone.candidates, tone.evidence
-    chosen = candidates[0]
-    reason = {
-        True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
-        False: "bright pixels thin out towards code 255: the curve rolls off",
-        None: "nothing is bright enough to tell; all families were compared",
-    }[evidence.verdict]
-    metals = [material for material in gloss.table if material["metallic"] > 0.5]
-    return [
-        {
-            "choice": "tone curve",
-            "chosen": chosen.curve.name,
-            "alternatives": [candidate.curve.name for candidate in candidates[1:]],
-            "held_out_error": chosen.score,
-            "cost_seconds": seconds["tone_curve"],
-            "why": f"{reason}; lowest display error of albedo carried between neighbours in "
-            "different light, the simplest within one standard error",
-        },
-        *_power_choice(tone.power),
-        {
-            "choice": "sharp lights",
-            "chosen": len(light.axes),
-            "alternatives": list(range(len(light.history))),
-            "held_out_error": light.loss,
-            "cost_seconds": seconds["light"],
-            "why": "the first must cast a shadow that the photographs show or explain the shading, "
-            "a further one both; differences between neighbouring albedos without, with one, ...: "
-            + ", ".join(f"{loss:.3f}" for loss in light.history),
-        },
-        {
-            "choice": "metal",
-            "chosen": f"{sum(material['share'] for material in metals):.0%} of the surface",
-            "alternatives": ["none"],
-            "held_out_error": None,
-            "cost_seconds": None,
-            "why": "a material is metal where that explains its views 15 % better",
-        },
-    ]
-
-
-def _power_choice(choice: PowerChoice | None) -> list[dict[str, Any]]:
-    """The row on re-toned photographs; none where the curve was given."""
-    if choice is None:
-        return []
-    asked = "; ".join(
-        f"{power:g}: {share:.3f}" for power, share in zip(POWERS, choice.votes, strict=False)
-    )
-    why = "as bright as photographs are: no power was asked for"
-    if asked:
-        why = (
-            f"share of the pairs that agree on one albedo under each power ({asked}); one other "
-            "than 1 must lead clearly"
-        )
-    return [
-        {
-            "choice": "power of the display codes",
-            "chosen": choice.power,
-            "alternatives": [power for power in POWERS if power != choice.power],
-            "held_out_error": None,
-            "cost_seconds": None,
-            "why": f"mean display code {choice.level:.2f}; {why}",
-        }
-    ]

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was chosen about tone curve, lights, metal and cameras, in words for the report."""
+
+from __future__ import annotations
+
+from robir.appearance import vignetting
+from robir.appearance.choice import Choice
+from robir.appearance.display_power import POWERS, PowerChoice
+from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
+from robir.appearance.gloss import Gloss
+from robir.appearance.metal import LEAST_SHARE as LEAST_METAL_SHARE
+from robir.appearance.solver import Light
+from robir.appearance.tone_choice import ToneChoice
+
+
+def light_choices(
+    tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
+) -> tuple[Choice, ...]:
+    """On the tone curve, the suns and metal.
+
+    Args:
+        tone: The curves that were compared.
+        light: The solved light.
+        gloss: Specular material.
+        seconds: Processor time by task: "tone_curve", "light".
+    """
+    candidates, evidence = tone.candidates, tone.evidence
+    reason = {
+        True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
+        False: "bright pixels thin out towards code 255: the curve rolls off",
+        None: "nothing is bright enough to tell; all families were compared",
+    }[evidence.verdict]
+    metal = sum(material["share"] for material in gloss.table if material["metallic"] > 0.5)
+    return (
+        Choice(
+            choice="tone curve",
+            chosen=candidates[0].curve.name,
+            alternatives=tuple(candidate.curve.name for candidate in candidates[1:]),
+            held_out_error=candidates[0].score,
+            cost_seconds=seconds["tone_curve"],
+            why=f"{reason}; lowest display error of albedo carried between neighbours in different "
+            "light, the simplest within one standard error",
+        ),
+        *_power(tone.power),
+        Choice(
+            choice="sharp lights",
+            chosen=len(light.axes),
+            alternatives=tuple(range(len(light.history))),
+            held_out_error=light.loss,
+            cost_seconds=seconds["light"],
+            why="the first must cast a shadow that the photographs show or explain the shading, a "
+            "further one both; differences between neighbouring albedos without, with one, ...: "
+            + ", ".join(f"{loss:.3f}" for loss in light.history),
+        ),
+        Choice(
+            choice="metal",
+            chosen=f"{metal:.0%} of the surface",
+            alternatives=("none",),
+            why="a part is metal where that explains its views about as well as paint would, and "
+            f"better on at least {LEAST_METAL_SHARE:.0%} of it",
+        ),
+    )
+
+
+def _power(choice: PowerChoice | None) -> tuple[Choice, ...]:
+    """On re-toned photographs; none where the curve was given."""
+    if choice is None:
+        return ()
+    asked = "; ".join(
+        f"{power:g}: {share:.3f}" for power, share in zip(POWERS, choice.votes, strict=False)
+    )
+    why = "as bright as photographs are: no power was asked for"
+    if asked:
+        why = (
+            f"share of the pairs that agree on one albedo under each power ({asked}); one other "
+            "than 1 must lead clearly"
+        )
+    return (
+        Choice(
+            choice="power of the display codes",
+            chosen=choice.power,
+            alternatives=tuple(power for power in POWERS if power != choice.power),
+            why=f"mean display code {choice.level:.2f}; {why}",
+        ),
+    )
+
+
+def camera_choices(gains: Gains, seconds: dict[str, float]) -> tuple[Choice, Choice]:
+    """On exposures and corners of the photographs.
+
+    Args:
+        gains: What was found.
+        seconds: Processor time by task: "exposure".
+    """
+    alike, apart = "one for all", "each photograph its own"
+    steps = gains.falloff.corner_steps
+    even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
+    return (
+        Choice(
+            choice="exposure",
+            chosen=apart if gains.by_view else alike,
+            alternatives=(alike if gains.by_view else apart,),
+            cost_seconds=seconds["exposure"],
+            why=f"photographs are exposed apart where that explains at least {LEAST_SHARE:.0%} of "
+            "what they differ by at the same points of the surface, and by more than "
+            f"{LEAST_STEPS} steps",
+        ),
+        Choice(
+            choice="corners of the photographs",
+            chosen=darker if steps else even,
+            alternatives=(even if steps else "darker than the middle",),
+            why=f"corners are darker where that explains at least {vignetting.LEAST_SHARE:.0%} of "
+            "what photographs differ by at the same points of the surface, and the outermost that "
+            f"is seen is more than {vignetting.LEAST_STEPS} steps darker",
+        ),
+    )
