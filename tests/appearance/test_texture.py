@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -175,7 +177,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
         kept=np.ones((count, 1), np.float32),
         has_highlights=True,
         table=(),
-        rows=(),
+        choices=(),
     )
     texels = Texels(position=position, normal=normal)
     values = texel_albedo(make_problem(scene, curve), light, texels, views, matte, tracer)
@@ -191,3 +193,11 @@ def test_texels_of_a_lit_floor_have_their_paint():
     assert seen_error.max() < 0.26
     assert np.all(values.uncertainty[unseen] > np.median(seen_error))
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
+    # Views of a glossy surface agree as well as those of a dull one.
+    floor = 0.1 * make_problem(scene, curve).radiance.linear.numpy()
+    glossy = replace(matte, floor=floor)
+    again = texel_albedo(make_problem(scene, curve), light, texels, views, glossy, tracer)
+    assert np.abs(again.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
+    np.testing.assert_allclose(
+        again.disagreement[inner & ~unseen], values.disagreement[inner & ~unseen], atol=1e-6
+    )

@@ -34,7 +34,7 @@ from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 14
+REVISION = 15
 
 TEXTURE_VIEWS = 48
 

@@ -95,8 +95,8 @@ class TexelAlbedo:
     Attributes:
         albedo: (N, 3) float32, linear Rec.709.
         coverage: (N,) int, views that show the texel.
-        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges,
-            dim light and reflections alone: it weighs the texels against each other.
+        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
+            dim light: a sign of a wrong mesh, wrong poses or uneven exposure.
         uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
         roughness: (N,) float32.
         metallic: (N,) float32, 0 or 1.
@@ -204,9 +204,10 @@ def texel_albedo(
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
     doubt = LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clip(1e-6)
     reflected = GLOSS_ERROR * floor.mean(1) / below.mean(1)
-    known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2 + reflected**2)
+    known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
     disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
-    evened = _evened(albedo, disagreement, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
+    unknown = np.hypot(disagreement, reflected).clip(0.0, 1.0)
+    evened = _evened(albedo, unknown, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
     distance = distance_to_seen(texels.position, coverage > 0)
     changed = np.abs(np.log(evened / albedo)).mean(1)
     return TexelAlbedo(
@@ -272,7 +273,7 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _evened(albedo: Floats, disagreement: Floats, texels: Texels) -> Floats:
+def _evened(albedo: Floats, unknown: Floats, texels: Texels) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
     Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
@@ -287,7 +288,7 @@ def _evened(albedo: Floats, disagreement: Floats, texels: Texels) -> Floats:
     distance, index = _nearest(points[nodes], points[nodes[afar]], EVEN_COUNT, EVEN_REACH)
     near, other = np.isfinite(distance), afar[index]
     before = smooth = np.log(albedo[nodes])
-    doubt = disagreement[nodes]
+    doubt = unknown[nodes]
     certainty = 1 / (0.03 + doubt) ** 2
     wider = np.stack([doubt, np.minimum(doubt, ALIKE_HUE)])  # not everything resembles the unknown
     width = 1 / (2 * (np.array([ALIKE, ALIKE_HUE])[:, None] ** 2 + wider**2))
