@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.transport.observe import pixels_about
 
 Floats = NDArray[np.float32]
 
@@ -50,15 +51,12 @@ class _Pixels:
         width, height = camera.width, camera.height
         place, depth = camera.project(position.astype(np.float64))
         column, row = np.clip(np.floor(place), 0, [width - 1, height - 1]).astype(int).T
-        low = np.clip(np.floor(place - 0.5), 0, [width - 2, height - 2])
-        right, down = np.clip(place - 0.5 - low, 0, 1).T
-        shares = [(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down]
-        first = low[:, 1].astype(int) * width + low[:, 0].astype(int)
+        rows, columns, shares = pixels_about(camera, place)
         return cls(
             count=width * height,
             square=row * width + column,
-            corners=first[:, None] + np.array([0, 1, width, width + 1]),
-            shares=np.stack(shares, axis=1).astype(np.float32),
+            corners=rows * width + columns,
+            shares=shares.astype(np.float32),
             size=(cosine / depth**2).astype(np.float32),
         )
 
@@ -101,6 +99,7 @@ def sharpened(
         change = np.zeros_like(log)
         for index, view in enumerate(views):
             rows = np.flatnonzero(cosine[:, index] > 0)
+            # anew in every step: kept for all views they would take more memory than the readings
             pixels = _Pixels.of(view.camera, position[rows], cosine[rows, index])
             predicted = pixels.read(np.exp(log[rows]))
             apart = np.log(np.maximum(linear[rows, index], 1e-5) / np.maximum(predicted, 1e-5))

@@ -30,11 +30,11 @@ from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import Transport
-from robir.transport.observe import spread_views
+from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 15
+REVISION = 16
 
 TEXTURE_VIEWS = 48
 
@@ -165,7 +165,7 @@ def _held_out(
     pictures = render_views(problem, light, gloss, capture.held_out, surface)
     for view, (image, alpha) in zip(capture.held_out, pictures, strict=True):
         images[view.name] = np.dstack([image, alpha])
-        chosen = (alpha > 0) & (view.mask > 250)
+        chosen = (alpha > 0) & (view.mask > MASK_INSIDE)
         difference = (image[chosen].astype(float) - view.image_display[chosen]) / 255
         squared += float((difference**2).sum())
         count += difference.size

@@ -165,23 +165,35 @@ def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
     return inside & (jump < DEPTH_JUMP * inverse**2)
 
 
+def pixels_about(
+    camera: Camera, places: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """The four pixels whose centres surround places (N, 2) in a picture.
+
+    Returns:
+        Their rows (N, 4), columns (N, 4), and what each counts in a bilinear reading, (N, 4).
+    """
+    last = [camera.width - 2, camera.height - 2]
+    low: NDArray[np.int64] = np.clip(np.floor(places - 0.5), 0, last).astype(np.int64)
+    right, down = np.clip(places - 0.5 - low, 0, 1).T
+    shares = [(1 - right) * (1 - down), (1 - right) * down, right * (1 - down), right * down]
+    rows = low[:, 1:] + np.array([0, 1, 0, 1])
+    columns = low[:, :1] + np.array([0, 0, 1, 1])
+    return rows, columns, np.stack(shares, axis=1)
+
+
 def _bilinear(
     view: View, clean: NDArray[np.bool_], pixels: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]:
     """Interpolated colours, where a source was clipped, and where all sources are clean."""
-    low = np.floor(pixels - 0.5).astype(int)
-    low = np.clip(low, 0, [view.camera.width - 2, view.camera.height - 2])
-    part = np.clip(pixels - 0.5 - low, 0, 1)
+    rows, columns, shares = pixels_about(view.camera, pixels)
     colour = np.zeros((len(pixels), 3))
     top = np.zeros((len(pixels), 3), bool)
     whole = np.ones(len(pixels), bool)
-    for dx in (0, 1):
-        for dy in (0, 1):
-            share = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
-            row, column = low[:, 1] + dy, low[:, 0] + dx
-            texel = view.image_display[row, column]
-            colour += share[:, None] * texel
-            counts = share > 0.04
-            top |= (texel == 255) & counts[:, None]
-            whole &= clean[row, column] | ~counts
+    for row, column, share in zip(rows.T, columns.T, shares.T, strict=True):
+        texel = view.image_display[row, column]
+        colour += share[:, None] * texel
+        counts = share > 0.04
+        top |= (texel == 255) & counts[:, None]
+        whole &= clean[row, column] | ~counts
     return np.rint(colour).astype(np.uint8), top, whole
