@@ -11,7 +11,14 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light import Amplitudes, PairWeights, log_ratio, soft_transfer
+from robir.appearance.light import (
+    Amplitudes,
+    PairWeights,
+    log_ratio,
+    soft_lobes,
+    soft_transfer,
+    unevenness,
+)
 from robir.appearance.problem import make_problem, with_hidden
 from robir.appearance.solver import find_suns, fit, refit
 from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs
@@ -75,6 +82,25 @@ def test_the_sky_alone_is_pi_times_its_radiance_on_open_ground(stage):
     sharpness = 0.17 * 400
     radiance = 400 * (1 - np.exp(-2 * sharpness)) / (2 * sharpness)
     np.testing.assert_allclose(soft.numpy(), np.pi * radiance, rtol=0.02)
+
+
+@pytest.mark.parametrize("carriers", [1, 6, 24])
+def test_unevenness_counts_the_lobes_that_carry_the_sky(carriers):
+    soft = torch.full((24, 3), 1e-9)
+    soft[:carriers] = torch.tensor([0.2, 3.0, 7.0])
+    assert float(unevenness(soft)) == pytest.approx(np.log(24 / carriers), abs=1e-4)
+
+
+def test_paint_that_a_light_from_below_would_explain_stays_paint(stage):
+    axes, _ = soft_lobes(synthetic.NUM_SOFT)
+    below = int((axes[:, 2] + 0.5).abs().argmin())
+    curve = curve_from_name("filmic")
+    reached = synthetic.scene_of(stage, SUN, SKY, curve).soft[:, below, None].numpy()
+    painted = replace(stage, albedo=stage.albedo * (0.4 + 0.6 * reached / reached.max()))
+    problem = make_problem(synthetic.scene_of(painted, SUN, SKY, curve), curve)
+    light = fit(problem, synthetic.SUN[None], np.float32([synthetic.SUN_SHARPNESS]), 90)
+    # without the prior .59
+    assert float(unevenness(light.amplitudes.soft)) < 0.3
 
 
 @pytest.mark.parametrize(

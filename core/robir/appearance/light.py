@@ -210,6 +210,9 @@ class Priors:
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
+        spread: Weight of the sky's light coming from many of its soft lobes. A lobe that few
+            samples see, as those below the ground, could else be as bright as it takes to shade
+            what is painted.
         shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
         width: Width of an albedo cluster in log units, at the end of the annealing.
@@ -221,6 +224,7 @@ class Priors:
     neutral: float = 0.3
     lamp: float = 0.3
     smooth: float = 0.01
+    spread: float = 0.1
     shadow: float = 0.25
     parsimony: float = 0.0
     width: float = 0.15
@@ -276,6 +280,7 @@ def solve_amplitudes(
         energy = (irradiance - transfer.indirect).mean(0).log()
         loss = loss + priors.neutral * ((energy - energy.mean()) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
+        loss = loss + priors.spread * unevenness(amplitudes.soft)
         if priors.parsimony > 0:
             width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
             loss = loss + priors.parsimony * parsimony_loss(log_albedo, whole, width, generator)
@@ -314,6 +319,21 @@ def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()
+
+
+def unevenness(soft: Tensor) -> Tensor:
+    """How few lobes carry the sky's light: the log of their number over that of those that do.
+
+    The latter is the participation ratio, the squared sum over the sum of squares. A studio's boxes
+    and lamps come to about .9, an outdoor sky without its sun to .1.
+
+    Args:
+        soft: (K, 3) amplitudes, > 0.
+
+    Returns:
+        Mean over the channels, in [0, log K].
+    """
+    return ((soft**2).mean(0) / soft.mean(0) ** 2).log().mean()
 
 
 def parsimony_loss(
