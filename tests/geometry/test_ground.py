@@ -26,8 +26,14 @@ def pale(points: np.ndarray) -> np.ndarray:
     return np.where(points[:, 2:] > TOP + 0.01, [205.0, 205.0, 205.0], [160.0, 165.0, 170.0])
 
 
-def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def flattened(
+    solid: trimesh.Trimesh, left_over: trimesh.Trimesh | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true surface of a solid on the ground, flattened by what the photographs show.
+
+    Args:
+        solid: What stands on the ground.
+        left_over: What the surface has although it is in no photograph, or None.
 
     Returns:
         Nodes (N, 3) with heights above the ground, values before and values after, (N,).
@@ -41,6 +47,8 @@ def flattened(solid: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, np.ndarra
     ground = Ground(plane, photos, lattice, hull)
     nodes = lattice.nodes().double().numpy()
     inside = solid.contains(nodes) | (np.hypot(*nodes.T[:2]) < 0.9) & (nodes[:, 2] < TOP)
+    if left_over is not None:
+        inside |= left_over.contains(nodes)
     before = torch.from_numpy(np.where(inside, -1.0, 1.0) * lattice.cell).float()
     after = ground.flatten(lattice, before, ground.settled(ground.heights(lattice, before)))
     return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
@@ -64,4 +72,22 @@ def test_a_low_plate_of_about_the_colour_of_the_ground_stays() -> None:
     radius = np.hypot(nodes[:, 0], nodes[:, 1])
     rim = (before < 0) & (radius > RIM[0]) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)
     assert rim.sum() > 200
+    assert (after[rim] < 0).mean() > 0.95
+
+
+def test_lumps_beside_a_rim_are_ground_though_the_rim_hides_their_feet() -> None:
+    plate = trimesh.util.concatenate(
+        [drum(RIM[0], TOP, TOP + 0.05), drum(RIM[1], TOP + 0.04, TOP + 0.12)]
+    )
+    lumps = [trimesh.creation.box(extents=(0.14, 0.14, 0.06)) for _ in range(8)]
+    for number, lump in enumerate(lumps):
+        turn = 2.0 * np.pi * number / len(lumps)
+        lump.apply_translation([0.72 * np.cos(turn), 0.72 * np.sin(turn), TOP + 0.03])
+    nodes, before, after = flattened(plate, trimesh.util.concatenate(lumps))
+    radius = np.hypot(nodes[:, 0], nodes[:, 1])
+    lump = (before < 0) & (radius > RIM[1] + 0.03) & (nodes[:, 2] > 0.01)
+    assert lump.sum() > 200
+    # the borders of pieces stay; asked through the rim, five sixths stayed
+    assert (after[lump] > 0).mean() > 0.55
+    rim = (before < 0) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)
     assert (after[rim] < 0).mean() > 0.95

@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import numpy as np
+import pytest
 import torch
 import trimesh
 
+from robir.geometry import stage
+from robir.geometry.config import GeometryConfig
 from robir.geometry.ground import Ground
 from robir.geometry.hull import carve
 from robir.geometry.lattice import Lattice
+from robir.geometry.pixel_rays import pixels_of
 from robir.geometry.plane import detect
 from robir.geometry.rays import reduce_view
-from robir.geometry.stage import hull_of
+from robir.geometry.stage import hull_of, reconstruct
 from robir.geometry.undercut import undercut
-from tests.geometry.scenes import capture_of, disc, drum
+from tests.geometry.scenes import camera_at, capture_of, disc, drum
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -50,7 +56,8 @@ def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tu
     parts += [solid_box(nodes, *part) for part in surface]
     before = torch.from_numpy(np.min(parts, axis=0)).float()
     ground = Ground(plane, photos, lattice, hull)
-    return lattice, before, undercut(ground, photos, lattice, before)  # type: ignore[return-value]
+    bare = ground.settled(ground.heights(lattice, before))
+    return lattice, before, undercut(ground, bare, photos, lattice, before)  # type: ignore[return-value]
 
 
 def test_a_wall_below_a_rim_is_freed() -> None:
@@ -77,3 +84,39 @@ def test_a_wall_that_is_there_stays() -> None:
     radius, height = np.hypot(nodes[:, 0], nodes[:, 1]), nodes[:, 2] - TOP
     wall = (radius < 0.47) & (height > 0.03) & (height < 0.17)
     assert (after[wall] < 0).all()
+
+
+def test_a_foot_below_a_rim_is_looked_up_in_every_photograph_that_shows_it() -> None:
+    camera = camera_at(0.3, 0.15, 96)
+    spots = np.column_stack([np.linspace(-0.9, 0.9, 400), np.zeros(400), np.full(400, TOP)])
+    pixel = pixels_of(camera, spots)
+    # a grazing view shows several spots in a pixel; every spot of the picture has its pixel
+    image, _ = camera.project(spots)
+    held = ((image > 0) & (image < 96)).all(axis=1)
+    assert held.sum() > 300
+    np.testing.assert_array_equal(pixel >= 0, held)
+    rows, columns = pixel[held] // 96, pixel[held] % 96
+    assert np.abs(columns + 0.5 - image[held, 0]).max() <= 0.5
+    assert np.abs(rows + 0.5 - image[held, 1]).max() <= 0.5
+    coarse = pixels_of(camera, spots, 2)[held]
+    assert (coarse // 96 % 2 == 0).all() and (coarse % 2 == 0).all()
+    behind = 2.0 * camera.position[None]
+    assert pixels_of(camera, behind)[0] == -1
+
+
+def test_room_is_freed_at_the_end_of_every_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells: list[float] = []
+
+    def record(
+        ground: Ground, bare: np.ndarray, photos: object, lattice: Lattice, sdf: torch.Tensor
+    ) -> torch.Tensor:
+        assert bare.shape == ground.columns.shape and bare.any()
+        cells.append(lattice.cell)
+        return sdf
+
+    monkeypatch.setattr(stage, "undercut", record)
+    scene = trimesh.util.concatenate([disc(), drum(0.3, TOP, TOP + 0.2)])
+    capture = capture_of(scene, views=24, side=64, low=0.12, paint=grey_below)
+    config = GeometryConfig(level_cells=(32, 48), level_steps=(30, 30), rays=512, face_budget=800)
+    reconstruct(capture, config, 0, "cpu", Mock())
+    assert len(cells) == 2 and cells[0] > 1.4 * cells[1]

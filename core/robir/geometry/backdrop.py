@@ -30,7 +30,7 @@ from robir.geometry.consistency import colours_at, hidden
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays, Solid
+from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays, Solid, pixels_of
 from robir.geometry.plane import SupportPlane
 from robir.geometry.rays import Photo
 
@@ -209,9 +209,9 @@ class Backdrop:
         colours = colours_at(columns, spots, photos)
         certain = np.flatnonzero(bare)
         blocks = np.where(bare | ~np.isfinite(ground.tops), -1.0, ground.tops)
-        plain = np.full_like(colours, np.nan)
+        floor, plain = np.zeros(len(certain)), np.full_like(colours, np.nan)
         for number, photo in enumerate(photos):
-            free = certain[~hidden(columns, blocks, spots[certain], photo)]
+            free = certain[~hidden(columns, blocks, floor, spots[certain], photo)]
             plain[number, free] = colours[number, free]
         known = np.isfinite(plain[..., 0])
         picture = common_colour(colours, ground_palette(plain[known]))
@@ -282,14 +282,12 @@ class Backdrop:
         points = lattice.nodes()[freed].double().numpy()
         good, bad = np.zeros(len(points)), np.zeros(len(points))
         for photo, open_pixels, mask in zip(self._photos, through, masks, strict=True):
-            image, depth = photo.camera.project(points)
             # the nearest of the pixels that were looked at
-            column, row = (np.floor(image / PIXEL_STEP).astype(int) * PIXEL_STEP).T
-            held = (depth > 0) & (column >= 0) & (row >= 0)
-            held &= (column < photo.camera.width) & (row < photo.camera.height)
-            at = row[held], column[held]
-            good[held] += open_pixels[at] & mask[at]
-            bad[held] += open_pixels[at] & ~mask[at]
+            pixel = pixels_of(photo.camera, points, PIXEL_STEP)
+            is_open = (pixel >= 0) & open_pixels.ravel()[pixel]
+            fits = mask.ravel()[pixel]
+            good += is_open & fits
+            bad += is_open & ~fits
         # single pixels err along silhouettes: the nodes about are asked as well
         votes = torch.zeros(2, lattice.count)
         votes[:, freed] = torch.from_numpy(np.stack([good + bad, bad])).float()

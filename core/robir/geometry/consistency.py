@@ -25,6 +25,11 @@ the surface to be believed, display units: a plate's rim is, what is left before
 STANDING = 0.13
 """Columns at least this high, unit frame, are objects whatever their foot would look like."""
 
+TALLER = 2.0
+"""By how much what hides a spot must be higher than the surface over the spot's own column, in
+steps between columns. A plate's rim hides the ground beside it, and a lump left beside the rim
+must not be asked by photographs that see the rim; but lumps do not speak for each other."""
+
 
 def feet_agree(
     columns: Columns, wanted: NDArray[np.bool_], tops: Array, photos: list[Photo]
@@ -76,10 +81,10 @@ def deviations(
     """
     chosen = np.flatnonzero(wanted)
     spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])
-    blocks = np.where(tops >= STANDING, tops, -1.0)
+    over = tops.ravel()[chosen] + TALLER * columns.spacing
     colours = colours_at(columns, spots, photos)
     for number, photo in enumerate(photos):
-        colours[number, hidden(columns, blocks, spots, photo)] = np.nan
+        colours[number, hidden(columns, tops, over, spots, photo)] = np.nan
     judged = np.isfinite(colours[..., 0]).sum(axis=0) >= LEAST_VIEWS
     found = colours[:, judged]
     result = np.full(wanted.size, np.nan)
@@ -113,28 +118,31 @@ def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[n
     return colours
 
 
-def hidden(columns: Columns, blocks: Array, spots: Array, photo: Photo) -> NDArray[np.bool_]:
+def hidden(
+    columns: Columns, tops: Array, over: Array, spots: Array, photo: Photo
+) -> NDArray[np.bool_]:
     """Whether the lines from spots to a camera pass below the height field of what stands.
 
     Args:
         columns: Columns over the support plane.
-        blocks: Heights of what stands, the columns' shape; negative where nothing does.
-        spots: (K, 3) in the plane's frame, none higher than what stands.
+        tops: Heights of what stands, the columns' shape; negative where nothing does.
+        over: (K,) height above which a column must reach to hide a spot.
+        spots: (K, 3) in the plane's frame.
         photo: Photograph.
 
     Returns:
         (K,).
     """
     eye = columns.plane.local(photo.camera.position)
-    highest = blocks.max()
-    if highest <= 0:
+    highest = tops.max()
+    if not len(spots) or highest <= over.min():
         return np.zeros(len(spots), bool)
     across = eye - spots
-    rise = (highest - spots[:, 2]) / across[:, 2]
+    rise = np.maximum(highest - spots[:, 2], 0.0) / across[:, 2]
     share = np.linspace(0.0, 1.0, 40)[:, None]
     at = spots.T[:, None] + (share * rise) * across.T[:, None]
     column = (at[:2] - columns.low[:, None, None]) / columns.spacing
     last = np.array(columns.shape)[:, None, None] - 1.0
     is_over = ((column >= 0.0) & (column <= last)).all(axis=0)
     u, v = np.floor(np.where(is_over, column, 0.0) + 0.5).astype(int)
-    return (is_over & (blocks[u, v] > at[2])).any(axis=0)
+    return (is_over & (tops[u, v] > np.maximum(at[2], over))).any(axis=0)

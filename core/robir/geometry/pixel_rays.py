@@ -8,12 +8,31 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.capture.camera import Camera
 from robir.geometry.columns import Columns
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
 
 PIXEL_STEP = 2
 """Every so many pixels are looked at where a sample will do, along rows and columns."""
+
+
+def pixels_of(camera: Camera, points: NDArray[np.float64], step: int = 1) -> NDArray[np.int64]:
+    """Pixels in which a camera sees points if nothing hides them.
+
+    Args:
+        camera: The camera.
+        points: (P, 3), unit frame.
+        step: Only every so many pixels along rows and columns count.
+
+    Returns:
+        Flat indices (P,); -1 where a point lies outside the picture or behind the camera.
+    """
+    image, depth = camera.project(points)
+    column, row = (np.floor(image / step).astype(np.int64) * step).T
+    held = (depth > 0) & (column >= 0) & (row >= 0)
+    held &= (column < camera.width) & (row < camera.height)
+    return np.where(held, row * camera.width + column, -1)
 
 
 class Solid:

@@ -33,7 +33,7 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
-REVISION = 9
+REVISION = 10
 """Raised whenever the same input gives another result."""
 
 
@@ -114,13 +114,11 @@ def reconstruct(
             settled = ground.settled(top)
             if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
+                sdf.copy_(undercut(ground, settled, photos, field.lattice, sdf))
             else:
                 ground = None
 
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
-    if ground is not None:
-        with torch.no_grad():
-            field.sdf.copy_(undercut(ground, photos, field.lattice, field.sdf))
     reporter.progress(0.86, "cleaning the mesh")
     mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")

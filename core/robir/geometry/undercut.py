@@ -7,7 +7,9 @@ seen from above, the topmost layer of each column, is trusted here; everything b
 ground is doubted, and rays that pass only through what is doubted are asked what they would see
 on the ground. Where they agree with each other and go on the picture of the bare ground about,
 they do see ground. The reasoning is that of space carving (Kutulakos and Seitz 2000, "A theory of
-shape by space carving"), from the ground's side.
+shape by space carving"), from the ground's side. It is done at the end of every level of the fit,
+so that each cut starts from a surface that has settled into the room the last one freed, and
+reaches further in: of the ground's pixels of `hotdog`, 7.0 % show a wall instead of 8.7 %.
 
 Batch letters: V photographs, K columns.
 """
@@ -34,7 +36,7 @@ from robir.geometry.backdrop import (
 from robir.geometry.columns import Columns
 from robir.geometry.ground import Ground
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import PixelRays, Solid
+from robir.geometry.pixel_rays import PixelRays, Solid, pixels_of
 from robir.geometry.rays import Photo
 
 LAYER = 1.6
@@ -50,14 +52,17 @@ STEP = 0.04
 """How far the ground's display colour may leave the range of the colours two columns about."""
 
 
-def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor) -> Tensor:
+def undercut(
+    ground: Ground, bare: Mask, photos: list[Photo], lattice: Lattice, sdf: Tensor
+) -> Tensor:
     """Free the room between the ground and what hangs over it.
 
     Args:
         ground: The ground.
+        bare: Columns that are bare ground.
         photos: Photographs V.
         lattice: Nodes.
-        sdf: (N,) signed distances of a surface that is sharp already.
+        sdf: (N,) signed distances of a fitted surface, flat over bare ground.
 
     Returns:
         The new signed distances (N,).
@@ -67,8 +72,8 @@ def undercut(ground: Ground, photos: list[Photo], lattice: Lattice, sdf: Tensor)
     layer = Solid(lattice, torch.from_numpy(_topmost(columns, lattice, before, top)))
     rays = [PixelRays(columns, photo) for photo in photos]
     open_pixels = [own.unblocked(layer, np.flatnonzero(own.meets)) for own in rays]
-    colours = _foot_colours(columns, photos, rays, open_pixels)
-    picture = _continued(ground.settled(top), columns, _agreed(colours))
+    colours = _foot_colours(columns, photos, open_pixels)
+    picture = _continued(bare, columns, _agreed(colours))
     picture[~ground.joined(np.isfinite(picture[..., 0]))] = np.nan
     masks = ground_pixels(picture, photos, rays)
     for mask, pixels in zip(masks, open_pixels, strict=True):
@@ -89,21 +94,21 @@ def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor, top: Array) -> Mas
 
 
 def _foot_colours(
-    columns: Columns,
-    photos: list[Photo],
-    rays: list[PixelRays],
-    open_pixels: list[NDArray[np.int64]],
+    columns: Columns, photos: list[Photo], open_pixels: list[NDArray[np.int64]]
 ) -> Array:
-    """Mean display colours (V, K, 3) of the open pixels that meet each foot; NaN where none."""
-    count = len(columns.feet)
-    colours = np.full((len(photos), count, 3), np.nan)
-    for found, photo, own, pixels in zip(colours, photos, rays, open_pixels, strict=True):
-        foot = own.column[pixels]
-        number = np.bincount(foot, minlength=count)
-        shown = photo.premultiplied_display.reshape(-1, 3)[pixels]
-        for channel in range(3):
-            total = np.bincount(foot, weights=shown[:, channel], minlength=count)
-            found[number > 0, channel] = total[number > 0] / number[number > 0]
+    """Display colours (V, K, 3) of the pixels that show each foot; NaN where none is open.
+
+    Feet are looked up in pixels, not pixels added to feet: seen at a grazing angle a pixel shows
+    several feet, and one that is met by no pixel's middle would miss the photograph.
+    """
+    feet = columns.plane.world(np.column_stack([columns.feet, np.zeros(len(columns.feet))]))
+    colours = np.full((len(photos), len(feet), 3), np.nan)
+    for found, photo, pixels in zip(colours, photos, open_pixels, strict=True):
+        is_open = np.zeros(photo.coverage.size, bool)
+        is_open[pixels] = True
+        pixel = pixels_of(photo.camera, feet)
+        shown = (pixel >= 0) & is_open[pixel]
+        found[shown] = photo.premultiplied_display.reshape(-1, 3)[pixel[shown]]
     return colours
 
 
