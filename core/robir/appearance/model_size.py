@@ -25,7 +25,6 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import soft_transfer
 from robir.appearance.problem import Problem
 from robir.appearance.solver import Light, fit
-from robir.appearance.statistics import Pairs
 from robir.appearance.tone_choice import pair_errors
 
 BOUNCED_QUANTILE = 0.99
@@ -152,7 +151,5 @@ def _held_out_tables(
 
 def _on_pairs(problem: Problem, chosen: NDArray[np.int64]) -> Problem:
     """The problem with some of its pairs."""
-    pairs, index = problem.scene.pairs, torch.from_numpy(chosen)
-    weight = pairs.weight[index]
-    part = Pairs(first=pairs.first[index], second=pairs.second[index], weight=weight / weight.sum())
+    part = problem.scene.pairs.of(torch.from_numpy(chosen))
     return replace(problem, scene=replace(problem.scene, pairs=part))

@@ -38,6 +38,10 @@ EDGE_SHARPNESS = 250.0
 """Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
 across, about what a mesh error of one grid cell does to a shadow."""
 
+ALIKE_COSINE = 0.8
+"""Cosine between the normals of pairs by which a sun is polished: where shadows lie tells its
+place, while paint that changes with the orientation passes for shading."""
+
 ALIKE_HUE = 0.1
 """Difference in hue of log albedo at which two samples across a shadow hardly are one material."""
 
@@ -253,6 +257,9 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         base = _direct(problem, light, others)
         rng = np.random.default_rng(seed + index)
         fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
+        normal = torch.from_numpy(fine.normal)
+        cosine = (normal[fine.pairs.first] * normal[fine.pairs.second]).sum(1)
+        fine = replace(fine, pairs=fine.pairs.of(cosine > ALIKE_COSINE))
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)

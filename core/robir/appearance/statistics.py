@@ -121,6 +121,12 @@ class Pairs:
     second: Tensor
     weight: Tensor
 
+    def of(self, chosen: Tensor) -> Pairs:
+        """Some of the pairs, bool (P,) or indices."""
+        weight = self.weight[chosen]
+        share = weight / weight.sum().clamp(min=1e-9)
+        return Pairs(first=self.first[chosen], second=self.second[chosen], weight=share)
+
     def of_one_hue(self, log_albedo: Tensor, width: float) -> Pairs:
         """The same pairs, each counting by how alike its samples are in hue.
 
