@@ -184,12 +184,13 @@ def degrees(first, second) -> float:
     return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
 
-def test_a_sun_is_polished_by_where_its_shadows_lie(problem):
-    axis = synthetic.SUN + np.float32([-0.02, 0.02, 0.0])
+@pytest.mark.parametrize("aside", [(-0.02, 0.02, 0.0), (0.02, -0.02, 0.0), (0.04, 0.0, -0.02)])
+def test_a_sun_is_polished_by_where_its_shadows_lie(problem, aside):
+    axis = synthetic.SUN + np.float32(aside)
     start = replace(synthetic.true_light(SUN, SKY), axes=axis[None] / np.linalg.norm(axis))
     found = polish(problem, start, replace(CONFIG, iterations=20), 0).axes[0]
-    # from 1.6 degrees; .38 by all pairs, of like orientation or not
-    assert np.degrees(np.arccos(found @ synthetic.SUN)) < 0.25
+    # from 1.6 to 2.6 degrees
+    assert np.degrees(np.arccos(found @ synthetic.SUN)) < 0.5
 
 
 def test_one_sun_is_found_where_there_is_one(problem):

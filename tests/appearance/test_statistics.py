@@ -102,3 +102,11 @@ def test_pairs_of_one_hue_count_and_brightness_does_not_matter():
     other = 0.25 * float(np.exp(-0.5 * 0.06 / 0.01))
     expected = torch.tensor([0.5, other, 0.25]) / (0.75 + other)
     torch.testing.assert_close(weight, expected)
+
+
+def test_weights_of_chosen_pairs_sum_to_one_again():
+    ends = torch.arange(4)
+    pairs = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))
+    part = pairs.of(ends > 1).weighted(torch.tensor([4.0, 1.0]))
+    torch.testing.assert_close(part.weight, torch.tensor([0.75, 0.25]))
+    assert part.first.tolist() == [2, 3] and part.second.tolist() == [1, 0]

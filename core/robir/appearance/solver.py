@@ -42,6 +42,13 @@ ALIKE_COSINE = 0.8
 """Cosine between the normals of pairs by which a sun is polished: where shadows lie tells its
 place, while paint that changes with the orientation passes for shading."""
 
+ALIKE_ALBEDO = 1.0
+"""Difference of their log albedo at which they hardly count: more than a shadow in the wrong place
+makes, less than there is between the fields of a board."""
+
+POLISH_PARTNERS = 8
+"""Pairs per sample and distance; with two, their choice moved suns by a degree."""
+
 ALIKE_HUE = 0.1
 """Difference in hue of log albedo at which two samples across a shadow hardly are one material."""
 
@@ -256,10 +263,8 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         others = np.arange(len(axes)) != index
         base = _direct(problem, light, others)
         rng = np.random.default_rng(seed + index)
-        fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
-        normal = torch.from_numpy(fine.normal)
-        cosine = (normal[fine.pairs.first] * normal[fine.pairs.second]).sum(1)
-        fine = replace(fine, pairs=fine.pairs.of(cosine > ALIKE_COSINE))
+        fine = _sun_problem(problem, base, len(problem.scene.rows), rng)
+        fine = replace(fine, pairs=_polishing_pairs(problem, light, rng))
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
@@ -275,6 +280,19 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         start=first.amplitudes,
     )
     return replace(final, history=light.history)
+
+
+def _polishing_pairs(problem: Problem, light: Light, rng: np.random.Generator) -> Pairs:
+    """Many pairs of samples that face alike, those alike under the light so far counting more."""
+    scene, rows = problem.scene, problem.scene.rows
+    pairs = neighbour_pairs(scene.transport.surfels, rows, PAIR_REACHES, POLISH_PARTNERS, rng)
+    normal = torch.from_numpy(scene.transport.surfels.normal[rows])
+    pairs = pairs.of((normal[pairs.first] * normal[pairs.second]).sum(1) > ALIKE_COSINE)
+    sharp = scene.sharp_transfer(light.axes, light.sharpness, rows)
+    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
+    log_albedo = log_ratio(problem.rows_radiance(rows).linear, irradiance)
+    apart = ((log_albedo[pairs.first] - log_albedo[pairs.second]) ** 2).mean(1)
+    return pairs.weighted(torch.exp(-0.5 * apart / ALIKE_ALBEDO**2))
 
 
 def _best_sharpness(

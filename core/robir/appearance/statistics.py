@@ -123,9 +123,15 @@ class Pairs:
 
     def of(self, chosen: Tensor) -> Pairs:
         """Some of the pairs, bool (P,) or indices."""
-        weight = self.weight[chosen]
-        share = weight / weight.sum().clamp(min=1e-9)
-        return Pairs(first=self.first[chosen], second=self.second[chosen], weight=share)
+        part = Pairs(
+            first=self.first[chosen], second=self.second[chosen], weight=self.weight[chosen]
+        )
+        return part.weighted(torch.ones_like(part.weight))
+
+    def weighted(self, factor: Tensor) -> Pairs:
+        """The same pairs, the weight of each times a factor (P,)."""
+        weight = self.weight * factor
+        return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
     def of_one_hue(self, log_albedo: Tensor, width: float) -> Pairs:
         """The same pairs, each counting by how alike its samples are in hue.
@@ -137,8 +143,7 @@ class Pairs:
         """
         apart = log_albedo[self.first] - log_albedo[self.second]
         hue = ((apart - apart.mean(1, keepdim=True)) ** 2).sum(1)
-        weight = self.weight * torch.exp(-0.5 * hue / width**2)
-        return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
+        return self.weighted(torch.exp(-0.5 * hue / width**2))
 
 
 def neighbour_pairs(
