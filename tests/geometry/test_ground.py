@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 import trimesh
 
+from robir.geometry.backdrop import Backdrop
 from robir.geometry.ground import HIGHEST, Ground
 from robir.geometry.hull import carve
 from robir.geometry.plane import detect
@@ -27,19 +30,22 @@ def pale(points: np.ndarray) -> np.ndarray:
 
 
 def flattened(
-    solid: trimesh.Trimesh, left_over: trimesh.Trimesh | None = None
+    solid: trimesh.Trimesh,
+    left_over: trimesh.Trimesh | None = None,
+    paint: Callable[[np.ndarray], np.ndarray] = pale,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true surface of a solid on the ground, flattened by what the photographs show.
 
     Args:
         solid: What stands on the ground.
         left_over: What the surface has although it is in no photograph, or None.
+        paint: Display colours of points.
 
     Returns:
         Nodes (N, 3) with heights above the ground, values before and values after, (N,).
     """
     scene = trimesh.util.concatenate([disc(), solid])
-    capture = capture_of(scene, views=32, side=128, low=0.12, paint=pale)
+    capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
     photos = [reduce_view(view, 128) for view in capture.views]
     lattice, hull = carve(hull_of(photos, 48), 64)
     plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
@@ -50,7 +56,10 @@ def flattened(
     if left_over is not None:
         inside |= left_over.contains(nodes)
     before = torch.from_numpy(np.where(inside, -1.0, 1.0) * lattice.cell).float()
-    after = ground.flatten(lattice, before, ground.settled(ground.heights(lattice, before)))
+    backdrop = Backdrop(ground, photos)
+    backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
+    settled = ground.settled(ground.heights(lattice, before), backdrop.known)
+    after = ground.flatten(lattice, before, settled)
     return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
 
 
@@ -73,6 +82,19 @@ def test_a_low_plate_of_about_the_colour_of_the_ground_stays() -> None:
     rim = (before < 0) & (radius > RIM[0]) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)
     assert rim.sum() > 200
     assert (after[rim] < 0).mean() > 0.95
+
+
+def brown_board(points: np.ndarray) -> np.ndarray:
+    """A board of one brown on pale ground."""
+    return np.where(points[:, 2:] > TOP + 0.01, [110.0, 70.0, 50.0], [160.0, 165.0, 170.0])
+
+
+def test_the_border_of_a_brown_board_is_no_ground() -> None:
+    nodes, before, after = flattened(drum(0.6, TOP, TOP + 0.06), paint=brown_board)
+    radius = np.hypot(nodes[:, 0], nodes[:, 1])
+    border = (before < 0) & (radius > 0.5) & (radius < 0.58) & (nodes[:, 2] > 0.02)
+    assert border.sum() > 200
+    assert (after[border] < 0).mean() > 0.95
 
 
 def test_lumps_beside_a_rim_are_ground_though_the_rim_hides_their_feet() -> None:

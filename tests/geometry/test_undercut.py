@@ -11,6 +11,7 @@ import torch
 import trimesh
 
 from robir.geometry import stage
+from robir.geometry.backdrop import Backdrop
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground import Ground
 from robir.geometry.hull import carve
@@ -56,7 +57,9 @@ def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tu
     parts += [solid_box(nodes, *part) for part in surface]
     before = torch.from_numpy(np.min(parts, axis=0)).float()
     ground = Ground(plane, photos, lattice, hull)
-    bare = ground.settled(ground.heights(lattice, before))
+    backdrop = Backdrop(ground, photos)
+    backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
+    bare = ground.settled(ground.heights(lattice, before), backdrop.known)
     return lattice, before, undercut(ground, bare, photos, lattice, before)  # type: ignore[return-value]
 
 

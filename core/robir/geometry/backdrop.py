@@ -197,10 +197,14 @@ class Backdrop:
     Args:
         ground: The ground and what of it is bare for certain.
         photos: Photographs.
+
+    Attributes:
+        ground: The ground.
+        picture: Its display colours at columns' feet, their shape by 3; NaN where unknown.
     """
 
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
-        self._ground = ground
+        self.ground = ground
         self._photos = photos
         self._rays = [PixelRays(ground.columns, photo) for photo in photos]
         columns = ground.columns
@@ -223,8 +227,13 @@ class Backdrop:
 
     def _keep(self, believed: Mask) -> None:
         """Forget what is not believed and what does not hang together with the rim."""
-        known = np.isfinite(self.picture[..., 0]) & believed
-        self.picture[~(self._ground.joined(known) & known)] = np.nan
+        known = self.known & believed
+        self.picture[~(self.ground.joined(known) & known)] = np.nan
+
+    @property
+    def known(self) -> Mask:
+        """Columns at whose feet the picture of the ground is known."""
+        return np.isfinite(self.picture[..., 0])
 
     def shown(self) -> list[Mask]:
         """The pixels of each photograph that show ground, each (H, W)."""
@@ -240,7 +249,7 @@ class Backdrop:
         Returns:
             The new signed distances (N,).
         """
-        near = near_ground(self._ground.columns.plane, lattice, sdf)
+        near = near_ground(self.ground.columns.plane, lattice, sdf)
         kept = torch.zeros_like(near)
         for _ in range(ROUNDS):
             masks = self.shown()
@@ -262,7 +271,7 @@ class Backdrop:
 
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
-        plane = self._ground.columns.plane
+        plane = self.ground.columns.plane
         return freed((lattice, sdf), where, plane, self._photos, masks)
 
     def _doubted(

@@ -94,18 +94,20 @@ class Ground:
         """Height of a surface (N,) over each column, -inf where it has none."""
         return self.columns.tops(lattice, sdf, HIGHEST)
 
-    def settled(self, top: Array) -> NDArray[np.bool_]:
+    def settled(self, top: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Columns that are ground given the present surface.
 
         Args:
             top: Its height over each column.
+            known: Columns at whose feet the picture of the ground is known. Elsewhere photographs
+                that agree on the colour of a foot may see the border of a board.
 
         Returns:
             The columns' shape.
         """
         low = self.columns.inside & (top < STANDING)
         flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
-        agree = feet_agree(self.columns, low & ~flat, top, self._photos)
+        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
         return self._spread((self.start & low) | flat | agree)
 
     def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:

@@ -99,24 +99,27 @@ def reconstruct(
             preview.show(render)
 
     plane = detect(photos, lattice, hull, generator)
-    ground = None if plane is None else Ground(plane, photos, lattice, hull)
-    if ground is not None:
+    backdrop = None
+    if plane is not None:
+        ground = Ground(plane, photos, lattice, hull)
         hull = ground.flatten(lattice, hull, ground.start)
-    start = hull if ground is None else Backdrop(ground, photos).clear(lattice, hull)
+        backdrop = Backdrop(ground, photos)
+    start = hull if backdrop is None else backdrop.clear(lattice, hull)
 
     def settle(field: Field) -> None:
-        nonlocal ground
+        nonlocal backdrop
         sdf = field.sdf.detach()
         restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
         sdf.copy_(restored)
-        if ground is not None:
+        if backdrop is not None:
+            ground = backdrop.ground
             top = ground.heights(field.lattice, sdf)
-            settled = ground.settled(top)
+            settled = ground.settled(top, backdrop.known)
             if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
                 sdf.copy_(undercut(ground, settled, photos, field.lattice, sdf))
             else:
-                ground = None
+                backdrop = None
 
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
     reporter.progress(0.86, "cleaning the mesh")
@@ -127,7 +130,7 @@ def reconstruct(
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "none" if ground is None else "flattened",
+        "ground": "none" if backdrop is None else "flattened",
     }
     return mesh, metrics
 
