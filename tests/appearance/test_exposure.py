@@ -163,6 +163,14 @@ def test_two_photographs_of_few_points_have_a_closed_form():
         assert points == pytest.approx(values.mean(1))
 
 
+def test_without_any_deviation_the_common_gain_is_still_nought():
+    values = np.repeat(np.linspace(-1, 1, 30)[:, None, None] + np.zeros((1, 6, 1)), 3, 2)
+    values[:, 4] += 0.5
+    gains, _ = _least_squares(values, np.ones((30, 6)), 0.0)
+    expected = np.where(np.arange(6) == 4, 5 / 12, -1 / 12)
+    assert gains == pytest.approx(np.repeat(expected[:, None], 3, 1), abs=1e-12)
+
+
 def test_photographs_are_compared_along_chains():
     """Each photograph shares points with the next alone; errors do not add up to a drift."""
     values = np.full((200, 11, 3), np.nan)

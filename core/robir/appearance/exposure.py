@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.robust import Weighing, deviation
+from robir.appearance.robust import Weighing, deviation, solve_views
 from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import View
 from robir.maths.tone import curve_from_name
@@ -286,5 +286,5 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
     mean = np.einsum("pv,pvc->pc", weight, values) / mass[:, None]
     right = np.einsum("pv,pvc->vc", weight, values - mean[:, None])
     system = np.diag(weight.sum(0)) - weight.T @ (weight / mass[:, None])
-    gains = np.linalg.solve(system + prior * np.eye(len(system)), right)
+    gains = solve_views(system, right, prior)
     return gains, mean - weight @ gains / mass[:, None]

@@ -71,3 +71,21 @@ def deviation(log: Array) -> float:
     by_view = np.ascontiguousarray(log.transpose(0, 2, 1))  # sorting the last axis is faster
     middle = np.nanmedian(by_view, axis=2, keepdims=True)
     return float(np.nanmedian(np.abs(by_view - middle)))
+
+
+def solve_views(system: Array, right: Array, prior: float) -> Array:
+    """Unknowns of views that differences between views determine.
+
+    What is common to all views is free but for the prior, and that vanishes where photographs agree
+    to the last bit: it is pinned to 0 besides, which changes nothing else.
+
+    Args:
+        system: (V, V) normal equations, whose rows sum to 0.
+        right: (V, K), whose columns sum to 0.
+        prior: Weight with which every unknown is drawn to 0.
+
+    Returns:
+        (V, K), mean 0.
+    """
+    pin = np.trace(system) / len(system) ** 2
+    return np.linalg.solve(system + prior * np.eye(len(system)) + pin, right)

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.robust import Weighing, deviation
+from robir.appearance.robust import Weighing, deviation, solve_views
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
@@ -132,7 +132,7 @@ def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[fl
     columns -= np.einsum("pv,pvk->pk", share, columns)[:, None]
     right = np.einsum("pv,pvk->vk", weight, columns)
     system = np.diag(weight.sum(0)) - weight.T @ share
-    through = np.linalg.solve(system + weighing.prior() * np.eye(len(system)), right)
+    through = solve_views(system, right, weighing.prior())
     moments = np.einsum("pvk,pv,pvl->kl", columns, weight, columns) - right.T @ through
     ridge = weight[weighing.known].mean() * (weighing.noise / PRIOR) ** 2
     strength = float(moments[0, 1] / (moments[0, 0] + ridge))
