@@ -60,7 +60,7 @@ def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tu
     backdrop = Backdrop(ground, photos)
     backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
     bare = ground.settled(ground.heights(lattice, before), backdrop.known)
-    return lattice, before, undercut(ground, bare, photos, lattice, before)  # type: ignore[return-value]
+    return lattice, before, undercut(backdrop, bare, lattice, before)  # type: ignore[return-value]
 
 
 def test_a_wall_below_a_rim_is_freed() -> None:
@@ -111,9 +111,9 @@ def test_room_is_freed_at_the_end_of_every_level(monkeypatch: pytest.MonkeyPatch
     cells: list[float] = []
 
     def record(
-        ground: Ground, bare: np.ndarray, photos: object, lattice: Lattice, sdf: torch.Tensor
+        backdrop: Backdrop, bare: np.ndarray, lattice: Lattice, sdf: torch.Tensor
     ) -> torch.Tensor:
-        assert bare.shape == ground.columns.shape and bare.any()
+        assert bare.shape == backdrop.ground.columns.shape and bare.any()
         cells.append(lattice.cell)
         return sdf
 

@@ -200,13 +200,15 @@ class Backdrop:
 
     Attributes:
         ground: The ground.
+        photos: The photographs.
+        rays: Rays of each photograph's pixels.
         picture: Its display colours at columns' feet, their shape by 3; NaN where unknown.
     """
 
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
         self.ground = ground
-        self._photos = photos
-        self._rays = [PixelRays(ground.columns, photo) for photo in photos]
+        self.photos = photos
+        self.rays = [PixelRays(ground.columns, photo) for photo in photos]
         columns = ground.columns
         bare, shape = ground.start, columns.shape
         spots = np.column_stack([columns.feet, np.zeros(len(columns.feet))])
@@ -237,7 +239,7 @@ class Backdrop:
 
     def shown(self) -> list[Mask]:
         """The pixels of each photograph that show ground, each (H, W)."""
-        return ground_pixels(self.picture, self._photos, self._rays)
+        return ground_pixels(self.picture, self.photos, self.rays)
 
     def clear(self, lattice: Lattice, sdf: Tensor) -> Tensor:
         """Free the room in front of the ground.
@@ -257,7 +259,7 @@ class Backdrop:
             reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
             through = []
             solid = Solid(lattice, free < 0)
-            for rays, mask in zip(self._rays, masks, strict=True):
+            for rays, mask in zip(self.rays, masks, strict=True):
                 pixels = rays.unblocked(solid, rays.sample)
                 through.append(np.zeros(mask.shape, bool))
                 through[-1].reshape(-1)[pixels] = True
@@ -272,7 +274,7 @@ class Backdrop:
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
         plane = self.ground.columns.plane
-        return freed((lattice, sdf), where, plane, self._photos, masks)
+        return freed((lattice, sdf), where, plane, self.photos, masks)
 
     def _doubted(
         self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]
@@ -290,7 +292,7 @@ class Backdrop:
         """
         points = lattice.nodes()[freed].double().numpy()
         good, bad = np.zeros(len(points)), np.zeros(len(points))
-        for photo, open_pixels, mask in zip(self._photos, through, masks, strict=True):
+        for photo, open_pixels, mask in zip(self.photos, through, masks, strict=True):
             # the nearest of the pixels that were looked at
             pixel = pixels_of(photo.camera, points, PIXEL_STEP)
             is_open = (pixel >= 0) & open_pixels.ravel()[pixel]

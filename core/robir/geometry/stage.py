@@ -117,7 +117,7 @@ def reconstruct(
             settled = ground.settled(top, backdrop.known)
             if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
-                sdf.copy_(undercut(ground, settled, photos, field.lattice, sdf))
+                sdf.copy_(undercut(backdrop, settled, field.lattice, sdf))
             else:
                 backdrop = None
 

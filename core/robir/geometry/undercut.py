@@ -27,6 +27,7 @@ from torch import Tensor
 from robir.geometry.backdrop import (
     LEAST_VIEWS,
     Array,
+    Backdrop,
     Mask,
     colours_about,
     freed,
@@ -34,9 +35,8 @@ from robir.geometry.backdrop import (
     near_ground,
 )
 from robir.geometry.columns import Columns
-from robir.geometry.ground import Ground
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import PixelRays, Solid, pixels_of
+from robir.geometry.pixel_rays import Solid, pixels_of
 from robir.geometry.rays import Photo
 
 LAYER = 1.6
@@ -52,25 +52,22 @@ STEP = 0.04
 """How far the ground's display colour may leave the range of the colours two columns about."""
 
 
-def undercut(
-    ground: Ground, bare: Mask, photos: list[Photo], lattice: Lattice, sdf: Tensor
-) -> Tensor:
+def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> Tensor:
     """Free the room between the ground and what hangs over it.
 
     Args:
-        ground: The ground.
+        backdrop: The ground, its V photographs and their rays.
         bare: Columns that are bare ground.
-        photos: Photographs V.
         lattice: Nodes.
         sdf: (N,) signed distances of a fitted surface, flat over bare ground.
 
     Returns:
         The new signed distances (N,).
     """
+    ground, photos, rays = backdrop.ground, backdrop.photos, backdrop.rays
     columns, before = ground.columns, sdf.detach().cpu()
     top = ground.heights(lattice, before)
     layer = Solid(lattice, torch.from_numpy(_topmost(columns, lattice, before, top)))
-    rays = [PixelRays(columns, photo) for photo in photos]
     open_pixels = [own.unblocked(layer, np.flatnonzero(own.meets)) for own in rays]
     colours = _foot_colours(columns, photos, open_pixels)
     picture = _continued(bare, columns, _agreed(colours))
