@@ -124,8 +124,7 @@ def _subset(scene: Scene, rng: np.random.Generator) -> Scene:
 def _votes(problem: Problem, light: Light) -> tuple[np.ndarray, np.ndarray]:
     """Vote, 0..1, and weight of every ordered pair, (2 P,) each."""
     scene = problem.scene
-    sharp = scene.sharp_transfer(light.axes, light.sharpness, scene.rows)
-    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, scene.rows))
+    irradiance = light.irradiance(problem, scene.rows)
     radiance = problem.rows_radiance(scene.rows)
     log_radiance = radiance.linear.log()
     deviation = float((log_radiance - log_radiance.mean(0)).abs().mean())

@@ -300,8 +300,7 @@ def estimate_gloss(
 def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats:
     """Log albedo and how much the views of a sample differ, (N, 4)."""
     observations = problem.scene.transport.observations
-    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, seen)
-    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, seen))
+    irradiance = light.irradiance(problem, seen)
     albedo = np.pi * problem.radiance.linear[seen] / irradiance.clamp(min=1e-4)
     linear = problem.linear[seen].mean(2).clamp(min=1e-4)
     valid = torch.from_numpy(observations.weight[seen] > 0).float()

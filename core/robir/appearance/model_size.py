@@ -67,8 +67,7 @@ def smallest_model(problem: Problem, light: Light, config: AppearanceConfig) -> 
 def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
     """Drop the light from the object itself if there is none."""
     rows = problem.scene.rows
-    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
-    whole = light.amplitudes.irradiance(problem.transfer(sharp, rows)).mean(1)
+    whole = light.irradiance(problem, rows).mean(1)
     shares = problem.indirect[rows].mean(1) / whole.clamp(min=1e-9)
     share = float(shares.quantile(BOUNCED_QUANTILE))
     kept, left_out = "one bounce, measured", "none"

@@ -81,6 +81,11 @@ class Light:
     loss: float
     history: tuple[float, ...]
 
+    def irradiance(self, problem: Problem, rows: NDArray[np.int64]) -> Tensor:
+        """What some samples receive, (len(rows), 3), from suns, sky and other surfaces."""
+        sharp = problem.scene.sharp_transfer(self.axes, self.sharpness, rows)
+        return self.amplitudes.irradiance(problem.transfer(sharp, rows))
+
 
 def no_suns() -> tuple[Floats, Floats]:
     """Axes and sharpness of no sharp lobes."""
@@ -137,9 +142,8 @@ def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     weights = PairWeights.of(pairs, radiance.clipped)
     losses = []
     for light in (before, after):
-        sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
-        irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
-        losses.append(float(weights.loss(log_ratio(radiance.linear, irradiance))))
+        log_albedo = log_ratio(radiance.linear, light.irradiance(problem, rows))
+        losses.append(float(weights.loss(log_albedo)))
     return losses[1] < (1 - MIN_SHADOW_GAIN) * losses[0]
 
 
@@ -288,9 +292,7 @@ def _polishing_pairs(problem: Problem, light: Light, rng: np.random.Generator) -
     pairs = neighbour_pairs(scene.transport.surfels, rows, PAIR_REACHES, POLISH_PARTNERS, rng)
     normal = torch.from_numpy(scene.transport.surfels.normal[rows])
     pairs = pairs.of((normal[pairs.first] * normal[pairs.second]).sum(1) > ALIKE_COSINE)
-    sharp = scene.sharp_transfer(light.axes, light.sharpness, rows)
-    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, rows))
-    log_albedo = log_ratio(problem.rows_radiance(rows).linear, irradiance)
+    log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
     apart = ((log_albedo[pairs.first] - log_albedo[pairs.second]) ** 2).mean(1)
     return pairs.weighted(torch.exp(-0.5 * apart / ALIKE_ALBEDO**2))
 

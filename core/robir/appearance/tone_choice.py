@@ -115,8 +115,7 @@ def clipping_evidence(observations: Observations, power: float = 1.0) -> Clippin
 def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
     """Display error and weight of every ordered pair, (2 P,) each."""
     scene = problem.scene
-    sharp = scene.sharp_transfer(light.axes, light.sharpness, scene.rows)
-    irradiance = light.amplitudes.irradiance(problem.transfer(sharp, scene.rows))
+    irradiance = light.irradiance(problem, scene.rows)
     radiance = problem.rows_radiance(scene.rows)
     albedo = log_ratio(radiance.linear, irradiance).exp()
     first = torch.cat([scene.pairs.first, scene.pairs.second])
