@@ -88,7 +88,21 @@ def test_the_sky_alone_is_pi_times_its_radiance_on_open_ground(stage):
 def test_unevenness_counts_the_lobes_that_carry_the_sky(carriers):
     soft = torch.full((24, 3), 1e-9)
     soft[:carriers] = torch.tensor([0.2, 3.0, 7.0])
-    assert float(unevenness(soft)) == pytest.approx(np.log(24 / carriers), abs=1e-4)
+    hidden = torch.ones(24)
+    assert float(unevenness(soft, hidden)) == pytest.approx(np.log(24 / carriers), abs=1e-4)
+
+
+def test_a_bright_lobe_costs_nothing_where_all_samples_see_it():
+    soft, hidden = torch.full((24, 3), 0.2), torch.full((24,), 0.5)
+    soft[3], hidden[3] = 5.0, 0.0
+    assert float(unevenness(soft, hidden)) == 0.0
+    assert float(unevenness(soft, hidden.roll(1))) > 1.0
+
+
+def test_an_even_sky_alone_is_even():
+    soft = torch.ones(1, 3, requires_grad=True)
+    unevenness(soft, torch.zeros(1)).backward()
+    assert soft.grad is not None and not soft.grad.any()
 
 
 def test_paint_that_a_light_from_below_would_explain_stays_paint(stage):
@@ -100,7 +114,7 @@ def test_paint_that_a_light_from_below_would_explain_stays_paint(stage):
     problem = make_problem(synthetic.scene_of(painted, SUN, SKY, curve), curve)
     light = fit(problem, synthetic.SUN[None], np.float32([synthetic.SUN_SHARPNESS]), 90)
     # without the prior .59
-    assert float(unevenness(light.amplitudes.soft)) < 0.3
+    assert float(unevenness(light.amplitudes.soft, torch.ones(len(axes)))) < 0.3
 
 
 @pytest.mark.parametrize(

@@ -210,9 +210,8 @@ class Priors:
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
-        spread: Weight of the sky's light coming from many of its soft lobes. A lobe that few
-            samples see, as those below the ground, could else be as bright as it takes to shade
-            what is painted.
+        spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
+            could else be as bright as it takes to shade what is painted.
         shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
         width: Width of an albedo cluster in log units, at the end of the annealing.
@@ -257,6 +256,7 @@ def solve_amplitudes(
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
     optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
+    hidden = 1 - transfer.soft.mean(0) / transfer.soft.mean(0).max()
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
     loss_value = 0.0
@@ -280,7 +280,7 @@ def solve_amplitudes(
         energy = (irradiance - transfer.indirect).mean(0).log()
         loss = loss + priors.neutral * ((energy - energy.mean()) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
-        loss = loss + priors.spread * unevenness(amplitudes.soft)
+        loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:
             width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
             loss = loss + priors.parsimony * parsimony_loss(log_albedo, whole, width, generator)
@@ -321,19 +321,22 @@ def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
     return 2 * high + 0.2 * middle.nan_to_num()
 
 
-def unevenness(soft: Tensor) -> Tensor:
-    """How few lobes carry the sky's light: the log of their number over that of those that do.
+def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
+    """How far lobes that few samples see outshine the sky as a whole.
 
-    The latter is the participation ratio, the squared sum over the sum of squares. A studio's boxes
-    and lamps come to about .9, an outdoor sky without its sun to .1.
+    The log of their mean square over the square of all lobes' mean: where all are hidden, of their
+    number over the participation ratio. A studio's boxes and lamps come to about .9, an outdoor sky
+    without its sun to .1. A lobe that is well seen may be as bright as the photographs have it.
 
     Args:
         soft: (K, 3) amplitudes, > 0.
+        hidden: (K,) weights, 0 for the lobe that lights the samples best, 1 for one that none sees.
 
     Returns:
-        Mean over the channels, in [0, log K].
+        Mean over the channels, at least 0.
     """
-    return ((soft**2).mean(0) / soft.mean(0) ** 2).log().mean()
+    square = (hidden @ soft**2) / hidden.sum().clamp(min=1e-6)
+    return (square / soft.mean(0) ** 2).clamp(min=1).log().mean()
 
 
 def parsimony_loss(
