@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d, pad
 
-from robir.geometry.lattice import Lattice, interpolate, taken
-from robir.maths.volume import log_survival, transmittance
+from robir.geometry.lattice import Lattice, taken
+from robir.maths.volume import log_survival_between, weights
 
 BLOCK = 2
 """Cells along the edge of a block of the coarse occupancy."""
@@ -55,12 +55,13 @@ class Occupancy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intervals:
-    """Packed intervals of rays; neighbours on a ray share an end point.
+    """Packed end points of intervals of rays; neighbours on a ray share one.
 
     Attributes:
-        ray: (S,) ray of each interval.
-        first: (S,) first interval of the same ray.
-        start: (S,) end point where the ray enters the interval; it leaves at `start` + 1.
+        ray: (Q,) ray of each end point.
+        first: (Q,) first end point of the same ray.
+        joined: (Q - 1,) 1 where there is an interval from a point to the next, 0 where there is
+            none.
         distance: (Q,) distance of the end points from their ray's origin.
         index: (Q, 8) lattice nodes around the end points.
         weight: (Q, 8) their trilinear weights.
@@ -68,7 +69,7 @@ class Intervals:
 
     ray: Tensor
     first: Tensor
-    start: Tensor
+    joined: Tensor
     distance: Tensor
     index: Tensor
     weight: Tensor
@@ -152,7 +153,7 @@ def _occupied_steps(
     return ray.index_select(0, block), number, enter, step
 
 
-def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     """End points of intervals where an interval ends at the next one's start if they touch.
 
     Args:
@@ -160,8 +161,8 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         number: (S,) step number of each interval, ascending on a ray.
 
     Returns:
-        Start point of each interval (S,), and of each end point its interval (Q,) and whether it
-        is that interval's end rather than its start (Q,) 0 or 1.
+        Of each end point its interval (Q,), and whether it is that interval's end rather than its
+        start (Q,) 0 or 1.
     """
     closes = torch.ones_like(ray, dtype=torch.bool)
     closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
@@ -169,7 +170,7 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     start = torch.cumsum(size, 0) - size
     owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
     late = torch.arange(len(owner), device=ray.device) - taken(start, owner)
-    return start, owner, late
+    return owner, late
 
 
 def march(
@@ -195,25 +196,24 @@ def march(
     """
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
-    start, owner, late = _chain(ray, number)
-    ray_of = taken(ray, owner)
-    distance = taken(enter, ray_of) + (taken(number, owner) + late) * step
-    points = origins.index_select(0, ray_of)
-    points += distance[:, None] * directions.index_select(0, ray_of)
-    index, weight = lattice.corners(points)
-    with torch.no_grad():
-        value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
-    log_step = log_survival(taken(value, start), taken(value, start + 1), inv_std)
-    through = transmittance(log_step, _first_of_runs(ray))
-    keep = (-through * torch.expm1(log_step) > LEAST_WEIGHT).nonzero()[:, 0]
-    ray, number, old = taken(ray, keep), taken(number, keep), taken(start, keep)
-    start, owner, late = _chain(ray, number)
-    point = taken(old, owner) + late
+    owner, late = _chain(ray, number)
+    ray = taken(ray, owner)
+    distance = taken(enter, ray) + (taken(number, owner) + late) * step
+    points = origins.index_select(0, ray)
+    points += distance[:, None] * directions.index_select(0, ray)
+    log_step = log_survival_between(lattice.trilinear(sdf, points), inv_std) * (late == 0)[:-1]
+    keep = weights(log_step, _first_of_runs(ray)[:-1]) > LEAST_WEIGHT
+    ends = torch.zeros_like(ray, dtype=torch.bool)
+    ends[:-1] |= keep
+    ends[1:] |= keep
+    point = ends.nonzero()[:, 0]
+    ray = taken(ray, point)
+    index, weight = lattice.corners(points.index_select(0, point))
     return Intervals(
         ray=ray,
         first=_first_of_runs(ray),
-        start=start,
+        joined=taken(keep, point[:-1]).float(),
         distance=taken(distance, point),
-        index=index.index_select(0, point),
-        weight=weight.index_select(0, point),
+        index=index,
+        weight=weight,
     )
