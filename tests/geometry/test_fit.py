@@ -9,6 +9,7 @@ from torch.nn.functional import normalize
 from robir.geometry import fit
 from robir.geometry.field import ColourNetwork
 from robir.geometry.lattice import Lattice
+from robir.geometry.regularise import smoothed
 from robir.maths.adam import Adam
 
 
@@ -50,3 +51,14 @@ def test_smoothing_takes_lumps_at_first_and_leaves_a_ball_as_it_is_in_the_end() 
     near = ball.abs() < 0.7
     # a twentieth of the way to the end lifts it by a thirteenth of a cell
     assert (field - ball)[near].mean().abs() < 0.05
+
+
+def test_the_gradient_is_filtered_by_two_passes_of_1_2_1() -> None:
+    lattice = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(9, 8, 7))
+    values = torch.zeros(lattice.shape)
+    values[4, 3, 3] = 1.0
+    row = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+    expected = torch.zeros(lattice.shape)
+    expected[2:7, 1:6, 1:6] = row[:, None, None] * row[:, None] * row
+    found = smoothed(values.view(-1), lattice, 2).view(lattice.shape)
+    torch.testing.assert_close(found, expected)
