@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch.nn.functional import normalize
 
@@ -10,6 +11,7 @@ from robir.geometry import fit
 from robir.geometry.field import ColourNetwork
 from robir.geometry.lattice import Lattice
 from robir.geometry.regularise import smoothed
+from robir.geometry.sampling import Occupancy, march
 from robir.maths.adam import Adam
 
 
@@ -62,3 +64,25 @@ def test_the_gradient_is_filtered_by_two_passes_of_1_2_1() -> None:
     expected[2:7, 1:6, 1:6] = row[:, None, None] * row[:, None] * row
     found = smoothed(values.view(-1), lattice, 2).view(lattice.shape)
     torch.testing.assert_close(found, expected)
+
+
+@pytest.mark.parametrize(("inv_std", "steps"), [(5.0, 3), (18.0, 4), (60.0, 5)])
+def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
+    inv_std: float, steps: int
+) -> None:
+    """Rays of various slants onto a plane, whose coverage is known in closed form."""
+    lattice = Lattice(lower=(-1.0, -1.0, -2.0), cell=0.1, shape=(21, 21, 41))
+    height = lattice.nodes()[:, 2]
+    occupancy = Occupancy.of(lattice, height, 5.0 / inv_std + lattice.cell)
+    slant = torch.linspace(0.0, 0.2, 20)
+    directions = normalize(torch.stack([slant, 0 * slant, slant - 1.0], dim=1), dim=1)
+    origins = torch.tensor([0.0, 0.0, 3.0]).expand(20, 3).contiguous()
+    jitter = torch.linspace(0.0, 0.99, 20)
+    intervals = march(occupancy, height, inv_std, origins, directions, jitter)
+    between = intervals.distance.diff()[intervals.joined > 0]
+    torch.testing.assert_close(between, torch.full_like(between, 0.2 / steps), rtol=1e-3, atol=1e-5)
+    field = fit.Field(lattice, height, 8)
+    rays = (origins, directions)
+    _, coverage = field.render(intervals, ColourNetwork(8), rays, inv_std)
+    # the band ends where the surface still covers a per cent
+    assert (coverage > 0.97).all()

@@ -6,6 +6,7 @@ Batch letters: R rays, S intervals (packed, in ray order), Q interval end points
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -18,8 +19,9 @@ from robir.maths.volume import log_survival_between, weights
 BLOCK = 2
 """Cells along the edge of a block of the coarse occupancy."""
 
-BLOCK_STEPS = 5
-"""Steps a ray takes along such an edge."""
+LEAST_STEPS, MOST_STEPS = 3, 5
+"""Fewest and most steps a ray takes along such an edge. In between, no step is longer than the
+width of the soft surface, 1 / inv_std: early on that is soft, and shorter ones find no more."""
 
 LEAST_WEIGHT = 2e-4
 """Intervals that contribute less than this to their pixel are dropped."""
@@ -108,12 +110,13 @@ def _flat_index(
 
 
 def _occupied_steps(
-    occupancy: Occupancy, origins: Tensor, directions: Tensor, jitter: Tensor
+    occupancy: Occupancy, inv_std: float, origins: Tensor, directions: Tensor, jitter: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
     """Steps of the rays inside the band.
 
     Args:
         occupancy: The band.
+        inv_std: NeuS steepness, 1 / unit frame.
         origins: (R, 3).
         directions: (R, 3) unit.
         jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
@@ -123,7 +126,8 @@ def _occupied_steps(
     """
     lattice = occupancy.lattice
     long_step = BLOCK * lattice.cell
-    step = long_step / BLOCK_STEPS
+    steps = min(max(math.ceil(long_step * inv_std), LEAST_STEPS), MOST_STEPS)
+    step = long_step / steps
     lower, upper = origins.new_tensor(lattice.lower), origins.new_tensor(lattice.upper)
     inverse = 1.0 / torch.where(directions.abs() < 1e-9, 1e-9, directions)
     one, two = (lower - origins) * inverse, (upper - origins) * inverse
@@ -140,16 +144,16 @@ def _occupied_steps(
     hit = taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
     ray, long_number = hit.nonzero(as_tuple=True)
-    within = torch.arange(BLOCK_STEPS, device=ray.device)[:, None]
+    within = torch.arange(steps, device=ray.device)[:, None]
     nodes = _flat_index(
         begin.index_select(1, ray),
         slope.index_select(1, ray),
-        (long_number * BLOCK_STEPS + within + 0.5) * step,
+        (long_number * steps + within + 0.5) * step,
         lattice.shape,
         0.5,
     )
     block, late = taken(occupancy.near, nodes).T.nonzero(as_tuple=True)
-    number = long_number.index_select(0, block) * BLOCK_STEPS + late
+    number = long_number.index_select(0, block) * steps + late
     return ray.index_select(0, block), number, enter, step
 
 
@@ -195,7 +199,7 @@ def march(
         The kept intervals; there may be none.
     """
     lattice = occupancy.lattice
-    ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
+    ray, number, enter, step = _occupied_steps(occupancy, inv_std, origins, directions, jitter)
     owner, late = _chain(ray, number)
     ray = taken(ray, owner)
     distance = taken(enter, ray) + (taken(number, owner) + late) * step
