@@ -11,13 +11,13 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
+from robir.appearance.evening import evened, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.light import Amplitudes, soft_transfer
 from robir.appearance.problem import make_problem, make_scene
 from robir.appearance.solver import Light
 from robir.appearance.texture import (
     Texels,
-    _evened,
     _Reference,
     _settle_clipped,
     _settle_edges,
@@ -115,7 +115,8 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     unknown = (np.abs(x - 0.2) < 0.02) & (np.abs(y + 0.3) < 0.02)
     seen[unknown] = 0.9
     disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
-    left = np.log(_evened(seen, disagreement, texels) / paint).mean(1)
+    points = with_normals(texels.position, texels.normal)
+    left = np.log(evened(seen, disagreement, points) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -132,12 +133,12 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
 def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left):
     rng = np.random.default_rng(4)
     position = np.c_[rng.uniform(-0.5, 0.5, (6000, 2)), np.zeros(6000)].astype(np.float32)
-    texels = Texels(position=position, normal=np.tile(np.float32([0, 0, 1]), (6000, 1)))
+    points = with_normals(position, np.tile(np.float32([0, 0, 1]), (6000, 1)))
     dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
     albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
     albedo[dark] *= 0.4
-    evened = _evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), texels)
-    left = np.median(np.log(evened[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
+    result = evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points)
+    left = np.median(np.log(result[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
     assert left < share_left if doubt > 0.5 else left > share_left
 
 

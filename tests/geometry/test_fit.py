@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch.nn.functional import normalize
 
 from robir.geometry import fit
 from robir.geometry.field import ColourNetwork
 from robir.geometry.lattice import Lattice
+from robir.geometry.regularise import smoothed
+from robir.geometry.sampling import Occupancy, march
 from robir.maths.adam import Adam
 
 
@@ -50,3 +53,36 @@ def test_smoothing_takes_lumps_at_first_and_leaves_a_ball_as_it_is_in_the_end() 
     near = ball.abs() < 0.7
     # a twentieth of the way to the end lifts it by a thirteenth of a cell
     assert (field - ball)[near].mean().abs() < 0.05
+
+
+def test_the_gradient_is_filtered_by_two_passes_of_1_2_1() -> None:
+    lattice = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(9, 8, 7))
+    values = torch.zeros(lattice.shape)
+    values[4, 3, 3] = 1.0
+    row = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+    expected = torch.zeros(lattice.shape)
+    expected[2:7, 1:6, 1:6] = row[:, None, None] * row[:, None] * row
+    found = smoothed(values.view(-1), lattice, 2).view(lattice.shape)
+    torch.testing.assert_close(found, expected)
+
+
+@pytest.mark.parametrize(("inv_std", "steps"), [(5.0, 3), (18.0, 4), (60.0, 5)])
+def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
+    inv_std: float, steps: int
+) -> None:
+    """Rays of various slants onto a plane, whose coverage is known in closed form."""
+    lattice = Lattice(lower=(-1.0, -1.0, -2.0), cell=0.1, shape=(21, 21, 41))
+    height = lattice.nodes()[:, 2]
+    occupancy = Occupancy.of(lattice, height, 5.0 / inv_std + lattice.cell)
+    slant = torch.linspace(0.0, 0.2, 20)
+    directions = normalize(torch.stack([slant, 0 * slant, slant - 1.0], dim=1), dim=1)
+    origins = torch.tensor([0.0, 0.0, 3.0]).expand(20, 3).contiguous()
+    jitter = torch.linspace(0.0, 0.99, 20)
+    intervals = march(occupancy, height, inv_std, origins, directions, jitter)
+    between = intervals.distance.diff()[intervals.joined > 0]
+    torch.testing.assert_close(between, torch.full_like(between, 0.2 / steps), rtol=1e-3, atol=1e-5)
+    field = fit.Field(lattice, height, 8)
+    rays = (origins, directions)
+    _, coverage = field.render(intervals, ColourNetwork(8), rays, inv_std)
+    # the band ends where the surface still covers a per cent
+    assert (coverage > 0.97).all()

@@ -23,7 +23,7 @@ from robir.geometry.sampling import Occupancy, march
 from robir.geometry.simplify import decimate
 from robir.geometry.stage import hull_of, reconstruct
 from robir.geometry.surface import distance_to_mesh, extract
-from robir.maths.volume import log_survival, weights
+from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 
 
@@ -69,6 +69,15 @@ def test_interpolation_reproduces_linear_functions_and_its_gradient() -> None:
     expected = torch.zeros(lattice.count)
     expected.index_add_(0, index.long().ravel(), (weight * factor).ravel())
     torch.testing.assert_close(rows.grad[:, 0], expected, atol=1e-5, rtol=1e-4)
+
+
+def test_values_without_gradients_are_those_with() -> None:
+    lattice = Lattice.around(np.zeros(3), np.array([1.0, 0.5, 0.25]), 20)
+    generator = torch.Generator().manual_seed(3)
+    values = torch.rand(lattice.count, generator=generator)
+    points = 2.0 * torch.rand(500, 3, generator=generator) - 0.5  # some outside
+    expected = interpolate(values[:, None], *lattice.corners(points))[:, 0]
+    torch.testing.assert_close(lattice.trilinear(values, points), expected)
 
 
 def test_resampling_between_lattices_keeps_a_sphere() -> None:
@@ -133,11 +142,11 @@ def test_march_finds_the_sphere_where_it_is() -> None:
     directions = torch.tensor([[1.0, 0.0, 0.0]]).expand(4, 3)
     found = march(occupancy, sdf, inv_std, origins, directions, torch.zeros(4))
     value = interpolate(sdf[:, None], found.index, found.weight)[:, 0]
-    step = log_survival(value[found.start], value[found.start + 1], inv_std)
-    weight = weights(step, found.first)
-    middle = 0.5 * (found.distance[found.start] + found.distance[found.start + 1])
+    step = log_survival_between(value, inv_std) * found.joined
+    weight = weights(step, found.first[:-1])
+    middle = 0.5 * (found.distance[:-1] + found.distance[1:])
     for ray in range(3):
-        own = found.ray == ray
+        own = found.ray[:-1] == ray
         assert weight[own].sum() > 0.97
         depth = (weight[own] * middle[own]).sum() / weight[own].sum()
         true = 3.0 - np.sqrt(0.25 - float((offset[ray] ** 2).sum()))

@@ -5,7 +5,13 @@ from __future__ import annotations
 
 import torch
 
-from robir.maths.volume import log_survival, opacity, transmittance, weights
+from robir.maths.volume import (
+    log_survival,
+    log_survival_between,
+    opacity,
+    transmittance,
+    weights,
+)
 
 
 def test_coverage_of_a_plane_is_the_closed_form() -> None:
@@ -49,3 +55,22 @@ def test_far_inside_nothing_overflows() -> None:
     value = log_survival(torch.tensor([-1.0, 1.0]), torch.tensor([-1.1, -1.0]), 1e4)
     assert torch.isfinite(value).all()
     torch.testing.assert_close(value[0], torch.tensor(-1e3), rtol=1e-3, atol=0.0)
+
+
+def test_the_slope_of_the_weights_is_that_of_transmittance_times_opacity() -> None:
+    generator = torch.Generator().manual_seed(2)
+    first = torch.tensor([0] * 5 + [5] + [6] * 6)
+    step = -torch.rand(12, generator=generator, dtype=torch.float64)
+    step[3] = 0.0
+    step.requires_grad_()
+    wanted = torch.rand(12, generator=generator, dtype=torch.float64)
+    plain = -transmittance(step, first) * torch.expm1(step)
+    (expected,) = torch.autograd.grad((wanted * plain).sum(), step)
+    (found,) = torch.autograd.grad((wanted * weights(step, first)).sum(), step)
+    torch.testing.assert_close(found, expected)
+
+
+def test_intervals_between_points_are_those_of_their_ends() -> None:
+    sdf = torch.linspace(0.3, -0.2, 30).sin()
+    expected = log_survival(sdf[:-1], sdf[1:], 40.0)
+    torch.testing.assert_close(log_survival_between(sdf, 40.0), expected)

@@ -148,8 +148,9 @@ class PairWeights:
         pairs: The pairs.
         spread: Sparse (U, P), adds a pair's value to its first sample and takes it off its second.
             This product costs a tenth of torch's own scatter.
-        darker: (P, 3) slope of the loss where the first sample comes out darker, at most 0.
-        brighter: (P, 3) slope where it comes out brighter.
+        darker: (3, P) slope of the loss where the first sample comes out darker, at most 0. Here
+            and below channels come first: look-ups of single numbers cost less than of three.
+        brighter: (3, P) slope where it comes out brighter.
     """
 
     pairs: Pairs
@@ -166,15 +167,16 @@ class PairWeights:
         subtract = csr_matrix(
             (signs, ends, np.arange(0, 2 * count + 1, 2)), shape=(count, len(clipped))
         )
-        weight = pairs.weight[:, None]
-        darker, brighter = -weight * ~clipped[pairs.first], weight * ~clipped[pairs.second]
+        whole = (~clipped).T.contiguous()
+        darker = -pairs.weight * whole.index_select(1, pairs.first)
+        brighter = pairs.weight * whole.index_select(1, pairs.second)
         return cls(pairs, subtract.T.tocsr(), darker, brighter)
 
     def differences(self, values: Tensor) -> Tensor:
-        """A pair's first less its second, (..., P, C), of values (..., U, C)."""
+        """A pair's first less its second, (..., P), of values (..., U)."""
         # twice as fast as square brackets, or more
-        first = values.index_select(-2, self.pairs.first)
-        return first.sub_(values.index_select(-2, self.pairs.second))
+        first = values.index_select(-1, self.pairs.first)
+        return first.sub_(values.index_select(-1, self.pairs.second))
 
     def loss(self, log_albedo: Tensor) -> Tensor:
         """Weighted mean over pairs of the absolute differences, summed over channels."""
@@ -186,7 +188,7 @@ class _PairLoss(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, log_albedo: Tensor, weights: PairWeights) -> Tensor:
-        difference = weights.differences(log_albedo.detach())
+        difference = weights.differences(log_albedo.detach().T.contiguous())
         # picks one or the other like `where`, three times as fast
         slope = torch.lerp(weights.darker, weights.brighter, (difference > 0).float())
         ctx.spread, ctx.slope = weights.spread, slope
@@ -194,7 +196,8 @@ class _PairLoss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        return gradients[0] * torch.from_numpy(ctx.spread @ ctx.slope.numpy()), None
+        columns = [ctx.spread @ channel for channel in ctx.slope.numpy()]
+        return gradients[0] * torch.from_numpy(np.stack(columns, axis=1)), None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

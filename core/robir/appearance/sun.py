@@ -100,20 +100,21 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
     strengths = torch.tensor((0.0, *STRENGTHS))
     wanted = (np.pi * problem.radiance.linear.mean(1) / 0.35).median()
     weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
+    base, indirect = problem.base.T.contiguous(), problem.indirect.T.contiguous()
+    log_radiance = torch.log(problem.radiance.linear.T.contiguous())
     losses = []
     for row in transfer:
-        direct = problem.base + strengths[:, None, None] * row[:, None] * problem.base.mean()
-        scale = (wanted / direct.mean(2).median(1).values.clamp(min=1e-6))[:, None, None]
-        irradiance = scale * direct + problem.indirect
-        losses.append(_pair_loss(problem.radiance, weights, irradiance))
+        direct = base + strengths[:, None, None] * row * base.mean()
+        scale = (wanted / direct.mean(1).median(1).values.clamp(min=1e-6))[:, None, None]
+        losses.append(_pair_loss(log_radiance, weights, scale * direct + indirect))
     table = torch.stack(losses)
     return table[:, 1:], table[:1, 0]
 
 
-def _pair_loss(radiance: Radiance, weights: PairWeights, irradiance: Tensor) -> Tensor:
-    """Mean absolute pair difference for each of (G, U, 3) irradiances."""
+def _pair_loss(log_radiance: Tensor, weights: PairWeights, irradiance: Tensor) -> Tensor:
+    """Mean absolute pair difference for each of (G, 3, U) irradiances; radiance (3, U)."""
     floor = 0.02 * irradiance.mean((1, 2), keepdim=True)
-    log_albedo = torch.log(radiance.linear) - 0.5 * torch.log(irradiance**2 + floor**2)
+    log_albedo = log_radiance - 0.5 * torch.log(irradiance**2 + floor**2)
     difference = weights.differences(log_albedo)
     higher = weights.brighter * difference.clamp(min=0)
     return (higher + weights.darker * difference.clamp(max=0)).sum((1, 2))

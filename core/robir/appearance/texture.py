@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.evening import evened, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.sharpen import sharpened
@@ -37,24 +38,8 @@ from robir.transport.visibility import lobe_transfer
 
 Floats = NDArray[np.float32]
 
-NORMAL_SCALE = 0.15
-"""How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
-
 SIDE_STEP = 0.02
 """Error of the mesh along the surface that a shadow may have, unit frame."""
-
-MESH_ERROR = 0.02
-"""Length over which errors of the mesh's normals vary, unit frame."""
-
-EVEN_REACH, EVEN_COUNT, EVEN_STEPS = 0.4, 128, 3
-"""How far the surroundings reach that a texel is compared with, unit frame, how many of their
-texels, and how often."""
-
-ALIKE, ALIKE_HUE = 0.35, 0.2
-"""Difference of log albedo, in brightness and in hue, within which texels may be one material."""
-
-NODE_STEP = 4
-"""Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
 
 REFERENCE_STEP = 8
 """Every so manieth certain texel is looked up, so that a few of them reach far."""
@@ -126,8 +111,8 @@ class Blend:
         """
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
-        points = _with_normals(surfels.position, surfels.normal)[seen]
-        query = _with_normals(texels.position, texels.normal)
+        points = with_normals(surfels.position, surfels.normal)[seen]
+        query = with_normals(texels.position, texels.normal)
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
         weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
         self._index = seen[index]
@@ -207,11 +192,12 @@ def texel_albedo(
     known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
     disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
     unknown = np.hypot(disagreement, reflected).clip(0.0, 1.0)
-    evened = _evened(albedo, unknown, texels).clip(MIN_ALBEDO, MAX_ALBEDO)
+    points = with_normals(texels.position, texels.normal)
+    smooth = evened(albedo, unknown, points).clip(MIN_ALBEDO, MAX_ALBEDO)
     distance = distance_to_seen(texels.position, coverage > 0)
-    changed = np.abs(np.log(evened / albedo)).mean(1)
+    changed = np.abs(np.log(smooth / albedo)).mean(1)
     return TexelAlbedo(
-        albedo=evened.astype(np.float32),
+        albedo=smooth.astype(np.float32),
         coverage=coverage,
         disagreement=disagreement.astype(np.float32),
         uncertainty=standard_error(spread, changed, coverage, distance),
@@ -273,61 +259,13 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _evened(albedo: Floats, unknown: Floats, texels: Texels) -> Floats:
-    """Albedo without what errors of mesh, light and shadow edges leave in it.
-
-    Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
-    by the inverse of the variances. Errors of the light change brightness more than hue, so
-    likeness asks more of hue, and of brightness no more than the texel's own is known. The
-    corrections, not the albedo, are then blurred: no error varies faster than the mesh's do, and
-    texture that is finer stays as the photographs have it.
-    """
-    points = _with_normals(texels.position, texels.normal)
-    nodes = np.arange(0, len(points), NODE_STEP)
-    afar = np.arange(0, len(nodes), NODE_STEP)
-    distance, index = _nearest(points[nodes], points[nodes[afar]], EVEN_COUNT, EVEN_REACH)
-    near, other = np.isfinite(distance), afar[index]
-    before = smooth = np.log(albedo[nodes])
-    doubt = unknown[nodes]
-    certainty = 1 / (0.03 + doubt) ** 2
-    wider = np.stack([doubt, np.minimum(doubt, ALIKE_HUE)])  # not everything resembles the unknown
-    width = 1 / (2 * (np.array([ALIKE, ALIKE_HUE])[:, None] ** 2 + wider**2))
-    for _ in range(EVEN_STEPS):
-        apart = smooth[other] - smooth[:, None]
-        grey = apart.mean(2)
-        hue = (apart**2).sum(2) - 3 * grey**2
-        weight = np.exp(-3 * grey**2 * width[0][:, None] - hue * width[1][:, None])
-        weight *= near * certainty[other]
-        total = certainty + weight.sum(1)
-        around = np.einsum("nk,nkc->nc", weight, np.exp(smooth)[other])
-        smooth = np.log((np.exp(smooth) * certainty[:, None] + around) / total[:, None])
-    distance, index = _nearest(points, points[nodes], 12, 3 * MESH_ERROR)
-    weight = np.exp(-(distance**2) / (2 * MESH_ERROR**2))
-    change = np.einsum("nk,nkc->nc", weight, (smooth - before)[index])
-    return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
-
-
-def _with_normals(position: Floats, normal: Floats) -> Floats:
-    """Points (N, 6) among which near ones lie close together and face alike."""
-    return np.concatenate([position, NORMAL_SCALE * normal], axis=1)
-
-
-def _nearest(
-    points: Floats, among: Floats, count: int, reach: float
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
-    distance, index = cKDTree(among).query(points, count, eps=0.3, distance_upper_bound=reach)
-    missing = ~np.isfinite(distance)
-    return distance.astype(np.float32), np.where(missing, 0, index)
-
-
 class _Reference:
     """Texels whose albedo is certain, to look up what the surroundings are like."""
 
     def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        self._points = _with_normals(texels.position, texels.normal)[certain]
+        self._points = with_normals(texels.position, texels.normal)[certain]
         self._albedo = albedo[certain]
         self._thinned = cKDTree(self._points[::REFERENCE_STEP])
 
@@ -335,14 +273,14 @@ class _Reference:
         """Mean albedo (M, 3) of the few nearest certain texels."""
         if not rows.any():
             return np.zeros((0, 3), np.float32)
-        query = _with_normals(texels.position[rows], texels.normal[rows])
+        query = with_normals(texels.position[rows], texels.normal[rows])
         # hardly any of them lies next to one that is seen: twice the least distance will do
         index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
         return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.bool_], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels."""
-        query = _with_normals(texels.position[rows], texels.normal[rows])
+        query = with_normals(texels.position[rows], texels.normal[rows])
         index = self._thinned.query(query, k=count, eps=0.2)[1]
         return self._albedo[::REFERENCE_STEP][index]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
-from robir.geometry.lattice import Lattice, interpolate
+from robir.geometry.lattice import Lattice
 from robir.geometry.plane import SupportPlane, within
 
 Array = NDArray[np.float64]
@@ -46,8 +46,7 @@ class Columns:
         for height in heights[::-1]:
             spots = np.concatenate([self.feet, np.full((len(self.feet), 1), height)], axis=1)
             points = torch.from_numpy(self.plane.world(spots)).float()
-            value = interpolate(sdf.detach().cpu()[:, None], *lattice.corners(points))[:, 0]
-            value = value.numpy().astype(np.float64)
+            value = lattice.trilinear(sdf.cpu(), points).numpy().astype(np.float64)
             crosses = (value < 0) & np.isneginf(top)
             with np.errstate(invalid="ignore"):
                 part = np.where(np.isfinite(above), -value / np.maximum(above - value, 1e-9), 0.0)

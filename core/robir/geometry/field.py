@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the fit changes: a distance field on a lattice, colour features near it, a small network.
 
-Batch letters: N nodes, A nodes with features, R rays, S intervals, Q end points, C features.
+Batch letters: N nodes, A nodes with features, R rays, Q end points of intervals, C features.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from robir.geometry.lattice import Lattice, interpolate, resample, taken
 from robir.geometry.sampling import Intervals
-from robir.maths.volume import log_survival, weights
+from robir.maths.volume import log_survival_between, weights
 
 OCTAVES = (2.0, 4.0)
 """Frequencies, radians, at which the mirrored direction is shown to the network as well."""
@@ -121,9 +121,7 @@ class Field:
         cell = self.lattice.cell
         offsets = cell * torch.eye(3, device=points.device)
         stacked = (points[None] + torch.cat([offsets, -offsets])[:, None]).reshape(-1, 3)
-        with torch.no_grad():
-            value = interpolate(self.sdf.detach()[:, None], *self.lattice.corners(stacked))
-        value = value.view(6, -1)
+        value = self.lattice.trilinear(self.sdf, stacked).view(6, -1)
         return ((value[:3] - value[3:]) / (2.0 * cell)).T
 
     def render(
@@ -145,24 +143,21 @@ class Field:
             Display RGB of what the ray meets (R, 3), and its coverage (R,), in [0, 1].
         """
         origins, directions = rays
-        start, ray = intervals.start, intervals.ray
+        ray = intervals.ray
         value = interpolate(self.sdf[:, None], intervals.index, intervals.weight)[:, 0]
-        # indexing by square brackets and its gradient cost two to four times as much
-        entering, leaving = value.index_select(0, start), value.index_select(0, start + 1)
-        log_step = log_survival(entering, leaving, inv_std)
-        weight = weights(log_step, intervals.first)
-        coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray, weight)
-        share = weight / coverage.clamp(min=1e-4).index_select(0, ray)
+        log_step = log_survival_between(value, inv_std) * intervals.joined
+        weight = weights(log_step, intervals.first[:-1])
+        coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray[:-1], weight)
+        # half of an interval's light comes from either end
+        share = 0.5 * (nn.functional.pad(weight, (0, 1)) + nn.functional.pad(weight, (1, 0)))
         with torch.no_grad():
-            distance = intervals.distance
-            middle = 0.5 * (distance.index_select(0, start) + distance.index_select(0, start + 1))
-            depth = torch.zeros_like(coverage).index_add(0, ray, share * middle)
+            reached = torch.zeros_like(coverage).index_add(0, ray, share * intervals.distance)
+            depth = reached / coverage.clamp(min=1e-4)
             points = origins + depth[:, None] * directions
             normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
         row = taken(self.row, intervals.index)
-        local = interpolate(self.features, row, intervals.weight)
-        local = 0.5 * (local.index_select(0, start) + local.index_select(0, start + 1))
-        local = local * share[:, None]
+        local = interpolate(self.features, row, intervals.weight) * share[:, None]
         mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
+        mixed = mixed / coverage.clamp(min=1e-4)[:, None]
         rgb = network(mixed, normals, directions)
         return rgb, coverage

@@ -84,6 +84,35 @@ class Lattice:
             grid = wide
         return grid.view(-1)
 
+    def _cells_of(self, points: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """First node (P,) int32 of the cells of points (P, 3); x, y and z (P,) in it, 0 to 1."""
+        flat: Tensor | None = None
+        high = []
+        for axis in range(3):
+            scaled = (points[:, axis] - self.lower[axis]) / self.cell
+            low = scaled.floor().clamp_(0.0, self.shape[axis] - 2.0)
+            high.append((scaled - low).clamp_(0.0, 1.0))
+            node = low.int()
+            flat = node if flat is None else flat.mul_(self.shape[axis]).add_(node)
+        assert flat is not None
+        return flat, high
+
+    def trilinear(self, values: Tensor, points: Tensor) -> Tensor:
+        """Values of the nodes (N,) at points (P, 3), shape (P,), without gradients.
+
+        Half the time of `interpolate` with `corners`.
+        """
+        first, (x, y, z) = self._cells_of(points)
+        _, ny, nz = self.shape
+        values = values.detach()
+
+        def along_z(row: int) -> Tensor:
+            low = first + row * nz
+            return torch.lerp(values.index_select(0, low), values.index_select(0, low + 1), z)
+
+        near = torch.lerp(along_z(0), along_z(1), y)
+        return torch.lerp(near, torch.lerp(along_z(ny), along_z(ny + 1), y), x)
+
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes and weights of trilinear interpolation; points outside take the nearest cell.
 
@@ -94,14 +123,8 @@ class Lattice:
             Flat node indices (P, 8) int32 and weights (P, 8) float32 that sum to 1.
         """
         # axis by axis and plane by plane: products along short last axes cost torch thrice as much
-        base, high = [], []
-        for axis in range(3):
-            scaled = (points[:, axis] - self.lower[axis]) / self.cell
-            low = scaled.floor().clamp_(0.0, self.shape[axis] - 2.0)
-            base.append(low.int())
-            high.append((scaled - low).clamp_(0.0, 1.0))
+        flat, high = self._cells_of(points)
         _, ny, nz = self.shape
-        flat = (base[0] * ny + base[1]) * nz + base[2]
         corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
         offsets = [(i * ny + j) * nz + k for i, j, k in corners]
         index = flat[:, None] + torch.tensor(offsets, dtype=torch.int32, device=points.device)
@@ -156,6 +179,5 @@ def resample(values: Tensor, source: Lattice, target: Lattice) -> Tensor:
     """Values of one lattice at the nodes of another, shape (target.count,)."""
     out = []
     for part in target.nodes(str(values.device)).split(1 << 18):
-        index, weight = source.corners(part)
-        out.append(interpolate(values.reshape(-1, 1), index, weight)[:, 0])
+        out.append(source.trilinear(values, part))
     return torch.cat(out)

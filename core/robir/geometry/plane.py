@@ -23,7 +23,7 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.geometry.edge import OutlineRays, level
-from robir.geometry.lattice import Lattice, interpolate
+from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ def touching_points(
     distance = middle[:, None] + steps
     points = origins[:, None] + distance[..., None] * directions[:, None]
     flat = torch.from_numpy(points.reshape(-1, 3)).float()
-    value = interpolate(hull[:, None], *lattice.corners(flat))[:, 0].numpy()
+    value = lattice.trilinear(hull, flat).numpy()
     value = value.reshape(len(origins), RAY_STEPS)
     best = value.argmin(axis=1)
     lowest = value[np.arange(len(best)), best]

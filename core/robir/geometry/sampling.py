@@ -6,20 +6,22 @@ Batch letters: R rays, S intervals (packed, in ray order), Q interval end points
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d, pad
 
-from robir.geometry.lattice import Lattice, interpolate, taken
-from robir.maths.volume import log_survival, transmittance
+from robir.geometry.lattice import Lattice, taken
+from robir.maths.volume import log_survival_between, weights
 
 BLOCK = 2
 """Cells along the edge of a block of the coarse occupancy."""
 
-BLOCK_STEPS = 5
-"""Steps a ray takes along such an edge."""
+LEAST_STEPS, MOST_STEPS = 3, 5
+"""Fewest and most steps a ray takes along such an edge. In between, no step is longer than the
+width of the soft surface, 1 / inv_std: early on that is soft, and shorter ones find no more."""
 
 LEAST_WEIGHT = 2e-4
 """Intervals that contribute less than this to their pixel are dropped."""
@@ -55,12 +57,13 @@ class Occupancy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intervals:
-    """Packed intervals of rays; neighbours on a ray share an end point.
+    """Packed end points of intervals of rays; neighbours on a ray share one.
 
     Attributes:
-        ray: (S,) ray of each interval.
-        first: (S,) first interval of the same ray.
-        start: (S,) end point where the ray enters the interval; it leaves at `start` + 1.
+        ray: (Q,) ray of each end point.
+        first: (Q,) first end point of the same ray.
+        joined: (Q - 1,) 1 where there is an interval from a point to the next, 0 where there is
+            none.
         distance: (Q,) distance of the end points from their ray's origin.
         index: (Q, 8) lattice nodes around the end points.
         weight: (Q, 8) their trilinear weights.
@@ -68,7 +71,7 @@ class Intervals:
 
     ray: Tensor
     first: Tensor
-    start: Tensor
+    joined: Tensor
     distance: Tensor
     index: Tensor
     weight: Tensor
@@ -107,12 +110,13 @@ def _flat_index(
 
 
 def _occupied_steps(
-    occupancy: Occupancy, origins: Tensor, directions: Tensor, jitter: Tensor
+    occupancy: Occupancy, inv_std: float, origins: Tensor, directions: Tensor, jitter: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
     """Steps of the rays inside the band.
 
     Args:
         occupancy: The band.
+        inv_std: NeuS steepness, 1 / unit frame.
         origins: (R, 3).
         directions: (R, 3) unit.
         jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
@@ -122,7 +126,8 @@ def _occupied_steps(
     """
     lattice = occupancy.lattice
     long_step = BLOCK * lattice.cell
-    step = long_step / BLOCK_STEPS
+    steps = min(max(math.ceil(long_step * inv_std), LEAST_STEPS), MOST_STEPS)
+    step = long_step / steps
     lower, upper = origins.new_tensor(lattice.lower), origins.new_tensor(lattice.upper)
     inverse = 1.0 / torch.where(directions.abs() < 1e-9, 1e-9, directions)
     one, two = (lower - origins) * inverse, (upper - origins) * inverse
@@ -139,20 +144,20 @@ def _occupied_steps(
     hit = taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
     ray, long_number = hit.nonzero(as_tuple=True)
-    within = torch.arange(BLOCK_STEPS, device=ray.device)[:, None]
+    within = torch.arange(steps, device=ray.device)[:, None]
     nodes = _flat_index(
         begin.index_select(1, ray),
         slope.index_select(1, ray),
-        (long_number * BLOCK_STEPS + within + 0.5) * step,
+        (long_number * steps + within + 0.5) * step,
         lattice.shape,
         0.5,
     )
     block, late = taken(occupancy.near, nodes).T.nonzero(as_tuple=True)
-    number = long_number.index_select(0, block) * BLOCK_STEPS + late
+    number = long_number.index_select(0, block) * steps + late
     return ray.index_select(0, block), number, enter, step
 
 
-def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     """End points of intervals where an interval ends at the next one's start if they touch.
 
     Args:
@@ -160,8 +165,8 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         number: (S,) step number of each interval, ascending on a ray.
 
     Returns:
-        Start point of each interval (S,), and of each end point its interval (Q,) and whether it
-        is that interval's end rather than its start (Q,) 0 or 1.
+        Of each end point its interval (Q,), and whether it is that interval's end rather than its
+        start (Q,) 0 or 1.
     """
     closes = torch.ones_like(ray, dtype=torch.bool)
     closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
@@ -169,7 +174,7 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     start = torch.cumsum(size, 0) - size
     owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
     late = torch.arange(len(owner), device=ray.device) - taken(start, owner)
-    return start, owner, late
+    return owner, late
 
 
 def march(
@@ -194,26 +199,25 @@ def march(
         The kept intervals; there may be none.
     """
     lattice = occupancy.lattice
-    ray, number, enter, step = _occupied_steps(occupancy, origins, directions, jitter)
-    start, owner, late = _chain(ray, number)
-    ray_of = taken(ray, owner)
-    distance = taken(enter, ray_of) + (taken(number, owner) + late) * step
-    points = origins.index_select(0, ray_of)
-    points += distance[:, None] * directions.index_select(0, ray_of)
-    index, weight = lattice.corners(points)
-    with torch.no_grad():
-        value = interpolate(sdf.detach()[:, None], index, weight)[:, 0]
-    log_step = log_survival(taken(value, start), taken(value, start + 1), inv_std)
-    through = transmittance(log_step, _first_of_runs(ray))
-    keep = (-through * torch.expm1(log_step) > LEAST_WEIGHT).nonzero()[:, 0]
-    ray, number, old = taken(ray, keep), taken(number, keep), taken(start, keep)
-    start, owner, late = _chain(ray, number)
-    point = taken(old, owner) + late
+    ray, number, enter, step = _occupied_steps(occupancy, inv_std, origins, directions, jitter)
+    owner, late = _chain(ray, number)
+    ray = taken(ray, owner)
+    distance = taken(enter, ray) + (taken(number, owner) + late) * step
+    points = origins.index_select(0, ray)
+    points += distance[:, None] * directions.index_select(0, ray)
+    log_step = log_survival_between(lattice.trilinear(sdf, points), inv_std) * (late == 0)[:-1]
+    keep = weights(log_step, _first_of_runs(ray)[:-1]) > LEAST_WEIGHT
+    ends = torch.zeros_like(ray, dtype=torch.bool)
+    ends[:-1] |= keep
+    ends[1:] |= keep
+    point = ends.nonzero()[:, 0]
+    ray = taken(ray, point)
+    index, weight = lattice.corners(points.index_select(0, point))
     return Intervals(
         ray=ray,
         first=_first_of_runs(ray),
-        start=start,
+        joined=taken(keep, point[:-1]).float(),
         distance=taken(distance, point),
-        index=index.index_select(0, point),
-        weight=weight.index_select(0, point),
+        index=index,
+        weight=weight,
     )

@@ -33,7 +33,7 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
-REVISION = 10
+REVISION = 11
 """Raised whenever the same input gives another result."""
 
 

@@ -11,6 +11,8 @@ log(1 - opacity) = min(0, log P(f_{i+1}) - log P(f_i)), which neither overflows 
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
@@ -29,6 +31,12 @@ def log_survival(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
     """
     step = logsigmoid(inv_std * sdf_end) - logsigmoid(inv_std * sdf_start)
     return step.clamp(max=0.0)
+
+
+def log_survival_between(sdf: Tensor, inv_std: float) -> Tensor:
+    """`log_survival` of the intervals between consecutive points (Q,), shape (Q - 1,)."""
+    shone = logsigmoid(inv_std * sdf)
+    return (shone[1:] - shone[:-1]).clamp(max=0.0)
 
 
 def opacity(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
@@ -51,6 +59,32 @@ def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
     return torch.exp(before - before.index_select(0, first)).to(log_step.dtype)
 
 
+class _Weights(torch.autograd.Function):
+    """Transmittance times opacity with the slope in closed form.
+
+    Torch's own goes back through a look-up by `first`, whose scatter costs more than all the rest.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, log_step: Tensor, first: Tensor) -> Tensor:
+        through = transmittance(log_step, first)
+        weight = -through * torch.expm1(log_step)
+        ctx.save_for_backward(first, through, weight)
+        return weight
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        # an interval lets less through to itself, by T e^l, and to all behind it, by their weights
+        first, through, weight = ctx.saved_tensors
+        gradient = gradients[0]
+        total = torch.cumsum((gradient * weight).double(), dim=0)
+        ends = torch.ones_like(first, dtype=torch.bool)
+        torch.ne(first[1:], first[:-1], out=ends[:-1])
+        run = torch.cumsum(ends, dim=0) - ends.long()
+        behind = total[ends].index_select(0, run) - total
+        return behind.to(gradient.dtype) - gradient * (through - weight), None
+
+
 def weights(log_step: Tensor, first: Tensor) -> Tensor:
     """Share of the pixel that each interval contributes: transmittance times opacity.
 
@@ -61,4 +95,4 @@ def weights(log_step: Tensor, first: Tensor) -> Tensor:
     Returns:
         (S,) in [0, 1]; the sum over a ray is the ray's coverage, at most 1.
     """
-    return -transmittance(log_step, first) * torch.expm1(log_step)
+    return _Weights.apply(log_step, first)

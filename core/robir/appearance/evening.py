@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Albedo freed of what errors of mesh, light and shadow edges leave in it.
+
+Batch letters: N points, M nodes among them, K other nodes about a node.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Floats = NDArray[np.float32]
+
+NORMAL_SCALE = 0.15
+"""How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
+
+MESH_ERROR = 0.02
+"""Length over which errors of the mesh's normals vary, unit frame."""
+
+EVEN_REACH, EVEN_COUNT, EVEN_STEPS = 0.4, 128, 3
+"""How far the surroundings reach that a texel is compared with, unit frame, how many of their
+texels, and how often."""
+
+ALIKE, ALIKE_HUE = 0.35, 0.2
+"""Difference of log albedo, in brightness and in hue, within which texels may be one material."""
+
+NODE_STEP = 4
+"""Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
+
+CHUNK = 256
+"""Nodes at a time, whose surroundings then stay in the processor's cache."""
+
+
+def with_normals(position: Floats, normal: Floats) -> Floats:
+    """Points (N, 6) among which near ones lie close together and face alike."""
+    return np.concatenate([position, NORMAL_SCALE * normal], axis=1)
+
+
+def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
+    """Albedo without what errors of mesh, light and shadow edges leave in it.
+
+    Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
+    by the inverse of the variances. Errors of the light change brightness more than hue, so
+    likeness asks more of hue, and of brightness no more than the texel's own is known. The
+    corrections, not the albedo, are then blurred: no error varies faster than the mesh's do, and
+    texture that is finer stays as the photographs have it.
+
+    Args:
+        albedo: (N, 3), > 0.
+        unknown: (N,) one standard deviation of its logarithm.
+        points: (N, 6) result of `with_normals`.
+
+    Returns:
+        (N, 3).
+    """
+    nodes = np.arange(0, len(points), NODE_STEP)
+    afar = np.arange(0, len(nodes), NODE_STEP)
+    distance, index = _nearest(points[nodes], points[nodes[afar]], EVEN_COUNT, EVEN_REACH)
+    other = afar[index]
+    before = smooth = np.log(albedo[nodes].T.astype(np.float32))
+    doubt = unknown[nodes].astype(np.float32)
+    certainty = 1 / (0.03 + doubt) ** 2
+    wider = np.stack([doubt, np.minimum(doubt, ALIKE_HUE)])  # not everything resembles the unknown
+    width = 1 / (2 * (np.array([[ALIKE], [ALIKE_HUE]], np.float32) ** 2 + wider**2))
+    known = np.isfinite(distance) * certainty[other]
+    starts = range(0, len(nodes), CHUNK)
+    for _ in range(EVEN_STEPS):
+        parts = []
+        for rows in (slice(start, start + CHUNK) for start in starts):
+            own = (smooth[:, rows], certainty[rows], width[:, rows])
+            parts.append(_drawn_together(own, smooth[:, other[rows]], known[rows]))
+        smooth = np.concatenate(parts, axis=1)
+    distance, index = _nearest(points, points[nodes], 12, 3 * MESH_ERROR)
+    weight = np.exp(-(distance**2) / (2 * MESH_ERROR**2))
+    change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
+    return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
+
+
+def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Floats) -> Floats:
+    """Log albedo (3, M) of nodes, drawn towards those about them that are alike.
+
+    Args:
+        own: The nodes' log albedo (3, M), certainty (M,), and factors of the squared differences
+            in brightness and in hue (2, M).
+        about: (3, M, K) log albedo of the nodes about each.
+        known: (M, K) their certainty, 0 beyond reach.
+    """
+    log, certainty, width = own
+    apart = about - log[..., None]
+    grey = apart.sum(0) / 3
+    alike = 3 * grey**2
+    hue = (apart**2).sum(0) - alike
+    weight = known * np.exp(-alike * width[0][:, None] - hue * width[1][:, None])
+    around = np.einsum("nk,cnk->cn", weight, np.exp(about))
+    return np.log((np.exp(log) * certainty + around) / (certainty + weight.sum(1)))
+
+
+def _nearest(
+    points: Floats, among: Floats, count: int, reach: float
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
+    distance, index = cKDTree(among).query(points, count, eps=0.3, distance_upper_bound=reach)
+    missing = ~np.isfinite(distance)
+    return distance.astype(np.float32), np.where(missing, 0, index)
