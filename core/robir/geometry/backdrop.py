@@ -61,8 +61,8 @@ DOUBT = 0.25
 
 HUE = 0.08
 """Difference of hue from the colours of certain ground beyond which a spot is no shaded ground. Of
-the ground that six captures show from above next to nothing lies beyond, 71 % of what was taken for
-ground on the brown border of the board of `chessboard` does."""
+the ground seven captures show from above next to nothing lies beyond, 3 % of that of `avocado`;
+of what was taken for ground on the brown border of the board of `chessboard` 71 % did."""
 
 DIM = 0.35
 """Display value against that of certain ground below which hue tells nothing: below `truck` most
