@@ -8,7 +8,7 @@ import pytest
 import torch
 import trimesh
 
-from robir.geometry.backdrop import BINS, Backdrop, common_colour, ground_palette
+from robir.geometry.backdrop import BINS, Backdrop, common_colour, ground_palette, hues_held
 from robir.geometry.ground import Ground
 from robir.geometry.hull import carve
 from robir.geometry.lattice import Lattice
@@ -43,8 +43,9 @@ def started(solid: trimesh.Trimesh, **options: object) -> tuple[Lattice, np.ndar
     plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     assert plane is not None
     ground = Ground(plane, photos, lattice, hull)
-    flat = ground.flatten(lattice, hull, ground.start)
-    return lattice, flat.numpy(), Backdrop(ground, photos).clear(lattice, flat).numpy()
+    backdrop = Backdrop(ground, photos)
+    flat = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
+    return lattice, flat.numpy(), backdrop.clear(lattice, flat).numpy()
 
 
 def test_room_below_a_table_is_freed_and_the_table_stays() -> None:
@@ -71,6 +72,35 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     solid &= (nodes[:, 2] > TOP) & (nodes[:, 2] < TOP + 0.27)
     # the same two colours all over: the fit must find a core that it can bring the rest back to
     assert (free[solid] < 0).mean() > 0.4
+
+
+def brown_board(points: np.ndarray) -> np.ndarray:
+    """Plain ground, a board of brown wood."""
+    is_board = points[:, 2:] > TOP + 0.01
+    return np.where(is_board, [100.0, 70.0, 60.0], [186.0, 171.0, 166.0])
+
+
+def test_the_border_of_a_low_brown_board_is_not_taken_for_shaded_ground() -> None:
+    board = trimesh.creation.box(extents=(0.9, 0.9, 0.06))
+    board.apply_translation([0.0, 0.0, TOP + 0.03])
+    lattice, _, free = started(trimesh.util.concatenate([disc(), board]), paint=brown_board)
+    nodes = lattice.nodes().numpy()
+    inside = 0.45 - np.abs(nodes[:, :2]).max(1)
+    height = nodes[:, 2] - TOP
+    border = (inside > 0.01) & (inside < 0.06) & (height > 0.01) & (height < 0.05)
+    assert (free[border] < 0).mean() > 0.95
+
+
+def test_shade_keeps_the_hue_of_the_ground() -> None:
+    ground = np.tile([0.73, 0.67, 0.65], (1000, 1))
+    ground[:10] = [0.37, 0.25, 0.22]  # what was taken for certain wrongly
+    brown, shaded = np.array([0.37, 0.25, 0.22]), 0.5 * ground[-1]
+    asked = np.stack([ground[-1], shaded, 1.02 * brown, 0.4 * brown, [0.3, 0.3, 0.5]])
+    # the dark has the hue of what stands about
+    assert hues_held(asked, ground).tolist() == [True, True, False, True, False]
+    ground[:200] = brown
+    assert hues_held(asked, ground)[2], "a second colour of the ground"
+    assert not hues_held(asked, ground[:0]).any()
 
 
 def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:

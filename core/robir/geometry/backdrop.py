@@ -23,6 +23,7 @@ from scipy.ndimage import (
     minimum_filter,
     uniform_filter,
 )
+from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
@@ -57,6 +58,21 @@ LEAST_PART = 0.08
 
 DOUBT = 0.25
 """Share of the pixels that reach a spot and show another colour at which it is no ground."""
+
+HUE = 0.08
+"""Difference of hue from the colours of certain ground beyond which a spot is no shaded ground. Of
+the ground seven captures show from above next to nothing lies beyond, 3 % of that of `avocado`;
+of what was taken for ground on the brown border of the board of `chessboard` 71 % did."""
+
+DIM = 0.35
+"""Display value against that of certain ground below which hue tells nothing: below `truck` most
+light comes from the truck and has its hue, four tenths of that ground lie beyond HUE."""
+
+LEAST_HUE = 0.02
+"""Share of certain ground that must have a hue: single columns may be certain wrongly."""
+
+DARK = 0.02
+"""Added to display colours before their hue is taken, which is noise in the dark."""
 
 WINDOW = 5
 """Nodes along the edge of the cube whose photographs decide about the node in the middle."""
@@ -110,6 +126,25 @@ def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
     common = total / np.maximum(near.sum(0), 1)[:, None]
     enough = votes[best, spots] >= np.maximum(LEAST_VIEWS, LEAST_PART * shown.sum(0))
     return np.where(enough[:, None], common, np.nan)
+
+
+def hues_held(colours: Array, certain: Array) -> Mask:
+    """Whether colours may be those of a ground, lit or shaded: light shade keeps the hue, nearly.
+
+    Args:
+        colours: (K, 3) display colours, finite.
+        certain: (N, 3) display colours of spots known to be ground.
+
+    Returns:
+        (K,); all False without certain ground.
+    """
+    if not len(certain):
+        return np.zeros(len(colours), bool)
+    own, held = (np.log(c / c.mean(1, keepdims=True)) for c in (colours + DARK, certain + DARK))
+    number = int(np.ceil(LEAST_HUE * len(held)))
+    distance, _ = cKDTree(held).query(own, k=[number], p=np.inf, distance_upper_bound=HUE)
+    dim = colours.mean(1) < DIM * np.median(certain.mean(1))
+    return dim | np.isfinite(distance[:, 0])
 
 
 def colours_about(picture: Array, side: int, slack: float) -> tuple[Array, Array]:
@@ -203,6 +238,7 @@ class Backdrop:
         photos: The photographs.
         rays: Rays of each photograph's pixels.
         picture: Its display colours at columns' feet, their shape by 3; NaN where unknown.
+        foreign: Columns at whose feet a hue is seen that the ground does not have.
     """
 
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
@@ -224,6 +260,10 @@ class Backdrop:
         proven = known.sum(0) > LEAST_VIEWS
         picture[proven] = np.nanmedian(plain[:, proven], axis=0)
         picture[~(columns.inside.ravel() | proven)] = np.nan
+        found = np.isfinite(picture[:, 0])
+        self.foreign = np.zeros(shape, bool)
+        held = hues_held(picture[found], picture[found & bare.ravel()])
+        self.foreign.ravel()[found] = ~held
         self.picture = picture.reshape(*shape, 3)
         self._keep(np.ones(shape, bool))
 
@@ -268,7 +308,8 @@ class Backdrop:
                 np.add.at(wrong.reshape(-1), rays.column[pixels[~mask.ravel()[pixels]]], 1.0)
             kept |= self._doubted(lattice, (sdf < 0) & (free >= 0), through, masks)
             reached, wrong = 9.0 * uniform_filter(reached, 3), 9.0 * uniform_filter(wrong, 3)
-            self._keep((wrong <= DOUBT * reached) | (wrong < LEAST_VIEWS - 0.5))
+            believed = (wrong <= DOUBT * reached) | (wrong < LEAST_VIEWS - 0.5)
+            self._keep(believed & ~self.foreign)
         return self._cut(lattice, sdf, near & ~kept, self.shown())
 
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:

@@ -108,7 +108,7 @@ class Ground:
         low = self.columns.inside & (top < STANDING)
         flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
         agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
-        return self._spread((self.start & low) | flat | agree)
+        return self._spread((self.start & known & low) | flat | agree)
 
     def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.

@@ -102,8 +102,8 @@ def reconstruct(
     backdrop = None
     if plane is not None:
         ground = Ground(plane, photos, lattice, hull)
-        hull = ground.flatten(lattice, hull, ground.start)
         backdrop = Backdrop(ground, photos)
+        hull = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
     start = hull if backdrop is None else backdrop.clear(lattice, hull)
 
     def settle(field: Field) -> None:
