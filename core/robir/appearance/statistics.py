@@ -20,8 +20,9 @@ LOW_SHARE, HIGH_SHARE = 0.1, 0.5
 """Between these ranks of brightness a sample's views are averaged: highlights lie above, pixels
 darkened by an outline below."""
 
-SHADOW_REACH = 0.4
-"""How far apart, unit frame, a sample in shadow and its lit partner may lie."""
+SHADOW_REACH = 0.8
+"""How far apart, unit frame, a sample in shadow and its lit partner may lie. Under a low sun
+shadows are longer than what casts them: half of a truck's lay out of a reach of .4."""
 
 SHADOW_NORMAL = 0.6
 """What a difference of one unit of normal counts in that distance."""
@@ -133,17 +134,19 @@ class Pairs:
         weight = self.weight * factor
         return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
-    def of_one_hue(self, log_albedo: Tensor, width: float) -> Pairs:
-        """The same pairs, each counting by how alike its samples are in hue.
+    def of_alike(self, log_albedo: Tensor, hue: float, brightness: float) -> Pairs:
+        """The same pairs, each counting by how alike its samples are.
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
-            width: Standard deviation of the difference in hue, log units, at which a weight falls
-                to exp(-1/2). Brightness does not matter.
+            hue: Standard deviation of the difference in hue, log units, at which a weight falls to
+                exp(-1/2).
+            brightness: The same of the mean over the channels.
         """
         apart = log_albedo[self.first] - log_albedo[self.second]
-        hue = ((apart - apart.mean(1, keepdim=True)) ** 2).sum(1)
-        return self.weighted(torch.exp(-0.5 * hue / width**2))
+        grey = apart.mean(1)
+        squared = ((apart - grey[:, None]) ** 2).sum(1) / hue**2 + grey**2 / brightness**2
+        return self.weighted(torch.exp(-0.5 * squared))
 
 
 def neighbour_pairs(
