@@ -276,12 +276,26 @@ def test_what_no_camera_sees_is_as_dark_as_its_corner(stage, problem):
     found = with_hidden(scene, Radiance(linear=linear, clipped=total.clipped, seen=seen))
     assert torch.equal(found[seen], total.linear[seen])
     sky = scene.soft.sum(1)
-    emitted = (
-        0.3 * total.linear[seen].median(0).values * (sky / sky.quantile(0.99)).clamp(max=1)[:, None]
-    )
-    bounce = 0.3 / np.pi * torch.from_numpy(scene.transport.visibility.bounce.toarray())
-    rows = torch.nonzero(~seen)[:, 0]
-    from_seen = bounce[rows][:, seen] @ total.linear[seen]
-    system = torch.eye(len(rows)) - bounce[rows][:, rows]
-    wanted = torch.linalg.solve(system, emitted[rows] + from_seen)
-    torch.testing.assert_close(found[rows], wanted, rtol=0.01, atol=1e-4)
+    open_sky = (sky / sky.quantile(0.99)).clamp(max=1)[~seen, None]
+    median = total.linear[seen].median(0).values
+    position = torch.from_numpy(scene.transport.surfels.position)
+    nearest = torch.cdist(position[~seen], position[seen]).topk(64, largest=False).indices
+    bright = total.linear[seen][nearest].quantile(0.9, dim=1)
+    albedo = (0.3 * bright / median).clamp(0.05, 0.8)
+    bounce = torch.from_numpy(scene.transport.visibility.bounce.toarray())[~seen]
+    for c in range(3):
+        share = albedo[:, c, None] / np.pi * bounce
+        emitted = albedo[:, c] * median[c] * open_sky[:, 0] + share[:, seen] @ total.linear[seen, c]
+        wanted = torch.linalg.solve(torch.eye(len(share)) - share[:, ~seen], emitted)
+        torch.testing.assert_close(found[~seen, c], wanted, rtol=0.01, atol=1e-4)
+
+
+def test_what_is_hidden_beside_something_white_is_white(stage, problem):
+    scene, total = problem.scene, problem.radiance
+    position, normal = stage.surfels.position, stage.surfels.normal
+    hidden = torch.from_numpy((np.abs(normal[:, 2]) < 0.5) & (position[:, 2] < 0.2))
+    side = torch.from_numpy(np.sign(position[:, 0]))
+    shades = torch.where(side[:, None] > 0, 2.0, 0.4).expand(-1, 3).contiguous()
+    found = with_hidden(scene, Radiance(linear=shades, clipped=total.clipped, seen=~hidden))
+    bright, dark = (found[hidden & (side == sign)].median() for sign in (1, -1))
+    assert float(bright) > 2 * float(dark)

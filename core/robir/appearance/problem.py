@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.exposure import Exposures, Gains
@@ -34,6 +35,13 @@ PARTNERS = 6
 
 SKY_SHARE = 0.3
 """Radiance of a surface in the shade, open to the whole sky, over the median of what is seen."""
+
+LOOK_ALIKES, LOOK_ALIKE_RANK = 64, 0.9
+"""Seen samples that tell a hidden one's albedo, the nearest, and the rank among them that does: the
+brighter ones are those in the light."""
+
+HIDDEN_ALBEDO = (0.05, 0.8)
+"""Least and greatest albedo of what no camera sees."""
 
 BOUNCES = 3
 """Reflections between surfaces that no camera sees."""
@@ -192,17 +200,38 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
     """Radiance (S, 3) of all samples, of those that no camera sees by what reaches them.
 
     They lie inside and underneath: the less sky they see, the darker they are. What they lack of
-    the sky they get, a little, from each other and from what is seen.
+    the sky they get, a little, from each other and from what is seen. A white plate is white
+    underneath: with one albedo for all, the ground about it got too little light.
 
     Args:
         scene: The scene.
         total: Radiance of all samples, right where `seen`.
     """
     exitant, hidden = total.linear.clone(), ~total.seen
+    if not hidden.any() or hidden.all():
+        return exitant
     open_sky = scene.soft.sum(1)
-    openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[:, None]
-    sky = SKY_SHARE * exitant[total.seen].median(0).values * openness
-    exitant[hidden] = sky[hidden]
+    openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[hidden, None]
+    median = exitant[total.seen].median(0).values
+    albedo = _hidden_albedo(scene, total, median)
+    sky = SKY_SHARE * median * openness * albedo / MEAN_ALBEDO
+    exitant[hidden] = sky
     for _ in range(BOUNCES):
-        exitant[hidden] = (sky + MEAN_ALBEDO / np.pi * scene.bounced(exitant))[hidden]
+        exitant[hidden] = sky + albedo / np.pi * scene.bounced(exitant)[hidden]
     return exitant
+
+
+def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
+    """Albedo (H, 3) of the hidden samples, from the brighter seen ones about them.
+
+    Args:
+        scene: The scene.
+        total: Radiance of all samples, right where `seen`.
+        median: (3,) radiance of what is seen, that of a surface of MEAN_ALBEDO.
+    """
+    position, seen = scene.transport.surfels.position, total.seen.numpy()
+    count = min(LOOK_ALIKES, int(seen.sum()))
+    around = cKDTree(position[seen]).query(position[~seen], k=count)[1].reshape(-1, count)
+    bright = np.quantile(total.linear.numpy()[seen][around], LOOK_ALIKE_RANK, axis=1)
+    relative = torch.from_numpy(bright).float() / median.clamp(min=1e-6)
+    return (MEAN_ALBEDO * relative).clamp(*HIDDEN_ALBEDO)
