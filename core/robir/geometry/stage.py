@@ -109,8 +109,8 @@ def reconstruct(
     def settle(field: Field) -> None:
         nonlocal backdrop
         sdf = field.sdf.detach()
-        restored = restore_missing(field, resample(hull, lattice, field.lattice), sampler)
-        sdf.copy_(restored)
+        allowed = resample(hull, lattice, field.lattice).to(sdf.device)
+        sdf.copy_(restore_missing(field, allowed, sampler))
         if backdrop is not None:
             ground = backdrop.ground
             top = ground.heights(field.lattice, sdf)
