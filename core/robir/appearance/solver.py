@@ -210,7 +210,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
     what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
     such pairs are of two materials. Those alike under the light that is known count, and count
-    more; those from where little sky is seen count little.
+    more.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
@@ -227,7 +227,6 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     across = _across_shadows(problem, light.axes)
     across = across.of_alike(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
-    across = across.weighted(_openness(problem, across) ** 2)
     amplitudes, loss = solve_amplitudes(
         radiance,
         transfer,
@@ -237,17 +236,6 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         start=light.amplitudes,
     )
     return replace(light, amplitudes=amplitudes, loss=loss)
-
-
-def _openness(problem: Problem, pairs: Pairs) -> Tensor:
-    """Irradiance (P,) of an even sky at the less open sample of each pair, over the most of any.
-
-    Beside and beneath things most light has bounced off surfaces, of which those that no camera
-    sees are guessed, and what is seen of the sky hangs on the mesh. With all pairs counting alike
-    the ground about a plate came out at .80 in the shade of what it is in the sun, so at .86.
-    """
-    sky = problem.scene.soft[problem.scene.rows].sum(1)
-    return torch.minimum(sky[pairs.first], sky[pairs.second]) / sky.max()
 
 
 def _across_shadows(problem: Problem, axes: Floats) -> Pairs:

@@ -137,6 +137,11 @@ class Pairs:
     def of_alike(self, log_albedo: Tensor, hue: float, brightness: float) -> Pairs:
         """The same pairs, each counting by how alike its samples are.
 
+        Brightness moves weight among the pairs of one first sample, whose sum only hue decides: a
+        sample none of whose partners is as bright would else not count. On a checkered ground under
+        too weak a sun the bright fields in the shade pass for the dark ones in the sun; then the
+        dark ones in the shade have no like, and must pull.
+
         Args:
             log_albedo: (U, 3) of the samples, under some light.
             hue: Standard deviation of the difference in hue, log units, at which a weight falls to
@@ -145,8 +150,14 @@ class Pairs:
         """
         apart = log_albedo[self.first] - log_albedo[self.second]
         grey = apart.mean(1)
-        squared = ((apart - grey[:, None]) ** 2).sum(1) / hue**2 + grey**2 / brightness**2
-        return self.weighted(torch.exp(-0.5 * squared))
+        of_hue = self.weight * torch.exp(-((apart - grey[:, None]) ** 2).sum(1) / (2 * hue**2))
+        alike = of_hue * torch.exp(-(grey**2) / (2 * brightness**2)).clamp(min=1e-9)
+        ends = torch.zeros(2, len(log_albedo)).index_add(
+            1, self.first, torch.stack([of_hue, alike])
+        )
+        share = ends[0] / ends[1].clamp(min=1e-30)
+        weight = alike * share.index_select(0, self.first)
+        return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
 
 def neighbour_pairs(
