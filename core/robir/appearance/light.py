@@ -259,7 +259,8 @@ def solve_amplitudes(
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
     optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
-    hidden = 1 - transfer.soft.mean(0) / transfer.soft.mean(0).max()
+    reaching = transfer.soft.mean(0)
+    hidden = 1 - reaching / reaching.max()
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
     loss_value = 0.0

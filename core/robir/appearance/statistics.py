@@ -151,13 +151,12 @@ class Pairs:
         apart = log_albedo[self.first] - log_albedo[self.second]
         grey = apart.mean(1)
         of_hue = self.weight * torch.exp(-((apart - grey[:, None]) ** 2).sum(1) / (2 * hue**2))
-        alike = of_hue * torch.exp(-(grey**2) / (2 * brightness**2)).clamp(min=1e-9)
-        ends = torch.zeros(2, len(log_albedo)).index_add(
-            1, self.first, torch.stack([of_hue, alike])
-        )
-        share = ends[0] / ends[1].clamp(min=1e-30)
-        weight = alike * share.index_select(0, self.first)
-        return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
+        likeness = torch.exp(-(grey**2) / (2 * brightness**2)).clamp(min=1e-9)
+        alike = replace(self, weight=of_hue * likeness)
+        sums = torch.stack([of_hue, alike.weight])
+        sums = torch.zeros(2, len(log_albedo)).index_add(1, self.first, sums)
+        share = sums[0] / sums[1].clamp(min=1e-30)
+        return alike.weighted(share.index_select(0, self.first))
 
 
 def neighbour_pairs(

@@ -86,15 +86,13 @@ class Lattice:
 
     def _cells_of(self, points: Tensor) -> tuple[Tensor, list[Tensor]]:
         """First node (P,) int32 of the cells of points (P, 3); x, y and z (P,) in it, 0 to 1."""
-        flat: Tensor | None = None
+        flat = torch.zeros(len(points), dtype=torch.int32, device=points.device)
         high = []
         for axis in range(3):
             scaled = (points[:, axis] - self.lower[axis]) / self.cell
             low = scaled.floor().clamp_(0.0, self.shape[axis] - 2.0)
             high.append((scaled - low).clamp_(0.0, 1.0))
-            node = low.int()
-            flat = node if flat is None else flat.mul_(self.shape[axis]).add_(node)
-        assert flat is not None
+            flat.mul_(self.shape[axis]).add_(low.int())
         return flat, high
 
     def trilinear(self, values: Tensor, points: Tensor) -> Tensor:
