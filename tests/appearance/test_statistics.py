@@ -76,7 +76,7 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
     lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
     # Every other sample is of a wall: the nearest in place alone may face another way.
     normal[::2] = [1, 0, 0]
-    pairs = shadow_pairs(position, normal, [np.stack([lit, dark])])
+    pairs = shadow_pairs(position, normal, lit, dark)
     first, second = pairs.first.numpy(), pairs.second.numpy()
     assert len(first) > 100 and dark[first].all() and lit[second].all()
     assert np.linalg.norm(position[first] - position[second], axis=1).max() < 0.8
@@ -88,7 +88,7 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
 
 def test_a_sun_without_a_shadow_has_no_pairs(floor):
     everywhere = np.ones(2000, bool)
-    pairs = shadow_pairs(floor.position, floor.normal, [np.stack([everywhere, ~everywhere])])
+    pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere)
     assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
 
 
@@ -100,7 +100,7 @@ def test_pairs_alike_in_hue_and_in_brightness_count():
         second=torch.tensor([1, 2, 3, 0]),
         weight=torch.tensor([0.4, 0.2, 0.2, 0.2]),
     )
-    weight = pairs.of_alike(log_albedo, 0.1, 0.35).weight
+    weight = pairs.of_alike(log_albedo, torch.zeros(3), 0.1, 0.35).weight
     of_hue = np.exp(-0.5 * np.array([0.0, 0.06 / 0.01, 0.0, 0.0])) * [0.4, 0.2, 0.2, 0.2]
     alike = of_hue * np.exp(-0.5 * np.array([2.0**2, 0.0, 1.0, 0.0]))
     own = np.array([True, True, False, True])  # pairs of the first sample; the third has but one
@@ -116,9 +116,36 @@ def test_shade_without_its_like_in_the_sun_pulls_a_weak_sun_up():
         first=torch.tensor([0, 0, 1, 1]),
         second=torch.tensor([2, 3, 2, 3]),
         weight=torch.full((4,), 0.25),
-    ).of_alike(log_albedo, 0.1, 0.35)
+    ).of_alike(log_albedo, torch.zeros(3), 0.1, 0.35)
     apart = (log_albedo[pairs.first] - log_albedo[pairs.second])[:, 0]
     assert float((pairs.weight * apart.sign()).sum()) < -0.1
+
+
+def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
+    rng = np.random.default_rng(0)
+    paints = np.log([[0.16, 0.22, 0.21], [0.4, 0.41, 0.41], [0.6, 0.1, 0.1]])
+    # more of the bright in the shade, more of the dark in the sun: a median would be led astray
+    shaded = paints[rng.choice(3, 600, p=[0.3, 0.5, 0.2])] + [-0.6, -0.45, -0.3]
+    lit = paints[rng.choice(3, 600, p=[0.5, 0.3, 0.2])]
+    log_albedo = torch.from_numpy(np.concatenate([shaded, lit]) + rng.normal(0, 0.05, (1200, 3)))
+    pairs = Pairs(
+        first=torch.arange(600).repeat(4),
+        second=torch.from_numpy(rng.integers(600, 1200, 2400)),
+        weight=torch.full((2400,), 1 / 2400),
+    )
+    step = pairs.common_step(log_albedo.float())
+    np.testing.assert_allclose(step.numpy(), [-0.6, -0.45, -0.3], atol=0.03)
+    assert pairs.of(torch.zeros(2400, dtype=torch.bool)).common_step(log_albedo).tolist() == [0] * 3
+
+
+def test_joined_lists_of_pairs_count_by_their_length():
+    ends = torch.arange(4)
+    long = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))
+    short = long.of(ends > 2)
+    both = Pairs.joined([long, short])
+    assert both.first.tolist() == [0, 1, 2, 3, 3]
+    torch.testing.assert_close(both.weight, torch.tensor([0.08, 0.16, 0.24, 0.32, 0.2]))
+    assert len(Pairs.joined([]).weight) == 0
 
 
 def test_weights_of_chosen_pairs_sum_to_one_again():

@@ -136,7 +136,7 @@ def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
     with the photographs is a light.
     """
-    pairs = _across_shadows(problem, after.axes[-1:])
+    (pairs,) = _across_shadows(problem, after.axes[-1:])
     if not len(pairs.first):
         return False
     rows = problem.scene.rows
@@ -196,7 +196,7 @@ def fit(
     amplitudes, loss = solve_amplitudes(
         problem.rows_radiance(rows),
         problem.transfer(sharp, rows),
-        (problem.scene.pairs, _across_shadows(problem, axes)),
+        (problem.scene.pairs, Pairs.joined(_across_shadows(problem, axes))),
         Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
         iterations,
         start=start,
@@ -210,7 +210,8 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
     what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
     such pairs are of two materials. Those alike under the light that is known count, and count
-    more.
+    more: alike but for the step that all pairs of one material show, or a light too weak in the sun
+    would confirm itself where bright fields in the shade pass for dark ones in the sun.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
@@ -225,12 +226,14 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
     transfer = problem.transfer(sharp, rows)
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
-    across = _across_shadows(problem, light.axes)
-    across = across.of_alike(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
+    alike = [
+        pairs.of_alike(log_albedo, pairs.common_step(log_albedo), ALIKE_HUE, ALIKE_BRIGHTNESS)
+        for pairs in _across_shadows(problem, light.axes)
+    ]
     amplitudes, loss = solve_amplitudes(
         radiance,
         transfer,
-        (problem.scene.pairs, across),
+        (problem.scene.pairs, Pairs.joined(alike)),
         Priors(parsimony=config.parsimony_weight, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT),
         config.iterations // 2,
         start=light.amplitudes,
@@ -238,19 +241,20 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     return replace(light, amplitudes=amplitudes, loss=loss)
 
 
-def _across_shadows(problem: Problem, axes: Floats) -> Pairs:
-    """Pairs across the shadows of the suns, away from their edges."""
+def _across_shadows(problem: Problem, axes: Floats) -> list[Pairs]:
+    """Pairs across the shadow of each sun, away from its edge."""
     scene, rows = problem.scene, problem.scene.rows
     surfels = scene.transport.surfels
     normal = surfels.normal[rows]
     wide = scene.sharp_transfer(axes, np.full(len(axes), EDGE_SHARPNESS, np.float32), rows).numpy()
-    suns = []
+    parts = []
     for index, axis in enumerate(axes):
         cosine = normal @ axis
         share = wide[:, index] / np.maximum(cosine, 1e-3)
         facing = cosine > 0.15
-        suns.append(np.stack([facing & (share > 0.97), facing & (share < 0.03)]))
-    return shadow_pairs(surfels.position[rows], normal, suns)
+        lit, dark = facing & (share > 0.97), facing & (share < 0.03)
+        parts.append(shadow_pairs(surfels.position[rows], normal, lit, dark))
+    return parts
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:

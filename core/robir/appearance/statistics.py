@@ -29,6 +29,13 @@ SHADOW_NORMAL = 0.6
 
 MIN_SHADOW_SAMPLES = 20
 
+STEP_WIDTH = 0.15
+"""Width of the kernel that finds the commonest step across shadows, log units: more than noise,
+less than the difference between the materials of a scene."""
+
+MAX_STEP_PAIRS, STEP_STARTS, STEP_ROUNDS = 4000, 400, 30
+"""Pairs that tell a step, those of them from which it is searched, and rounds of the search."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radiance:
@@ -134,8 +141,47 @@ class Pairs:
         weight = self.weight * factor
         return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
-    def of_alike(self, log_albedo: Tensor, hue: float, brightness: float) -> Pairs:
-        """The same pairs, each counting by how alike its samples are.
+    @classmethod
+    def joined(cls, parts: list[Pairs]) -> Pairs:
+        """All pairs of some lists, each list counting by its length."""
+        count = max(1, sum(len(part.first) for part in parts))
+        none = torch.zeros(0, dtype=torch.int64)
+        return cls(
+            first=torch.cat([none, *(part.first for part in parts)]),
+            second=torch.cat([none, *(part.second for part in parts)]),
+            weight=torch.cat(
+                [torch.zeros(0), *(part.weight * (len(part.first) / count) for part in parts)]
+            ),
+        )
+
+    def common_step(self, log_albedo: Tensor) -> Tensor:
+        """The commonest difference (3,) of log albedo between first and second samples.
+
+        Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
+        one material all show that, and if the same materials lie on both sides, no other
+        difference is as common (a distribution's correlation with itself is greatest at no shift).
+
+        Args:
+            log_albedo: (U, 3) of the samples, under some light.
+
+        Returns:
+            The mode found by mean shift with a kernel of STEP_WIDTH; zeros without pairs.
+        """
+        if not len(self.first):
+            return torch.zeros(3)
+        some = torch.linspace(0, len(self.first) - 1, MAX_STEP_PAIRS).long().unique()
+        apart = log_albedo[self.first[some]] - log_albedo[self.second[some]]
+        weight = self.weight[some]
+        starts = apart[:: max(1, len(apart) // STEP_STARTS)]
+        votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
+        step = starts[votes.argmax()]
+        for _ in range(STEP_ROUNDS):
+            near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * STEP_WIDTH**2))
+            step = near @ apart / near.sum()
+        return step
+
+    def of_alike(self, log_albedo: Tensor, step: Tensor, hue: float, brightness: float) -> Pairs:
+        """The same pairs, each counting by how alike its samples are but for a step.
 
         Brightness moves weight among the pairs of one first sample, whose sum only hue decides: a
         sample none of whose partners is as bright would else not count. On a checkered ground under
@@ -144,11 +190,12 @@ class Pairs:
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
+            step: (3,) difference between the samples of a pair of one material, under that light.
             hue: Standard deviation of the difference in hue, log units, at which a weight falls to
                 exp(-1/2).
             brightness: The same of the mean over the channels.
         """
-        apart = log_albedo[self.first] - log_albedo[self.second]
+        apart = log_albedo[self.first] - log_albedo[self.second] - step
         grey = apart.mean(1)
         of_hue = self.weight * torch.exp(-((apart - grey[:, None]) ** 2).sum(1) / (2 * hue**2))
         likeness = torch.exp(-(grey**2) / (2 * brightness**2)).clamp(min=1e-9)
@@ -204,9 +251,12 @@ def neighbour_pairs(
 
 
 def shadow_pairs(
-    position: NDArray[np.float32], normal: NDArray[np.float32], suns: list[NDArray[np.bool_]]
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    lit: NDArray[np.bool_],
+    dark: NDArray[np.bool_],
 ) -> Pairs:
-    """Pairs across shadows: samples wholly in shadow with the nearest that are wholly lit.
+    """Pairs across a sun's shadow: samples wholly in it with the nearest that are wholly lit.
 
     Neighbours at fixed distances hold few pairs with one end on either side of a shadow, and it is
     these that say how strong the sun is against the sky.
@@ -214,22 +264,19 @@ def shadow_pairs(
     Args:
         position: (U, 3) unit frame.
         normal: (U, 3) unit; partners face alike, so that only visibility differs.
-        suns: For each sun (2, U): wholly lit, wholly in shadow.
+        lit: (U,) wholly lit by the sun.
+        dark: (U,) wholly in its shadow.
 
     Returns:
-        Pairs over the samples; none where no sun casts a shadow.
+        Pairs over the samples; none where the sun casts no shadow.
     """
-    first, second = [], []
     points = np.concatenate([position, SHADOW_NORMAL * normal], axis=1)
-    for lit, dark in suns:
-        lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
-        if min(len(lit_rows), len(dark_rows)) < MIN_SHADOW_SAMPLES:
-            continue
+    lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
+    first = second = np.zeros(0, np.int64)
+    if min(len(lit_rows), len(dark_rows)) >= MIN_SHADOW_SAMPLES:
         distance, index = cKDTree(points[lit_rows]).query(points[dark_rows], k=12)
         near = distance < SHADOW_REACH
-        first.append(np.repeat(dark_rows, 12)[near.ravel()])
-        second.append(lit_rows[index[near]])
-    left = np.concatenate(first) if first else np.zeros(0, np.int64)
-    right = np.concatenate(second) if second else np.zeros(0, np.int64)
-    weight = torch.full((len(left),), 1 / max(1, len(left)))
-    return Pairs(first=torch.from_numpy(left), second=torch.from_numpy(right), weight=weight)
+        first = np.repeat(dark_rows, 12)[near.ravel()]
+        second = lit_rows[index[near]]
+    weight = torch.full((len(first),), 1 / max(1, len(first)))
+    return Pairs(first=torch.from_numpy(first), second=torch.from_numpy(second), weight=weight)

@@ -104,26 +104,29 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
     """Directions spread like a normalised spherical Gaussian: equal weights, no bias.
 
     The polar angle follows the lobe's own distribution, cos t = 1 + ln(1 - u (1 - e^(-2 s)))/s,
-    stratified in u; the azimuth turns by the golden angle (METHOD 2.6, "unbiased").
+    stratified in u; the azimuth turns by the golden angle (METHOD 2.6, "unbiased"). Each direction
+    has its opposite about the axis, so that the axis is their mean: what lights ground at a grazing
+    angle would else be a tenth off with a few of them.
 
     Args:
         axis: (3,), unit.
         sharpness: Of the lobe, > 0.
-        count: How many.
+        count: How many, even.
 
     Returns:
         (count, 3) float32, unit.
     """
-    u = (np.arange(count) + 0.5) / count
+    u = (np.arange(count // 2) + 0.5) / (count // 2)
     cosine = 1 + np.log1p(-u * -np.expm1(-2 * sharpness)) / sharpness
     sine = np.sqrt(np.maximum(0, 1 - cosine**2))
-    azimuth = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    azimuth = np.arange(count // 2) * np.pi * (3 - np.sqrt(5))
     helper = np.eye(3)[np.abs(axis).argmin()]
     tangent = np.cross(axis, helper)
     tangent /= np.linalg.norm(tangent)
     bitangent = np.cross(axis, tangent)
     around = np.cos(azimuth)[:, None] * tangent + np.sin(azimuth)[:, None] * bitangent
-    return (sine[:, None] * around + cosine[:, None] * np.asarray(axis)).astype(np.float32)
+    aside, along = sine[:, None] * around, cosine[:, None] * np.asarray(axis)
+    return np.concatenate([along + aside, along - aside]).astype(np.float32)
 
 
 def lobe_transfer(
