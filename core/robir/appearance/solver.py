@@ -50,9 +50,8 @@ POLISH_PARTNERS = 8
 """Pairs per sample and distance; with two, their choice moved suns by a degree."""
 
 ALIKE_HUE, ALIKE_BRIGHTNESS = 0.1, 0.35
-"""Differences of log albedo, in hue and in brightness, at which two samples across a shadow hardly
-are one material. The fields of a board are .8 apart; where the sky's hue is misjudged, a bright one
-in the shade has the hue of a dark one in the sun, but not its brightness."""
+"""Differences of log albedo, in hue and in brightness, beyond the step common to all pairs across a
+shadow, at which two samples hardly are one material. The fields of a board are .8 apart."""
 
 SHADOW_WEIGHT = 1.0
 """Weight of equal albedo across shadows once a light tells which pairs are one material."""

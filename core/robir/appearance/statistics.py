@@ -183,11 +183,6 @@ class Pairs:
     def of_alike(self, log_albedo: Tensor, step: Tensor, hue: float, brightness: float) -> Pairs:
         """The same pairs, each counting by how alike its samples are but for a step.
 
-        Brightness moves weight among the pairs of one first sample, whose sum only hue decides: a
-        sample none of whose partners is as bright would else not count. On a checkered ground under
-        too weak a sun the bright fields in the shade pass for the dark ones in the sun; then the
-        dark ones in the shade have no like, and must pull.
-
         Args:
             log_albedo: (U, 3) of the samples, under some light.
             step: (3,) difference between the samples of a pair of one material, under that light.
@@ -197,13 +192,8 @@ class Pairs:
         """
         apart = log_albedo[self.first] - log_albedo[self.second] - step
         grey = apart.mean(1)
-        of_hue = self.weight * torch.exp(-((apart - grey[:, None]) ** 2).sum(1) / (2 * hue**2))
-        likeness = torch.exp(-(grey**2) / (2 * brightness**2)).clamp(min=1e-9)
-        alike = replace(self, weight=of_hue * likeness)
-        sums = torch.stack([of_hue, alike.weight])
-        sums = torch.zeros(2, len(log_albedo)).index_add(1, self.first, sums)
-        share = sums[0] / sums[1].clamp(min=1e-30)
-        return alike.weighted(share.index_select(0, self.first))
+        squared = ((apart - grey[:, None]) ** 2).sum(1) / hue**2 + (grey / brightness) ** 2
+        return self.weighted(torch.exp(-0.5 * squared))
 
 
 def neighbour_pairs(
