@@ -12,8 +12,8 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 KEPT_BYTES = 1 << 29
 """Freed memory at the end of the heap that is kept: more than the tensors of a step take."""
 
-LARGEST_KEPT_BYTES = 32 << 20
-"""Larger blocks go back at once; the most that all versions of glibc allow."""
+LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)
+"""Larger blocks go back at once. Old versions of glibc allow no more than the second."""
 
 
 def keep_freed_memory() -> None:
@@ -28,5 +28,5 @@ def keep_freed_memory() -> None:
         return
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
-        set_option(_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
+        any(set_option(_MMAP_THRESHOLD, size) for size in LARGEST_KEPT_BYTES)
         set_option(_TRIM_THRESHOLD, KEPT_BYTES)
