@@ -14,7 +14,6 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
     BRIGHTEST_QUANTILE,
     Amplitudes,
-    PairWeights,
     Priors,
     log_ratio,
     range_loss,
@@ -22,6 +21,7 @@ from robir.appearance.light import (
     soft_transfer,
     unevenness,
 )
+from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import make_problem, with_hidden
 from robir.appearance.solver import find_suns, fit, polish, refit
 from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light import PairWeights
+from robir.appearance.pair_loss import PairWeights
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.tracer import AbstractTracer
