@@ -25,9 +25,11 @@ def reconstruct(options: Namespace) -> int:
     """Make an asset from a capture; prints the result folder."""
     from robir.display import display_for
     from robir.pipeline.device import choose_execution
+    from robir.pipeline.memory import keep_freed_memory
     from robir.pipeline.runner import RunRequest, load_stages
     from robir.pipeline.runner import reconstruct as run
 
+    keep_freed_memory()
     preset, config, masks = _settings(options)
     with display_for(options.progress) as display:
         request = RunRequest(

@@ -12,13 +12,16 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
+    BRIGHTEST_QUANTILE,
     Amplitudes,
-    PairWeights,
+    Priors,
     log_ratio,
+    range_loss,
     soft_lobes,
     soft_transfer,
     unevenness,
 )
+from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import make_problem, with_hidden
 from robir.appearance.solver import find_suns, fit, polish, refit
 from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs
@@ -153,6 +156,25 @@ def test_the_pair_loss_and_its_gradient_are_those_of_plain_look_ups():
     (gradient,) = torch.autograd.grad(3 * loss, log_albedo)
     torch.testing.assert_close(loss, plain)
     torch.testing.assert_close(gradient, 3 * expected, rtol=1e-4, atol=1e-5)
+
+
+def test_many_losses_at_once_are_those_of_each():
+    generator = torch.Generator().manual_seed(6)
+    first, second = torch.randint(40, (2, 300), generator=generator)
+    pairs = Pairs(first=first, second=second, weight=torch.rand(300, generator=generator))
+    weights = PairWeights.of(pairs, torch.rand(40, 3, generator=generator) < 0.2)
+    every = torch.randn(40, 4, 3, generator=generator)
+    expected = torch.stack([weights.loss(one) for one in every.unbind(1)])
+    torch.testing.assert_close(weights.losses(every.reshape(40, 12)), expected)
+
+
+@pytest.mark.parametrize("count", [1, 2, 100, 101])
+def test_what_is_too_bright_is_judged_by_a_quantile(count):
+    log_albedo = torch.randn(count, 3, generator=torch.Generator().manual_seed(7)) - 1
+    nothing, priors = torch.zeros(0, dtype=torch.int64), Priors(brightest=0.1)
+    brightest = log_albedo.amax(1).quantile(BRIGHTEST_QUANTILE)
+    expected = 2 * (brightest - np.log(0.1)).clamp(min=0)
+    torch.testing.assert_close(range_loss(log_albedo, nothing, priors), expected)
 
 
 def test_sun_against_sky_is_recovered(stage, problem):

@@ -36,8 +36,9 @@ def test_what_no_view_is_near_is_unknown():
 
 
 def test_distance_is_to_the_nearest_seen_point():
-    position = np.float32([[0, 0, 0], [1, 0, 0], [0.3, 0, 0], [5, 0, 0]])
+    position = np.float32([[0, 0, 0], [1, 0, 0], [0.03, 0, 0], [1.2, 0, 0]])
     seen = np.array([True, True, False, False])
-    np.testing.assert_allclose(distance_to_seen(position, seen), [0, 0, 0.3, 4], rtol=1e-6)
+    np.testing.assert_allclose(distance_to_seen(position, seen), [0, 0, 0.03, np.inf], rtol=1e-6)
+    assert error(distance=0.2) == LARGEST
     assert np.isinf(distance_to_seen(position, np.zeros(4, bool))).all()
     assert not distance_to_seen(position, np.ones(4, bool)).any()

@@ -20,7 +20,7 @@ from robir.geometry.lattice import Lattice, interpolate, resample
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.sampling import Occupancy, march
-from robir.geometry.simplify import decimate
+from robir.geometry.simplify import decimate, fill_holes, is_closed
 from robir.geometry.stage import hull_of, reconstruct
 from robir.geometry.surface import distance_to_mesh, extract
 from robir.maths.volume import log_survival_between, weights
@@ -112,6 +112,15 @@ def test_masks_without_common_volume_are_refused() -> None:
     empty = HullCarver([p.camera for p in photos], [np.zeros_like(p.coverage) for p in photos])
     with pytest.raises(CaptureError, match="no common volume"):
         carve(empty, 32)
+
+
+def test_a_torn_surface_is_noticed_and_closed() -> None:
+    mesh = decimate(extract(*sphere_lattice()), 200)
+    assert is_closed(mesh.faces)
+    assert fill_holes(mesh) is mesh
+    torn = replace(mesh, faces=mesh.faces[1:])
+    assert not is_closed(torn.faces)
+    assert is_closed(fill_holes(torn).faces)
 
 
 def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:

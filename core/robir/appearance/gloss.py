@@ -232,7 +232,7 @@ def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
 
 
 def estimate_gloss(
-    problem: Problem, light: Light, num_materials: int, seed: int
+    problem: Problem, light: Light, num_materials: int, seed: int, step: int = 1
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
@@ -241,6 +241,7 @@ def estimate_gloss(
         light: Solved light.
         num_materials: Clusters of dielectrics.
         seed: Of the clustering.
+        step: Every so manieth of the samples that take part in the light solve is judged.
 
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
@@ -249,7 +250,7 @@ def estimate_gloss(
     surfels, observations = scene.transport.surfels, scene.transport.observations
     directions = scene.transport.visibility.directions
     seen = np.flatnonzero(problem.radiance.seen.numpy())
-    in_solve = np.isin(seen, scene.rows)
+    in_solve = np.isin(seen, scene.rows[::step])
     rows = seen[in_solve]
     reflections = Reflections(problem, light, rows)
     rays = view_rays(surfels, observations, rows, directions)

@@ -13,11 +13,11 @@ from torch import Tensor
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
     Amplitudes,
-    PairWeights,
     Priors,
     log_ratio,
     solve_amplitudes,
 )
+from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import PAIR_REACHES, Problem
 from robir.appearance.statistics import Pairs, neighbour_pairs, shadow_pairs
 from robir.appearance.sun import SunCandidate, SunProblem, refine, scan

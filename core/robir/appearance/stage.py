@@ -127,7 +127,8 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     """
     light = polish(sized.problem, sized.light, config, seed)
     light = refit(sized.problem, light, config)
-    _, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
+    # only to be judged anew under the next light: half of the samples will do
+    _, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed, step=2)
     problem = sized.problem.without_highlights(diffuse)
     final = refit(problem, light, config)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)

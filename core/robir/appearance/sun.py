@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light import PairWeights
+from robir.appearance.pair_loss import PairWeights
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.tracer import AbstractTracer
@@ -97,27 +97,26 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
         Losses (C, G) summed over channels, each channel at the strength common to all; and the
         loss (1,) without any sun.
     """
-    strengths = torch.tensor((0.0, *STRENGTHS))
     wanted = (np.pi * problem.radiance.linear.mean(1) / 0.35).median()
     weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
-    base, indirect = problem.base.T.contiguous(), problem.indirect.T.contiguous()
-    log_radiance = torch.log(problem.radiance.linear.T.contiguous())
-    losses = []
-    for row in transfer:
-        direct = base + strengths[:, None, None] * row * base.mean()
-        scale = (wanted / direct.mean(1).median(1).values.clamp(min=1e-6))[:, None, None]
-        losses.append(_pair_loss(log_radiance, weights, scale * direct + indirect))
-    table = torch.stack(losses)
-    return table[:, 1:], table[:1, 0]
+    # a column a strength and channel, channels fastest: short last axes are slow
+    base, indirect, log_radiance = (
+        part.repeat(1, len(STRENGTHS))
+        for part in (problem.base, problem.indirect, torch.log(problem.radiance.linear))
+    )
+    grey = problem.base.mean(1)
+    strengths = torch.tensor(STRENGTHS) * problem.base.mean()
 
+    def losses(row: Tensor) -> Tensor:
+        """Losses (G,) with one candidate's transfer (U,)."""
+        middle = grey + strengths[:, None] * row
+        scale = wanted / middle.median(1).values.clamp(min=1e-6)
+        direct = torch.addr(base, row, strengths.repeat_interleave(3))
+        irradiance = torch.addcmul(indirect, direct, scale.repeat_interleave(3))
+        floor = 0.02 * irradiance.mean(0).view(-1, 3).mean(1).repeat_interleave(3)
+        return weights.losses(log_radiance - 0.5 * (irradiance.square_().add_(floor**2)).log_())
 
-def _pair_loss(log_radiance: Tensor, weights: PairWeights, irradiance: Tensor) -> Tensor:
-    """Mean absolute pair difference for each of (G, 3, U) irradiances; radiance (3, U)."""
-    floor = 0.02 * irradiance.mean((1, 2), keepdim=True)
-    log_albedo = log_radiance - 0.5 * torch.log(irradiance**2 + floor**2)
-    difference = weights.differences(log_albedo)
-    higher = weights.brighter * difference.clamp(min=0)
-    return (higher + weights.darker * difference.clamp(max=0)).sum((1, 2))
+    return torch.stack([losses(row) for row in transfer]), losses(torch.zeros_like(grey))[:1]
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:

@@ -53,8 +53,14 @@ def standard_error(spread: Floats, changed: Floats, count: Floats, distance: Flo
 
 
 def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """Distance of every point (N, 3) to the nearest that is seen; infinite if none is."""
+    """Distance of every point (N, 3) to the nearest that is seen.
+
+    Infinite if none is, and from where it alone makes an albedo unknown: points far from all others
+    are what takes a search most of its time.
+    """
     distance = np.where(seen, 0.0, np.inf).astype(np.float32)
     if seen.any() and not seen.all():
-        distance[~seen] = cKDTree(position[seen]).query(position[~seen], eps=0.1)[0]
+        tree = cKDTree(position[seen])
+        reach = LARGEST / DISTANCE
+        distance[~seen] = tree.query(position[~seen], eps=0.1, distance_upper_bound=reach)[0]
     return distance

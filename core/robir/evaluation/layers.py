@@ -19,7 +19,7 @@ from robir.jobs.paths import JobPaths, read_json
 Array = NDArray[np.floating[Any]]
 
 SUB_PIXELS = 3
-"""Rays along either side of a pixel, odd: a layer holds means, as a renderer's passes do."""
+"""Rays along either side of a pixel where a layer holds means, as a renderer's passes do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ def load_textures(paths: JobPaths) -> dict[str, Array]:
 
 
 def view_layers(
-    mesh: Mesh, textures: dict[str, Array], cameras: Iterable[Camera]
+    mesh: Mesh, textures: dict[str, Array], cameras: Iterable[Camera], sub_pixels: int = SUB_PIXELS
 ) -> tuple[Layers, ...]:
     """What each camera sees.
 
@@ -74,6 +74,7 @@ def view_layers(
         textures: "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
             (T, T) where it is stated.
         cameras: In the mesh's frame.
+        sub_pixels: Rays along either side of a pixel, odd.
     """
     caster = MeshCaster(mesh)
     inside = textures["inside"].astype(bool)
@@ -81,16 +82,16 @@ def view_layers(
     stack = np.dstack([textures["albedo_linear"], *planes])
     layers = []
     for camera in cameras:
-        size = (SUB_PIXELS * camera.width, SUB_PIXELS * camera.height)
+        size = (sub_pixels * camera.width, sub_pixels * camera.height)
         seen = caster.cast(camera.resized(*size))
         material = np.zeros((*seen.hit.shape, stack.shape[-1]))
         material[seen.hit] = sample_texture(stack, seen.uv[seen.hit], inside)
-        centre = (slice(SUB_PIXELS // 2, None, SUB_PIXELS),) * 2
+        centre = (slice(sub_pixels // 2, None, sub_pixels),) * 2
         hit = seen.hit[centre]
-        share = np.maximum(_pixel_means(seen.hit[..., None].astype(float)), 1e-9)
-        normal = _pixel_means(seen.normal)
+        share = np.maximum(_pixel_means(seen.hit[..., None].astype(float), sub_pixels), 1e-9)
+        normal = _pixel_means(seen.normal, sub_pixels)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-        material = _pixel_means(material) / share
+        material = _pixel_means(material, sub_pixels) / share
         normal[~hit], material[~hit] = 0.0, 0.0
         layers.append(
             Layers(
@@ -105,8 +106,7 @@ def view_layers(
     return tuple(layers)
 
 
-def _pixel_means(image: Array) -> Array:
-    """Means over the sub-pixels of every pixel, (H, W, C)."""
+def _pixel_means(image: Array, side: int) -> Array:
+    """Means over the `side` by `side` sub-pixels of every pixel, (H, W, C)."""
     height, width, channels = image.shape
-    side = SUB_PIXELS
     return image.reshape(height // side, side, width // side, side, channels).mean(axis=(1, 3))

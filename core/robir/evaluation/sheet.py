@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from PIL import Image, ImageDraw, ImageFont
 from robir.capture.store import load_capture
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
-from robir.evaluation.truth import Truth
 from robir.jobs.paths import JobPaths, replacing
+
+if TYPE_CHECKING:
+    # What it reads truth with takes a second to load, and the report has no truth.
+    from robir.evaluation.truth import Truth
 
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from trimesh.triangles import closest_point
 
 from robir.capture.camera import Camera
 from robir.geometry.mesh import Mesh
@@ -124,6 +123,9 @@ def surface_distance(points: Array, vertices: Array, faces: NDArray[np.integer[A
     Returns:
         (N,), same unit.
     """
+    # Not above: it takes most of a second to load, and a reconstruction does without it.
+    from trimesh.triangles import closest_point
+
     corners = np.asarray(vertices, np.float64)[faces]
     samples, owner = _surface_samples(corners)
     _, nearest = cKDTree(samples).query(points, k=min(_NEIGHBOURS, len(samples)))

@@ -96,7 +96,8 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     views = products.capture.held_out or products.capture.train
     own = _own_rerenders(paths)
     shown = _shown_views(views, products.rendering)
-    layers = view_layers(products.mesh, products.arrays, (_fine(view.camera) for view in shown))
+    cameras = [_fine(view.camera) for view in shown]
+    layers = view_layers(products.mesh, products.arrays, cameras, sub_pixels=1)
     rows = [
         _row(view, seen, own, products.rendering) for view, seen in zip(shown, layers, strict=True)
     ]

@@ -17,6 +17,11 @@ _SAMPLES = 129
 _CUBE_SIZE = 33
 _INK, _ACCENT, _MUTED = "#1d2733", "#c8502d", "#7d8894"
 _STYLES = ("-", "--", "-.", ":")
+_TICKS = {0.25**step: "1" if not step else f"1/{4**step}" for step in range(5, -1, -1)} | {
+    4.0: "4",
+    16.0: "16",
+}
+"""Plain text: to set powers as mathematics takes most of the time of a plot."""
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
@@ -41,7 +46,9 @@ def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
 
 def _plot(table: dict[str, Any]) -> bytes:
     """The chosen curve over the other candidates as PNG."""
-    figure = Figure(figsize=(6.4, 3.8), dpi=130, layout="constrained")
+    figure = Figure(figsize=(6.4, 3.8), dpi=130)
+    # a layout that is solved for draws everything thrice
+    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.125, top=0.975)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     samples = table["samples"]
@@ -62,6 +69,7 @@ def _plot(table: dict[str, Any]) -> bytes:
         )
     axes.axvline(0.18, color=_INK, linewidth=0.6, linestyle=":")
     axes.set_xscale("log", base=2)
+    axes.set_xticks(list(_TICKS), list(_TICKS.values()))
     axes.set_xlabel("scene radiance, linear (dotted: 0.18)")
     axes.set_ylabel("display code / 255")
     axes.set_ylim(0.0, 1.02)

@@ -67,12 +67,13 @@ class HullCarver:
 
     def by_view(self, points: Tensor) -> Iterator[Tensor]:
         """What each view alone says of points (P, 3), shape (P,); very low behind a camera."""
+        rows = points.T.contiguous()  # a product of three rows takes a fraction of one of columns
         for camera, distance in zip(self._cameras, self._distances, strict=True):
             rotation = torch.from_numpy(camera.camera_to_world[:3, :3]).float()
-            local = (points - torch.from_numpy(camera.position).float()) @ rotation
-            depth = (-local[:, 2]).clamp(min=1e-6)
-            x = (camera.fx * local[:, 0] / depth + camera.cx) * (2.0 / camera.width) - 1.0
-            y = (-camera.fy * local[:, 1] / depth + camera.cy) * (2.0 / camera.height) - 1.0
+            local = rotation.T @ (rows - torch.from_numpy(camera.position).float()[:, None])
+            depth = (-local[2]).clamp(min=1e-6)
+            x = (camera.fx * local[0] / depth + camera.cx) * (2.0 / camera.width) - 1.0
+            y = (-camera.fy * local[1] / depth + camera.cy) * (2.0 / camera.height) - 1.0
             # beyond the picture the value of its border goes on: free where nothing is cut off
             pixels = grid_sample(
                 distance[None, None],
@@ -81,7 +82,7 @@ class HullCarver:
                 align_corners=False,
             )[0, 0, 0]
             scale = depth / (0.5 * (camera.fx + camera.fy))
-            yield torch.where(local[:, 2] < 0, pixels * scale, BEHIND)
+            yield torch.where(local[2] < 0, pixels * scale, BEHIND)
 
 
 def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:

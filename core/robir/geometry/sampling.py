@@ -166,14 +166,13 @@ def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         Of each end point its interval (Q,), and whether it is that interval's end rather than its
-        start (Q,) 0 or 1.
+        start (Q,) bool.
     """
     closes = torch.ones_like(ray, dtype=torch.bool)
     closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
-    size = 1 + closes.long()
-    start = torch.cumsum(size, 0) - size
-    owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), size)
-    late = torch.arange(len(owner), device=ray.device) - taken(start, owner)
+    owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), 1 + closes.long())
+    late = torch.zeros_like(owner, dtype=torch.bool)
+    torch.eq(owner[1:], owner[:-1], out=late[1:])
     return owner, late
 
 
@@ -203,16 +202,17 @@ def march(
     owner, late = _chain(ray, number)
     ray = taken(ray, owner)
     distance = taken(enter, ray) + (taken(number, owner) + late) * step
-    points = origins.index_select(0, ray)
-    points += distance[:, None] * directions.index_select(0, ray)
-    log_step = log_survival_between(lattice.trilinear(sdf, points), inv_std) * (late == 0)[:-1]
+    # coordinates in rows, as in `_occupied_steps`
+    points = origins.T.contiguous().index_select(1, ray)
+    points += distance * directions.T.contiguous().index_select(1, ray)
+    log_step = log_survival_between(lattice.trilinear(sdf, points.T), inv_std) * ~late[:-1]
     keep = weights(log_step, _first_of_runs(ray)[:-1]) > LEAST_WEIGHT
     ends = torch.zeros_like(ray, dtype=torch.bool)
     ends[:-1] |= keep
     ends[1:] |= keep
     point = ends.nonzero()[:, 0]
     ray = taken(ray, point)
-    index, weight = lattice.corners(points.index_select(0, point))
+    index, weight = lattice.corners(points.index_select(1, point).T)
     return Intervals(
         ray=ray,
         first=_first_of_runs(ray),

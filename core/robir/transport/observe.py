@@ -115,18 +115,21 @@ def observe(
         towards = camera.position - position
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("nd,nd->n", towards, normal) / distance
-        pixels, depth = camera.project(position.astype(np.float64))
+        chosen = np.flatnonzero(cosine > MIN_COSINE)
+        pixels, depth = camera.project(position[chosen].astype(np.float64))
         inside = (pixels >= 1).all(1) & (pixels <= [camera.width - 1, camera.height - 1]).all(1)
-        chosen = np.flatnonzero((cosine > MIN_COSINE) & (depth > 0) & inside)
+        inside &= depth > 0
+        chosen, pixels = chosen[inside], pixels[inside]
         start = position[chosen] + offset * normal[chosen]
         rays = towards[chosen] / distance[chosen, None]
-        chosen = chosen[~tracer.is_blocked(start, rays)]
-        colour, top, whole = _bilinear(view, _clean_pixels(tracer, view), pixels[chosen])
+        free = ~tracer.is_blocked(start, rays)
+        chosen, pixels = chosen[free], pixels[free]
+        colour, top, whole = _bilinear(view, _clean_pixels(tracer, view), pixels)
         kept = chosen[whole]
         display[kept, index] = colour[whole]
         clipped[kept, index] = top[whole]
         weight[kept, index] = cosine[kept]
-        off_axis[kept, index] = off_axis_codes(camera, pixels[kept])
+        off_axis[kept, index] = off_axis_codes(camera, pixels[whole])
     centres = np.stack([view.camera.position for view in views]).astype(np.float32)
     return Observations(
         display=display,
