@@ -8,11 +8,13 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.problem import make_problem
 from robir.appearance.tone_choice import (
-    Candidate,
+    PlainLead,
+    best_shoulder,
     choose_tone_curve,
     clipping_evidence,
-    preferred_order,
+    pair_likeness,
 )
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
@@ -97,32 +99,82 @@ def test_shares_count_only_what_is_seen():
     assert evidence.bright_share == pytest.approx(1 / 3)
 
 
-def scored(name, score, standard_error):
-    return Candidate(
-        curve=curve_from_name(name),
-        score=score,
-        standard_error=standard_error,
-        light=None,
-        problem=None,
-    )
+def table(mean, noise=0.0, count=400):
+    """Errors of blocks, 0..1, of a mean in codes; noise in codes is that of one block."""
+    spread = np.random.default_rng(0).standard_normal(count)
+    return (mean + noise * (spread - spread.mean())) / 255, np.ones(count)
 
 
-@pytest.mark.parametrize(("lead", "expected"), [(0.2, "standard"), (0.5, "robir_aces")])
-def test_the_curve_between_all_others_must_lead_clearly(lead, expected):
-    candidates = [
-        scored("standard", 10 + lead, 0.1),
-        scored("filmic", 10.9, 0.1),
-        scored("robir_aces", 10.0, 0.0),
-    ]
-    order = [candidate.curve.name for candidate in preferred_order(candidates, None)]
-    assert order[0] == expected
-    assert sorted(order) == ["filmic", "robir_aces", "standard"]
+NAMES = ["standard", "filmic", "agx", "robir_aces"]
 
 
 @pytest.mark.parametrize(
-    ("lead", "verdict", "expected"),
-    [(0.25, None, "filmic"), (0.35, None, "standard"), (0.25, True, "standard")],
+    ("scores", "expected"),
+    [
+        ((9.0, 10.0, 10.5, 11.0), "filmic"),
+        ((9.0, 10.5, 10.0, 11.0), "agx"),
+        # within a tenth of a code the simpler one
+        ((9.0, 10.05, 10.0, 11.0), "filmic"),
+        # the curve between all others must lead them all clearly, the plain one too
+        ((11.0, 11.0, 11.5, 10.0), "robir_aces"),
+        ((10.2, 11.0, 11.5, 10.0), "filmic"),
+        ((11.0, 10.2, 11.5, 10.0), "filmic"),
+    ],
 )
-def test_the_plain_curve_must_lead_clearly_where_nothing_is_bright(lead, verdict, expected):
-    candidates = [scored("standard", 10.0, 0.0), scored("filmic", 10.0 + lead, 0.1)]
-    assert preferred_order(candidates, verdict)[0].curve.name == expected
+def test_the_best_curve_with_a_shoulder(scores, expected):
+    chosen = best_shoulder(NAMES, [table(score) for score in scores])
+    assert NAMES[chosen] == expected
+
+
+def test_the_neutral_curve_does_not_stand_for_those_with_a_shoulder():
+    names, scores = ["standard", "filmic", "khronos_pbr_neutral"], (10.0, 11.0, 10.1)
+    assert best_shoulder(names, [table(score) for score in scores]) == 1
+    assert best_shoulder(["standard", "khronos_pbr_neutral"], [table(10.0), table(9.0)]) is None
+
+
+def test_noise_leaves_the_simpler_curve():
+    loud = [table(10.4, 0.0), table(10.0, 20.0)]  # differ by .4, standard error 1
+    quiet = [table(10.4, 0.0), table(10.0, 2.0)]
+    assert best_shoulder(["filmic", "agx"], loud) == 0
+    assert best_shoulder(["filmic", "agx"], quiet) == 1
+
+
+def test_the_plain_curve_alone_has_no_shoulder():
+    assert best_shoulder(["standard"], [table(10.0)]) is None
+
+
+@pytest.mark.parametrize(
+    ("carried", "highlights", "noise", "clear"),
+    [
+        (0.3, None, 0.0, True),
+        (0.15, None, 0.0, False),
+        (-0.3, None, 0.0, False),
+        # both errors speak, and either may overrule the other
+        (-0.2, 1.2, 0.0, True),
+        (1.2, -0.2, 0.0, True),
+        (0.3, -0.2, 0.0, False),
+        # the noise of both counts
+        (1.2, -0.2, 12.0, False),
+    ],
+)
+def test_the_plain_curve_must_lead_clearly_where_nothing_is_bright(
+    carried, highlights, noise, clear
+):
+    pairs = table(10.0), table(10.0 + carried, noise)
+    seen = None if highlights is None else [table(3.0), table(3.0 + highlights, noise)]
+    lead = PlainLead.of("filmic", pairs, seen)
+    assert lead.is_clear is clear
+
+
+def test_pairs_of_two_materials_do_not_count(stage):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+    likeness = pair_likeness(
+        make_problem(scene, curve_from_name("filmic")), synthetic.true_light(SUN, SKY)
+    ).numpy()
+    albedo = stage.albedo[scene.rows]
+    first, second = scene.pairs.first.numpy(), scene.pairs.second.numpy()
+    alike = np.abs(np.log(albedo[first] / albedo[second])).max(1) < 1e-6
+    alike = np.concatenate([alike, alike])
+    assert 0.2 < alike.mean() < 0.9
+    assert likeness[alike].mean() > 0.7
+    assert likeness[~alike].mean() < 0.1

@@ -117,7 +117,7 @@ def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class Seen:
     """What the photographs show along some rays.
 
     Attributes:
@@ -134,10 +134,10 @@ class _Seen:
     clipped: Tensor
     gain: Tensor
 
-    def of(self, chosen: Tensor) -> _Seen:
+    def of(self, chosen: Tensor) -> Seen:
         """Some of the rays."""
         parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return _Seen(self.curve, *parts)
+        return Seen(self.curve, *parts)
 
     def error(self, prediction: Tensor) -> Tensor:
         """Display error (M,) of a predicted radiance (M, 3)."""
@@ -146,13 +146,13 @@ class _Seen:
         return shown.clamp(max=0.15).mean(1)
 
 
-def _seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> _Seen:
+def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
     """What the photographs show of some samples."""
     observations = problem.scene.transport.observations
     sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
     gain = problem.gains.of(observations.views)[view]
     off_axis = observations.off_axis[rows][rays.sample, rays.view]
-    return _Seen(
+    return Seen(
         curve=problem.curve,
         linear=problem.linear[rows][sample, view],
         display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
@@ -176,7 +176,7 @@ class _Costs:
     metal: Floats
 
 
-def _costs(reflections: Reflections, rays: ViewRays, seen: _Seen, valid: Tensor) -> _Costs:
+def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) -> _Costs:
     """Errors of both models at every level.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
@@ -191,9 +191,7 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: _Seen, valid: Tensor)
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
 
     def below(specular: Tensor, through: Tensor) -> Tensor:
-        """Diffuse radiance (M, 3) that leaves the surface under its specular layer."""
-        diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
-        return _low_mean(diffuse, rays, valid)[sample] * through
+        return diffuse_below(linear, specular, through, (rays, valid))
 
     highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
     dielectric, metal = (torch.zeros(len(valid), n) for n in (len(LEVELS), ROUGHEST_METAL))
@@ -215,7 +213,7 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: _Seen, valid: Tensor)
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(near_seen.error(_low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
+    plain = summed(near_seen.error(low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
     return _Costs(
@@ -225,7 +223,23 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: _Seen, valid: Tensor)
     )
 
 
-def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
+def diffuse_below(
+    linear: Tensor, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
+) -> Tensor:
+    """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
+
+    Args:
+        linear: (M, 3) radiance along the rays.
+        specular: (M, 3) what of it is reflected.
+        through: (M, 1) share of the diffuse light that the layer lets through.
+        seen_by: The rays, and (U, V) which views show the samples.
+    """
+    rays, valid = seen_by
+    diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
+    return low_mean(diffuse, rays, valid)[rays.sample] * through
+
+
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     dense = _dense(linear, rays, (valid.shape[0], valid.shape[1]))
     return (dense * darker_view_weights(dense, valid)[..., None]).sum(1)
@@ -254,7 +268,7 @@ def estimate_gloss(
     rows = seen[in_solve]
     reflections = Reflections(problem, light, rows)
     rays = view_rays(surfels, observations, rows, directions)
-    looked_at = _seen_along(problem, rays, rows)
+    looked_at = seen_along(problem, rays, rows)
     costs = _costs(reflections, rays, looked_at, torch.from_numpy(observations.weight[rows] > 0))
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
     metals = metal_samples(costs.dielectric, costs.metal, points[rows])
@@ -263,7 +277,7 @@ def estimate_gloss(
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
-    cluster = _clusters(_features(problem, light, seen), num_materials, seed)
+    cluster = clusters(_features(problem, light, seen), num_materials, seed)
     choice = choose_roughness(
         costs.highlights.of(~is_metal),
         cluster[in_solve][~is_metal],
@@ -311,7 +325,7 @@ def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats
     return torch.cat([log_albedo, 1.5 * spread[:, None]], 1).numpy()
 
 
-def _clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
+def clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
     """k-means labels (N,)."""
     count = min(count, len(features))
     _, labels = kmeans2(

@@ -10,7 +10,13 @@ from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
 from robir.appearance.gloss import Gloss
 from robir.appearance.metal import LEAST_SHARE as LEAST_METAL_SHARE
 from robir.appearance.solver import Light
-from robir.appearance.tone_choice import ToneChoice
+from robir.appearance.tone_choice import (
+    PLAIN,
+    PLAIN_MARGIN,
+    SIMPLER_MARGIN,
+    Candidate,
+    ToneChoice,
+)
 
 
 def light_choices(
@@ -39,7 +45,7 @@ def light_choices(
             held_out_error=candidates[0].score,
             cost_seconds=seconds["tone_curve"],
             why=f"{reason}; lowest display error of albedo carried between neighbours in different "
-            "light, the simplest within one standard error",
+            f"light, the simplest within one standard error{_near(candidates)}{_lead(tone)}",
         ),
         *_power(tone.power),
         Choice(
@@ -59,6 +65,29 @@ def light_choices(
             why="a part is metal where that explains its views about as well as paint would, and "
             f"better on at least {LEAST_METAL_SHARE:.0%} of it",
         ),
+    )
+
+
+def _near(candidates: list[Candidate]) -> str:
+    """Which curves could not be told from the chosen one."""
+    chosen, *others = candidates
+    near = [
+        other.curve.name
+        for other in others
+        if abs(other.score - chosen.score) <= SIMPLER_MARGIN * other.standard_error
+    ]
+    return f"; within noise of it: {', '.join(near)}" if near else ""
+
+
+def _lead(tone: ToneChoice) -> str:
+    """How the plain curve compares with those that roll off, in words."""
+    lead = tone.plain_lead
+    if lead is None:
+        return ""
+    seen = "none seen" if lead.highlights is None else f"{lead.highlights:+.2f} near highlights"
+    return (
+        f"; {PLAIN} leads {lead.shoulder} by {lead.carried:+.2f} codes so carried, {seen}, "
+        f"standard error {lead.standard_error:.2f}, and must lead by {PLAIN_MARGIN:g} of these"
     )
 
 

@@ -5,7 +5,11 @@ The fit's own loss cannot choose: a compressive curve shrinks every contrast it 
 can is prediction in display space: take a sample's albedo to a neighbour that receives another
 irradiance, and compare the predicted display colour with the photographed one. Only under the true
 curve does a shadow darken bright and dark materials by the same factor. Pairs count by how much
-their irradiances differ.
+their irradiances differ and by how alike their albedos are, on average over all curves: a border
+of two materials says nothing, and all curves must be judged by the same pairs.
+
+Between the plain curve and those with a shoulder highlights speak as well, see tone_highlights.py:
+where a sun meets one bright material and one dark one, shadows alone may fit either.
 
 One kind of evidence comes before any fit: a curve that clips piles pixels up at code 255, one that
 rolls off does not.
@@ -18,12 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from robir.appearance.blocks import blocks_of, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
 from robir.appearance.problem import Problem, Scene, make_problem
-from robir.appearance.solver import Light, find_suns, fit
+from robir.appearance.solver import ALIKE_BRIGHTNESS, ALIKE_HUE, Light, find_suns, fit
+from robir.appearance.tone_highlights import highlight_tables
 from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
@@ -46,6 +51,9 @@ LONE_RATIO = 10.0
 PLAIN = "standard"
 """Name of the one curve without a shoulder."""
 
+NEUTRAL = "khronos_pbr_neutral"
+"""Name of the curve that only the brightest tell from the plain one."""
+
 HEDGE = "robir_aces"
 """Name of a curve that no common renderer or camera has. It lies between the others, so where they
 cannot be told apart it errs least under all of them."""
@@ -53,8 +61,19 @@ cannot be told apart it errs least under all of them."""
 HEDGE_MARGIN = 3.0
 """Standard errors by which it must lead to be taken for more than that."""
 
-PLAIN_MARGIN = 3.0
-"""The same for the plain curve against those with a shoulder, where nothing is bright."""
+SIMPLER_MARGIN = 1.0
+"""Standard errors within which the simpler one of two curves of a kind is taken."""
+
+PLAIN_MARGIN = 2.0
+"""Standard errors by which the plain curve must lead those with a shoulder where nothing is bright.
+Photographs that are not rolled off and use the range of the display have clipped highlights, so
+where the errors cannot tell, the shoulder is the likelier. On 24 captures, most from two or three
+starts, the lead was 1.0 at most under Filmic and 2.8 at least under Standard (docs/tone.md)."""
+
+LEAST_LEAD = 0.1
+"""Codes by which mean display errors differ for no reason; adds to their standard error. The
+photographs hold whole codes, and where highlights are faint the errors of all curves agree so well
+from block to block that a twentieth of a code passed for five standard errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +107,7 @@ class Candidate:
     Attributes:
         curve: The tone curve.
         score: Mean display error of cross-predicted pairs, in 8-bit codes.
-        standard_error: Of the difference to the best candidate, over blocks of the surface.
+        standard_error: Of the difference to the chosen candidate, over blocks of the surface.
         light: The light that was found under it.
         problem: The scene under it.
     """
@@ -98,6 +117,53 @@ class Candidate:
     standard_error: float
     light: Light
     problem: Problem
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainLead:
+    """How far the plain curve leads the best one with a shoulder, in 8-bit codes.
+
+    Attributes:
+        shoulder: Name of that curve.
+        carried: By how much its mean display error of cross-predicted pairs is the greater.
+        highlights: By how much its mean display error near highlights is; None if none are seen.
+        standard_error: Of the sum.
+    """
+
+    shoulder: str
+    carried: float
+    highlights: float | None
+    standard_error: float
+
+    @property
+    def total(self) -> float:
+        """By how much its display errors are the greater."""
+        return self.carried + (self.highlights or 0.0)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the photographs were made by the plain curve."""
+        return self.total > PLAIN_MARGIN * self.standard_error
+
+    @classmethod
+    def of(
+        cls, shoulder: str, carried: tuple[Table, Table], highlights: list[Table] | None
+    ) -> PlainLead:
+        """From tables of both errors, 0..1, of the plain curve and of the other."""
+        parts = [carried, *([(highlights[0], highlights[1])] if highlights else [])]
+        leads = [255 * (mean_of(other) - mean_of(mine)) for mine, other in parts]
+        return cls(
+            shoulder=shoulder,
+            carried=leads[0],
+            highlights=leads[1] if highlights else None,
+            standard_error=_error_of_sum(parts),
+        )
+
+
+def _error_of_sum(parts: list[tuple[Table, Table]]) -> float:
+    """Standard error, codes, of a sum of differences of mean display errors."""
+    errors = [255 * difference_error(mine, other) for mine, other in parts]
+    return float(np.sqrt(LEAST_LEAD**2 + np.square(errors).sum()))
 
 
 def clipping_evidence(observations: Observations, power: float = 1.0) -> ClippingEvidence:
@@ -129,6 +195,18 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     return error.clamp(max=ERROR_CAP).mean(1), weight
 
 
+def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
+    """How alike the albedos of every ordered pair are, 0..1, (2 P,)."""
+    scene = problem.scene
+    radiance = problem.rows_radiance(scene.rows)
+    log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
+    apart = log_albedo[scene.pairs.first] - log_albedo[scene.pairs.second]
+    grey = apart.mean(1)
+    hue = ((apart - grey[:, None]) ** 2).sum(1)
+    alike = torch.exp(-0.5 * (hue / ALIKE_HUE**2 + grey**2 / ALIKE_BRIGHTNESS**2))
+    return torch.cat([alike, alike])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToneChoice:
     """All that the choice of the tone curve rests on.
@@ -137,11 +215,14 @@ class ToneChoice:
         candidates: The chosen one first, then by score.
         evidence: Of the histogram.
         power: The power of the display codes, None where the curve was given.
+        plain_lead: Of the plain curve against those with a shoulder, None where not both were
+            compared.
     """
 
     candidates: list[Candidate]
     evidence: ClippingEvidence
     power: PowerChoice | None
+    plain_lead: PlainLead | None
 
 
 def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
@@ -168,8 +249,8 @@ def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> Tone
     if choice is not None and choice.power != 1.0:
         evidence = clipping_evidence(scene.transport.observations, choice.power)
         fitting = [powered(curve, choice.power) for curve in _fitting(allowed, evidence)]
-    candidates = _ranked(scene, fitting, found, config, evidence)
-    return ToneChoice(candidates=candidates, evidence=evidence, power=choice)
+    candidates, lead = _ranked(scene, fitting, found, config, seed)
+    return ToneChoice(candidates=candidates, evidence=evidence, power=choice, plain_lead=lead)
 
 
 def _fitting(
@@ -187,55 +268,79 @@ def _ranked(
     curves: list[AbstractToneCurve],
     found: Light,
     config: AppearanceConfig,
-    evidence: ClippingEvidence,
-) -> list[Candidate]:
-    """The curves with their scores under the suns found, preferred order."""
-    blocks = blocks_of(scene)
-    fits, tables = [], []
+    seed: int,
+) -> tuple[list[Candidate], PlainLead | None]:
+    """The curves with their scores under the suns found, the chosen one first."""
+    models: list[tuple[Problem, Light]] = []
     for curve in curves:
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
-        fits.append((curve, light, problem))
-        error, weight = pair_errors(problem, light)
-        tables.append(table_of(blocks, error.double().numpy(), weight.double().numpy()))
-    scores = [255 * mean_of(table) for table in tables]
-    best = int(np.argmin(scores))
+        models.append((problem, replace(light, history=found.history)))
+    tables = _pair_tables(models)
+    names = [curve.name for curve in curves]
+    shoulder, chosen, lead = best_shoulder(names, tables), 0, None
+    if shoulder is not None:
+        chosen = shoulder
+        if PLAIN in names:
+            plain = names.index(PLAIN)
+            highlights = highlight_tables((models[plain], models[shoulder]), seed)
+            lead = PlainLead.of(names[shoulder], (tables[plain], tables[shoulder]), highlights)
+            chosen = plain if lead.is_clear else shoulder
+    if NEUTRAL in names and _lags(tables[chosen], tables[names.index(NEUTRAL)], SIMPLER_MARGIN):
+        chosen = names.index(NEUTRAL)
     candidates = [
         Candidate(
             curve=curve,
-            score=scores[index],
-            standard_error=255 * difference_error(tables[index], tables[best]),
-            light=replace(light, history=found.history),
+            score=255 * mean_of(table),
+            standard_error=0.0 if index == chosen else _error_of_sum([(table, tables[chosen])]),
+            light=light,
             problem=problem,
         )
-        for index, (curve, light, problem) in enumerate(fits)
+        for index, (curve, table, (problem, light)) in enumerate(
+            zip(curves, tables, models, strict=True)
+        )
     ]
-    return preferred_order(candidates, evidence.verdict)
+    first = candidates.pop(chosen)
+    return [first, *sorted(candidates, key=lambda candidate: candidate.score)], lead
 
 
-def preferred_order(candidates: list[Candidate], verdict: bool | None) -> list[Candidate]:
-    """By score, but the simplest within one standard error of the best comes first.
+def _pair_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
+    """Display errors of cross-predicted pairs under each model.
 
-    The rule does not cross between the plain sRGB curve and those with a shoulder: taking one for
-    the other costs far more than any simplicity is worth. Where the scores cannot tell those two
-    kinds apart and nothing is bright, the shoulder is the likelier: photographs that are not rolled
-    off and use the range of the display have clipped highlights.
+    A pair counts by what the models say of it on average, and so alike in all.
     """
-    ranked = sorted(candidates, key=lambda candidate: candidate.score)
-    if ranked[0].curve.name == HEDGE and len(ranked) > 1:
-        second = ranked[1]
-        if second.score - ranked[0].score <= HEDGE_MARGIN * second.standard_error:
-            ranked.append(ranked.pop(0))
-    best = ranked[0]
-    shoulders = [candidate for candidate in ranked if candidate.curve.name != PLAIN]
-    if best.curve.name == PLAIN and verdict is None and shoulders:
-        lead = shoulders[0].score - best.score
-        best = shoulders[0] if lead <= PLAIN_MARGIN * shoulders[0].standard_error else best
-    for candidate in candidates:
-        if candidate.curve.name == HEDGE:
-            continue
-        alike = (candidate.curve.name == PLAIN) == (best.curve.name == PLAIN)
-        if alike and candidate.score - best.score <= candidate.standard_error:
-            ranked.remove(candidate)
-            return [candidate, *ranked]
-    return ranked
+    judged = [pair_errors(*model) for model in models]
+    contrast = torch.stack([weight for _, weight in judged]).mean(0)
+    likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
+    weight = (contrast * likeness).double().numpy()
+    blocks = blocks_of(models[0][0].scene)
+    return [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
+
+
+def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
+    """Number of the curve with a shoulder that is taken if the plain one is not.
+
+    The simplest within SIMPLER_MARGIN of the lowest error; HEDGE only if it leads all others.
+    NEUTRAL is none of them: it would pass for the plain one.
+
+    Args:
+        names: Of the curves, simplest first.
+        tables: Of their errors.
+
+    Returns:
+        Its number; None where there is none.
+    """
+    shoulders = [i for i, name in enumerate(names) if name not in (PLAIN, NEUTRAL, HEDGE)]
+    if HEDGE in names:
+        hedge = names.index(HEDGE)
+        others = [table for index, table in enumerate(tables) if index != hedge]
+        if not shoulders or all(_lags(table, tables[hedge], HEDGE_MARGIN) for table in others):
+            return hedge
+    best = min(shoulders, key=lambda index: mean_of(tables[index]), default=0)
+    near = [i for i in shoulders if not _lags(tables[i], tables[best], SIMPLER_MARGIN)]
+    return min(near, default=None)
+
+
+def _lags(table: Table, other: Table, margin: float) -> bool:
+    """Whether the first error is clearly the greater, by so many standard errors."""
+    return 255 * (mean_of(table) - mean_of(other)) > margin * _error_of_sum([(table, other)])
