@@ -11,6 +11,7 @@ say: RobIR's regularised visibility estimation (METHOD 2.7), per texel and witho
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,6 +38,7 @@ from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_transfer
 
 Floats = NDArray[np.float32]
+Reals = NDArray[np.floating[Any]]
 
 SIDE_STEP = 0.02
 """Error of the mesh along the surface that a shadow may have, unit frame."""
@@ -287,9 +289,7 @@ class _Reference:
         index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
         return self._albedo[index].mean(1)
 
-    def palette(
-        self, texels: Texels, rows: NDArray[np.bool_] | NDArray[np.int64], count: int
-    ) -> Floats:
+    def palette(self, texels: Texels, rows: NDArray[np.int64], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels; fewer where there are not as many."""
         query = with_normals(texels.position[rows], texels.normal[rows])
         count = min(count, self._thinned.n)
@@ -327,7 +327,7 @@ def _settle_edges(
     return settled
 
 
-def _likeliest(exitant: Floats, sun: tuple[Floats, Floats, Floats], among: Floats) -> Floats:
+def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) -> Floats:
     """Of the albedos that shares of sun would give, the one most like some surroundings'.
 
     Args:
@@ -361,8 +361,8 @@ def _settle_clipped(
     albedo: Floats, clipped: NDArray[np.bool_], reference: _Reference, texels: Texels
 ) -> Floats:
     """Where a channel was clipped, the brightest certain surroundings, never less than measured."""
-    rows = clipped.any(1)
-    if not rows.any():
+    rows = np.flatnonzero(clipped.any(1))
+    if not len(rows):
         return albedo
     around = np.quantile(reference.palette(texels, rows, 8), 0.8, axis=1)
     settled = albedo.copy()
