@@ -78,6 +78,26 @@ def test_edges_take_the_paint_around_them_and_certain_texels_are_left_alone(shad
     assert np.quantile(after, 0.95) < 0.16
 
 
+def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
+    light = shadow[1]
+    steps = np.arange(-0.4, 0.4, 0.01)
+    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
+    texels = Texels(position=position, normal=np.tile(np.float32([0, 0, 1]), (len(x), 1)))
+    # beyond the border the same hue, twice as bright: less sun would explain it on this side too
+    paint = PAINTS[0] * np.where(x < 0.04, 0.5, 1.0)[:, None]
+    lit, sun = np.clip(0.5 + x / 0.06, 0, 1), 0.8 * SUN
+    traced = np.clip(0.5 + (x - 0.01) / 0.06, 0, 1)
+    exitant = paint * (SOFT + lit * sun)[:, None]
+    albedo = exitant / (SOFT + traced * sun)[:, None]
+    parts = np.full((len(x), 3), SOFT), 0.8 * traced[:, None], light.amplitudes.sharp.numpy()
+    edge = np.abs(x) < 0.07
+    reference = _Reference(texels, albedo, ~edge)
+    settled = _settle_edges(albedo, exitant, parts, light, texels, edge, reference)
+    wrong = np.abs(np.log(settled / paint))[edge].mean(1)
+    assert np.quantile(wrong, 0.9) < 0.16  # the shares tried are a tenth apart
+
+
 def test_without_edges_nothing_changes(shadow):
     texels, light, _, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
