@@ -92,7 +92,7 @@ def test_a_sun_without_a_shadow_has_no_pairs(floor):
     assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
 
 
-def test_pairs_alike_in_hue_and_in_brightness_but_for_a_step_count():
+def test_pairs_are_alike_by_hue_and_brightness_but_for_a_step():
     step = torch.tensor([-0.6, -0.4, -0.3])
     red = torch.tensor([0.2, -0.1, -0.1])
     log_albedo = torch.stack([step, torch.zeros(3), red, torch.full((3,), 0.35)])
@@ -101,9 +101,11 @@ def test_pairs_alike_in_hue_and_in_brightness_but_for_a_step_count():
         second=torch.tensor([1, 2, 3]),
         weight=torch.tensor([0.5, 0.3, 0.2]),
     )
-    weight = pairs.of_alike(log_albedo, step, 0.1, 0.35).weight
-    expected = np.array([0.5, 0.3, 0.2]) * np.exp(-0.5 * np.array([0.0, 0.06 / 0.01, 1.0]))
-    np.testing.assert_allclose(weight.numpy(), expected / expected.sum(), rtol=1e-5)
+    alike = pairs.likeness(log_albedo, 0.1, 0.35, step)
+    expected = np.exp(-0.5 * np.array([0.0, 0.06 / 0.01, 1.0]))
+    np.testing.assert_allclose(alike.numpy(), expected, rtol=1e-5)
+    without = np.exp(-0.5 * (step.numpy().var() * 3 / 0.1**2 + (step.mean().item() / 0.35) ** 2))
+    assert float(pairs.likeness(log_albedo, 0.1, 0.35)[0]) == pytest.approx(without, rel=1e-4)
 
 
 def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():

@@ -226,7 +226,9 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     transfer = problem.transfer(sharp, rows)
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     alike = [
-        pairs.of_alike(log_albedo, pairs.common_step(log_albedo), ALIKE_HUE, ALIKE_BRIGHTNESS)
+        pairs.weighted(
+            pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, pairs.common_step(log_albedo))
+        )
         for pairs in _across_shadows(problem, light.axes)
     ]
     amplitudes, loss = solve_amplitudes(

@@ -180,20 +180,24 @@ class Pairs:
             step = near @ apart / near.sum()
         return step
 
-    def of_alike(self, log_albedo: Tensor, step: Tensor, hue: float, brightness: float) -> Pairs:
-        """The same pairs, each counting by how alike its samples are but for a step.
+    def likeness(
+        self, log_albedo: Tensor, hue: float, brightness: float, step: Tensor | None = None
+    ) -> Tensor:
+        """How alike the samples of each pair are but for a step, 0..1, (P,).
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
-            step: (3,) difference between the samples of a pair of one material, under that light.
-            hue: Standard deviation of the difference in hue, log units, at which a weight falls to
-                exp(-1/2).
+            hue: Standard deviation of the difference in hue, log units, at which it is exp(-1/2).
             brightness: The same of the mean over the channels.
+            step: (3,) difference between the samples of a pair of one material, under that light;
+                none if None.
         """
-        apart = log_albedo[self.first] - log_albedo[self.second] - step
+        apart = log_albedo[self.first] - log_albedo[self.second]
+        if step is not None:
+            apart = apart - step
         grey = apart.mean(1)
         squared = ((apart - grey[:, None]) ** 2).sum(1) / hue**2 + (grey / brightness) ** 2
-        return self.weighted(torch.exp(-0.5 * squared))
+        return torch.exp(-0.5 * squared)
 
 
 def neighbour_pairs(

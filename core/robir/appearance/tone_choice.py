@@ -200,10 +200,7 @@ def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
     log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
-    apart = log_albedo[scene.pairs.first] - log_albedo[scene.pairs.second]
-    grey = apart.mean(1)
-    hue = ((apart - grey[:, None]) ** 2).sum(1)
-    alike = torch.exp(-0.5 * (hue / ALIKE_HUE**2 + grey**2 / ALIKE_BRIGHTNESS**2))
+    alike = scene.pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
     return torch.cat([alike, alike])
 
 
