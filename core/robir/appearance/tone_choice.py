@@ -55,11 +55,8 @@ NEUTRAL = "khronos_pbr_neutral"
 """Name of the curve that only the brightest tell from the plain one."""
 
 HEDGE = "robir_aces"
-"""Name of a curve that no common renderer or camera has. It lies between the others, so where they
-cannot be told apart it errs least under all of them."""
-
-HEDGE_MARGIN = 3.0
-"""Standard errors by which it must lead to be taken for more than that."""
+"""Name of a curve that no common renderer has. It lies between the others and is nearest to what
+cameras do; where it does not lead all others, one of those is the likelier."""
 
 SIMPLER_MARGIN = 1.0
 """Standard errors within which the simpler one of two curves of a kind is taken."""
@@ -331,7 +328,7 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     if HEDGE in names:
         hedge = names.index(HEDGE)
         others = [table for index, table in enumerate(tables) if index != hedge]
-        if not shoulders or all(_lags(table, tables[hedge], HEDGE_MARGIN) for table in others):
+        if not shoulders or all(_lags(table, tables[hedge], SIMPLER_MARGIN) for table in others):
             return hedge
     best = min(shoulders, key=lambda index: mean_of(tables[index]), default=0)
     near = [i for i in shoulders if not _lags(tables[i], tables[best], SIMPLER_MARGIN)]
