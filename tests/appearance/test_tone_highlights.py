@@ -32,11 +32,15 @@ def models(name):
 
 @pytest.mark.parametrize(("name", "right"), [("standard", 0), ("filmic", 1)])
 def test_highlights_are_explained_under_the_true_curve(name, right):
-    tables = highlight_tables(models(name), 0)
-    true, false = tables[right], tables[1 - right]
-    lead = mean_of(false) - mean_of(true)
-    assert lead > 1.5 * difference_error(false, true)
-    assert 255 * lead > 0.2
+    scene, errors = models(name), []
+    # what is one material is left to chance, and one draw of five is an unlucky one
+    for seed in range(5):
+        tables = highlight_tables(scene, seed)
+        true, false = tables[right], tables[1 - right]
+        lead = mean_of(false) - mean_of(true)
+        assert 255 * lead > 0.2
+        errors.append(lead / difference_error(false, true))
+    assert np.median(errors) > 2
 
 
 def test_without_a_sun_highlights_say_nothing():

@@ -19,7 +19,7 @@ from robir.appearance.blocks import Table, block_numbers, table_of
 from robir.appearance.gloss import SHARPEST_SKY, clusters, diffuse_below, seen_along
 from robir.appearance.light import log_ratio
 from robir.appearance.problem import Problem
-from robir.appearance.reflections import Reflections, reflected_share, view_rays
+from robir.appearance.reflections import Reflections, ViewRays, reflected_share, view_rays
 from robir.appearance.roughness import MIN_HIGHLIGHTS
 from robir.appearance.solver import Light
 
@@ -52,10 +52,13 @@ def highlight_tables(models: tuple[tuple[Problem, Light], ...], seed: int) -> li
         return None
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
     material = clusters(log_albedo.numpy(), NUM_MATERIALS, seed)
-    block = block_numbers(problem.scene.transport.surfels.position[rows])
+    transport = problem.scene.transport
+    block = block_numbers(transport.surfels.position[rows])
+    directions = transport.visibility.directions
+    rays = view_rays(transport.surfels, transport.observations, rows, directions)
     tables = []
     for model in models:
-        error, count = _errors(*model, rows)
+        error, count = _errors(*model, rows, rays)
         best = np.zeros(len(rows))
         for index in range(material.max() + 1):
             own = material == index
@@ -75,17 +78,16 @@ def _near_mirrors(problem: Problem, light: Light, rng: np.random.Generator) -> N
     return rows[np.unique(near)] if len(near) >= MIN_HIGHLIGHTS else rows[:0]
 
 
-def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def _errors(
+    problem: Problem, light: Light, rows: NDArray[np.int64], rays: ViewRays
+) -> tuple[Floats, Floats]:
     """Display errors (U, L) at every roughness, summed over views near highlights.
 
     And the number of those views, (U,).
     """
-    transport = problem.scene.transport
-    directions = transport.visibility.directions
     reflections = Reflections(problem, light, rows)
-    rays = view_rays(transport.surfels, transport.observations, rows, directions)
     seen = seen_along(problem, rays, rows)
-    valid = torch.from_numpy(transport.observations.weight[rows] > 0)
+    valid = torch.from_numpy(problem.scene.transport.observations.weight[rows] > 0)
     near = reflections.near_highlight(rays)
     near_seen, sample = seen.of(near), torch.from_numpy(rays.sample)[near]
     blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
