@@ -9,7 +9,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.gloss import estimate_gloss
-from robir.appearance.metal import metal_parts
+from robir.appearance.metal import METAL_LEVELS, metal_parts
 from robir.appearance.problem import make_problem
 from robir.appearance.reflections import Reflections, view_rays
 from robir.appearance.statistics import darker_view_weights, sharpest_views
@@ -84,8 +84,7 @@ def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
             rays,
             problem.linear[rows][torch.from_numpy(rays.sample), torch.from_numpy(rays.view)],
         ),
-        np.zeros((len(rows), 1), np.float32),
-        (GOLD.roughness,),
+        np.zeros((len(rows), len(METAL_LEVELS)), np.float32),
     )
     assert len(found.base) == parts
     assert (found.part[likely] >= 0).all() == bool(parts)

@@ -20,9 +20,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.choice import Choice
-from robir.appearance.metal import metal_parts, metal_samples
+from robir.appearance.metal import metal_errors, metal_parts, metal_samples, neighbourhoods
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
+    TILTS,
     Reflections,
     ViewRays,
     as_rays,
@@ -30,20 +31,14 @@ from robir.appearance.reflections import (
     view_rays,
 )
 from robir.appearance.roughness import LEVELS, UNKNOWN, Highlights, choose_roughness
+from robir.appearance.seen import Seen, dense, seen_along
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
-from robir.maths.tone_curve import AbstractToneCurve
 
 Floats = NDArray[np.float32]
 
-TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
-"""Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
-
 ALIKE_NORMAL = 0.06
 """Distance, unit frame, that half the difference of opposite normals counts as."""
-
-ROUGHEST_METAL = 5
-"""Levels at which metal is tried: a rougher metal looks like a dielectric of another shade."""
 
 SHARPEST_SKY = 0.5
 """Roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
@@ -109,81 +104,16 @@ def specular_towards(
     return result[0], result[1], kept
 
 
-def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
-    """Scatter a flat list (M, C) into (U, V, C), zero where there is no observation."""
-    dense = torch.zeros(*shape, values.shape[1])
-    dense[rays.sample, rays.view] = values
-    return dense
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What the photographs show along some rays.
-
-    Attributes:
-        curve: Tone curve.
-        linear: (M, 3) radiance.
-        display: (M, 3) display codes, 0..1.
-        clipped: (M, 3) whether the true value is at least `linear`.
-        gain: (M, 1) exposure of the photograph there.
-    """
-
-    curve: AbstractToneCurve
-    linear: Tensor
-    display: Tensor
-    clipped: Tensor
-    gain: Tensor
-
-    def of(self, chosen: Tensor) -> Seen:
-        """Some of the rays."""
-        parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return Seen(self.curve, *parts)
-
-    def error(self, prediction: Tensor) -> Tensor:
-        """Display error (M,) of a predicted radiance (M, 3)."""
-        shown = (self.curve.display_from_linear(self.gain * prediction) - self.display).abs()
-        shown = shown.masked_fill(self.clipped & (prediction > self.linear), 0)
-        return shown.clamp(max=0.15).mean(1)
-
-
-def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
-    """What the photographs show of some samples."""
-    observations = problem.scene.transport.observations
-    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
-    gain = problem.gains.of(observations.views)[view]
-    off_axis = observations.off_axis[rows][rays.sample, rays.view]
-    return Seen(
-        curve=problem.curve,
-        linear=problem.linear[rows][sample, view],
-        display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
-        clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
-        gain=problem.gains.dimmed(gain, off_axis),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Costs:
-    """Display errors of some samples at every level.
-
-    Attributes:
-        highlights: Of a dielectric in views near a sun's mirror direction.
-        dielectric: (U, L) mean over all views.
-        metal: (U, ROUGHEST_METAL) the same of a metal.
-    """
-
-    highlights: Highlights
-    dielectric: Floats
-    metal: Floats
-
-
-def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) -> _Costs:
-    """Errors of both models at every level.
+def _costs(
+    reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor
+) -> tuple[Highlights, Floats]:
+    """Errors of a dielectric near highlights, and their mean (U, L) over all views.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
     sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
     """
-    shape, linear, sample = (valid.shape[0], valid.shape[1]), seen.linear, rays.sample
+    linear = seen.linear
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
 
@@ -194,18 +124,14 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
         return diffuse_below(linear, specular, through, (rays, valid))
 
     highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
-    dielectric, metal = (torch.zeros(len(valid), n) for n in (len(LEVELS), ROUGHEST_METAL))
+    dielectric = torch.zeros(len(valid), len(LEVELS))
     blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
     for index, level in enumerate(LEVELS):
         through = 1 - reflected_share(rays, level)[:, None]
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
-        lit, even = sky + sun, sky[:, 0]
-        base = below(lit[:, 0], through)
-        dielectric[:, index] = summed(seen.error(base + lit[:, 0]), rays)
-        if index < ROUGHEST_METAL:
-            ratio = _dense(linear / lit[:, 1].clamp(min=1e-5), rays, shape)
-            colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
-            metal[:, index] = summed(seen.error(colour.clamp(0, 1)[sample] * lit[:, 1]), rays)
+        lit, even = (sky + sun)[:, 0], sky[:, 0]
+        base = below(lit, through)
+        dielectric[:, index] = summed(seen.error(base + lit), rays)
         if level < SHARPEST_SKY:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
@@ -216,11 +142,7 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
     plain = summed(near_seen.error(_low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
-    return _Costs(
-        Highlights(highlight.numpy(), plain.numpy(), count),
-        (dielectric / views).numpy(),
-        (metal / views).numpy(),
-    )
+    return Highlights(highlight.numpy(), plain.numpy(), count), (dielectric / views).numpy()
 
 
 def diffuse_below(
@@ -241,8 +163,8 @@ def diffuse_below(
 
 def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
-    dense = _dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (dense * darker_view_weights(dense, valid)[..., None]).sum(1)
+    table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
+    return (table * darker_view_weights(table, valid)[..., None]).sum(1)
 
 
 def estimate_gloss(
@@ -269,17 +191,20 @@ def estimate_gloss(
     reflections = Reflections(problem, light, rows)
     rays = view_rays(surfels, observations, rows, directions)
     looked_at = seen_along(problem, rays, rows)
-    costs = _costs(reflections, rays, looked_at, torch.from_numpy(observations.weight[rows] > 0))
+    valid = torch.from_numpy(observations.weight[rows] > 0)
+    highlights, dielectric = _costs(reflections, rays, looked_at, valid)
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
-    metals = metal_samples(costs.dielectric, costs.metal, points[rows])
+    around = neighbourhoods(points[rows])
+    errors = metal_errors(problem, light, rows, dielectric, around)
+    metals = metal_samples(dielectric, errors, around)
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    parts = metal_parts(metals, place, (reflections, rays, looked_at.linear), costs.metal, LEVELS)
+    parts = metal_parts(metals, place, (reflections, rays, looked_at.linear), errors)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
     cluster = clusters(_features(problem, light, seen), num_materials, seed)
     choice = choose_roughness(
-        costs.highlights.of(~is_metal),
+        highlights.of(~is_metal),
         cluster[in_solve][~is_metal],
         surfels.position[rows][~is_metal],
         num_materials,
@@ -360,8 +285,8 @@ def _apply(
         rays = view_rays(surfels, observations, rows, scene.transport.visibility.directions)
         both = reflections.radiance(rays, float(roughness))
         shape = (len(rows), observations.weight.shape[1])
-        dielectric = _dense(both[:, 0], rays, shape)
-        through = 1 - _dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
+        dielectric = dense(both[:, 0], rays, shape)
+        through = 1 - dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
         linear = diffuse[rows]
         below = torch.maximum(linear - dielectric, 0.02 * linear) / through
         # the views that the textures are read from, see texture.py

@@ -11,13 +11,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.reflections import Reflections, ViewRays
+from robir.appearance.problem import Problem
+from robir.appearance.reflections import TILTS, Reflections, ViewRays, view_rays
+from robir.appearance.roughness import LEVELS
+from robir.appearance.seen import dense, seen_along
+from robir.appearance.solver import Light
 
 Floats = NDArray[np.float32]
 
@@ -25,9 +30,21 @@ METAL_ERROR = 0.03
 """Display error that a dielectric must leave before metal is thought of; those under a right mesh
 leave 0.01 to 0.02."""
 
-METAL_TOLERANCE = 40.0
+METAL_TOLERANCE = 20.0
 """How much worse than the dielectric a metal may fit, as a share per unit of display error beyond
 METAL_ERROR: a mirror image is misplaced by the mesh's errors, but no dielectric changes so much."""
+
+CERTAIN = 0.8
+"""Error of a metal against the dielectric's, the same tolerance added, at which it explains a
+sample better: each sample's normal may be tilted and its base colour is free, and so much is won by
+that alone."""
+
+TILTS_WIN = 1.25
+"""Share by which a tilt of normals may lower the error of a metal; for a whole neighbourhood it is
+0.1 to 0.25 on rendered metal and paint."""
+
+METAL_LEVELS = LEVELS[:5]
+"""Roughnesses at which metal is tried: a rougher one looks like a dielectric of another shade."""
 
 METAL_NEIGHBOURS = 16
 """Samples that judge together whether they are metal."""
@@ -69,30 +86,100 @@ class MetalParts:
     roughness: Floats
 
 
+def neighbourhoods(points: Floats) -> NDArray[np.int64]:
+    """Samples (U, N) that judge together with each, itself among them.
+
+    Args:
+        points: (U, D) positions, with scaled normals so that neighbours face alike.
+    """
+    count = min(METAL_NEIGHBOURS, len(points))
+    return cKDTree(points).query(points, k=count)[1].reshape(len(points), count)
+
+
+def metal_errors(
+    problem: Problem,
+    light: Light,
+    rows: NDArray[np.int64],
+    dielectric: Floats,
+    around: NDArray[np.int64],
+) -> Floats:
+    """Mean display error of samples as metal, each with its own base colour and tilt of its normal.
+
+    What metal shows moves by twice the normal's error. Under the mesh's normals a rough metal wins
+    on every part, for it shows the least of what is misplaced.
+
+    Args:
+        problem: Scene under a tone curve.
+        light: Its light.
+        rows: (U,) samples.
+        dielectric: (U, L) mean display error over each one's views at every roughness.
+        around: (U, N) from `neighbourhoods`.
+
+    Returns:
+        (U, METAL_LEVELS), infinite where no neighbourhood asks.
+    """
+    errors = np.full((len(rows), len(METAL_LEVELS)), np.inf, np.float32)
+    paint = dielectric[around].mean(1).min(1)
+    asking = paint > METAL_ERROR
+    # as the mesh has it first: where metal is far from any tilt's help, six more are not tried
+    for tilts in (TILTS[:1], TILTS[1:]):
+        asked = np.unique(around[asking])
+        if len(asked):
+            tried = _least_errors(problem, light, rows[asked], tilts)
+            errors[asked] = np.minimum(errors[asked], tried)
+        asking &= errors[around].mean(1).min(1) < TILTS_WIN * _allowed(paint, 1.0)
+    return errors
+
+
+def _least_errors(
+    problem: Problem, light: Light, rows: NDArray[np.int64], tilts: tuple[tuple[float, float], ...]
+) -> Floats:
+    """Errors (U, METAL_LEVELS) of samples as metal under the best of some tilts."""
+    transport = problem.scene.transport
+    rays = view_rays(
+        transport.surfels, transport.observations, rows, transport.visibility.directions
+    )
+    reflections, seen = Reflections(problem, light, rows), seen_along(problem, rays, rows)
+    valid = torch.from_numpy(transport.observations.weight[rows] > 0)
+    sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
+    best = torch.full((len(rows), len(METAL_LEVELS)), float("inf"))
+    for tilt in tilts:
+        tilted = reflections.tilted(rays, tilt)
+        for index, level in enumerate(METAL_LEVELS):
+            white = reflections.from_sky(tilted, level) + reflections.from_suns(rays, level, tilt)
+            ratio = dense(seen.linear / white[:, 1].clamp(min=1e-5), rays, shape)
+            base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
+            shown = base.clamp(0, 1)[sample] * white[:, 1]
+            total = torch.zeros(len(rows)).index_add_(0, sample, seen.error(shown))
+            best[:, index] = torch.minimum(best[:, index], total)
+    return (best / valid.sum(1).clamp(min=1)[:, None]).numpy()
+
+
+def _allowed(paint: Floats, share: float) -> Floats:
+    """Error (U,) that metal may leave where paint leaves `paint`, beyond METAL_ERROR."""
+    return paint * (share + METAL_TOLERANCE * (paint - METAL_ERROR))
+
+
 def metal_samples(
-    dielectric: Floats, metal: Floats, points: Floats
+    dielectric: Floats, metal: Floats, around: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Samples whose neighbourhood may be metal, and those where metal explains it better.
 
     Args:
         dielectric: (U, L) mean display error over each sample's views at every roughness.
-        metal: (U, M) the same as metal.
-        points: (U, D) positions, with scaled normals so that neighbours face alike.
+        metal: (U, M) the same as metal, infinite where it is not known.
+        around: (U, N) from `neighbourhoods`.
 
     Returns:
         (U,) bool each, the second within the first.
     """
-    count = min(METAL_NEIGHBOURS, len(points))
-    around = cKDTree(points).query(points, k=count)[1].reshape(len(points), count)
-    best_dielectric = dielectric[around].mean(1).min(1)
-    best_metal = metal[around].mean(1).min(1)
-    excess = best_dielectric - METAL_ERROR
-    allowed = best_dielectric * (1 + METAL_TOLERANCE * excess)
+    paint, best = dielectric[around].mean(1).min(1), metal[around].mean(1).min(1)
     likely, certain = (
-        ((excess > 0) & (best_metal < limit))[around].mean(1) > 0.5
-        for limit in (allowed, best_dielectric)
+        ((paint > METAL_ERROR) & (best < _allowed(paint, share)))[around].mean(1) > 0.5
+        for share in (1.0, CERTAIN)
     )
-    return likely, likely & certain
+    known = np.isfinite(metal[:, 0])
+    return likely & known, likely & certain & known
 
 
 def metal_parts(
@@ -100,7 +187,6 @@ def metal_parts(
     place: tuple[Floats, float],
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
-    levels: tuple[float, ...],
 ) -> MetalParts:
     """Gather metal samples into parts and read what each is made of.
 
@@ -111,8 +197,7 @@ def metal_parts(
         samples: (U,) bool each, from `metal_samples`.
         place: Positions (U, 3), unit frame, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
-        errors: (U, L) mean display error of each sample as metal at every level.
-        levels: The L roughnesses.
+        errors: (U, METAL_LEVELS) mean display error of each sample as metal.
 
     Returns:
         The parts.
@@ -132,7 +217,7 @@ def metal_parts(
         inside = certain & (piece == index)
         if inside.sum() < max(LEAST_PART, LEAST_SHARE * (piece == index).sum()):
             continue
-        level = levels[int(errors[inside].mean(0).argmin())]
+        level = METAL_LEVELS[int(errors[inside].mean(0).argmin())]
         seen = inside[rays.sample]
         white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
         base = np.median((linear / white).numpy()[seen], axis=0)

@@ -34,6 +34,9 @@ HIGHLIGHT_COSINE = 0.87
 """Cosine between normal and half vector, 30 degrees, within which a view is near the mirror."""
 
 
+TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
+"""Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
+
 CHUNK = 1024
 """Rays at a time, whose cosines with all directions then stay in the processor's cache."""
 
@@ -191,6 +194,18 @@ class Reflections:
             near |= facing & (self._sun[sample, index] > 0.1)
         return near.nonzero()[:, 0]
 
+    def tilted(self, rays: ViewRays, tilt: tuple[float, float]) -> ViewRays:
+        """The same rays mirrored by normals that are tilted along two tangents."""
+        normal = self._normals(tilt)[rays.sample].numpy()
+        return as_rays(
+            rays.sample, rays.view, rays.view_dir.numpy(), normal, self._directions.numpy()
+        )
+
+    def _normals(self, tilt: tuple[float, float]) -> Tensor:
+        """Normals (U, 3) tilted along two tangents."""
+        first, second = orthonormal_frame(self._normal)
+        return normalise(self._normal + tilt[0] * first + tilt[1] * second)
+
     def from_suns(
         self, rays: ViewRays, roughness: float, tilt: tuple[float, float] = (0.0, 0.0)
     ) -> Tensor:
@@ -203,9 +218,7 @@ class Reflections:
                 the normal twice over, and the mesh's is a few degrees off.
         """
         sample = torch.from_numpy(rays.sample)
-        normal = self._normal
-        first, second = orthonormal_frame(normal)
-        normal = normalise(normal + tilt[0] * first + tilt[1] * second)[sample]
+        normal = self._normals(tilt)[sample]
         total = torch.zeros(len(sample), 2, 3)
         for index, sharpness in enumerate(self._light.sharpness):
             # About the half vector a sun is half as wide, and widths add as squares: a lobe of
