@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
 from robir.appearance.gloss import estimate_gloss
-from robir.appearance.metal import METAL_LEVELS, metal_parts
+from robir.appearance.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
 from robir.appearance.problem import make_problem
 from robir.appearance.reflections import Reflections, view_rays
 from robir.appearance.statistics import darker_view_weights, sharpest_views
@@ -64,6 +66,41 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     expected = (diffuse.numpy() * darker).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
     assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
+
+
+def test_roughness_of_metal_does_not_grow_with_the_errors_of_its_mesh(ball):
+    problem, light, is_gold, _ = ball
+    transport = problem.scene.transport
+    # dents of 6 degrees, a few samples wide, under pictures of the round ball
+    position = transport.surfels.position
+    dents = 0.105 * np.stack([np.sin(25 * position[:, k]) for k in (1, 2, 0)], axis=1)
+    normal = transport.surfels.normal + dents.astype(np.float32)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    surfels = replace(transport.surfels, normal=normal)
+    scene = replace(problem.scene, transport=replace(transport, surfels=surfels))
+    gloss, _ = estimate_gloss(make_problem(scene, problem.curve), light, 4, 0)
+    gold = problem.radiance.seen.numpy() & is_gold
+    assert (gloss.metallic[gold] > 0.5).mean() > 0.9
+    assert np.median(gloss.roughness[gold]) == pytest.approx(GOLD.roughness, abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("paint", "metal", "likely", "certain"),
+    [
+        (METAL_ERROR - 0.001, 0.01, False, False),
+        (METAL_ERROR + 0.001, METAL_ERROR + 0.0015, True, False),
+        (METAL_ERROR + 0.001, METAL_ERROR + 0.004, False, False),
+        # what no paint leaves speaks for metal, though metal leaves as much
+        (METAL_ERROR + 0.02, METAL_ERROR + 0.02, True, True),
+        (METAL_ERROR + 0.02, np.inf, False, False),
+    ],
+)
+def test_metal_may_leave_the_more_the_more_paint_leaves(paint, metal, likely, certain):
+    around = np.arange(4)[:, None].repeat(4, 1).T
+    found = metal_samples(
+        np.full((4, 7), paint, np.float32), np.full((4, 5), metal, np.float32), around
+    )
+    np.testing.assert_array_equal(found, np.broadcast_to([[likely], [certain]], (2, 4)))
 
 
 @pytest.mark.parametrize(("one_in", "parts"), [(2, 1), (5, 0)])
