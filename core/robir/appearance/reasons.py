@@ -62,8 +62,8 @@ def light_choices(
             choice="metal",
             chosen=f"{metal:.0%} of the surface",
             alternatives=("none",),
-            why="a part is metal where its views differ more than those of paint, metal explains them "
-            f"about as well, and on at least {LEAST_METAL_SHARE:.0%} of it better",
+            why="a part is metal where its views differ more than those of paint and metal "
+            f"explains them about as well, on at least {LEAST_METAL_SHARE:.0%} of it better",
         ),
     )
 
