@@ -139,7 +139,7 @@ def _costs(
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(near_seen.error(_low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
+    plain = summed(near_seen.error(low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
     return Highlights(highlight.numpy(), plain.numpy(), count), (dielectric / views).numpy()
@@ -158,10 +158,10 @@ def diffuse_below(
     """
     rays, valid = seen_by
     diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
-    return _low_mean(diffuse, rays, valid)[rays.sample] * through
+    return low_mean(diffuse, rays, valid)[rays.sample] * through
 
 
-def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
     return (table * darker_view_weights(table, valid)[..., None]).sum(1)

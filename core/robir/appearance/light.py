@@ -145,8 +145,10 @@ class Priors:
         brightest: Albedo that the brightest materials should not exceed.
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
-        neutral: Weight of the light as a whole being grey. Nothing else tells the light's hue from
-            that of all albedos, and bounced light is judged wrongly under a tinted one.
+        level: Log (3,) of the mean irradiance that the lights are known to have. Where None, they
+            are drawn to grey ones under which the mean albedo is that of common scenes.
+        neutral: Weight of that. Surfaces that do not shine tell light from albedo in no other way,
+            and bounced light is judged wrongly under a tinted one.
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
@@ -160,6 +162,7 @@ class Priors:
     brightest: float = 0.9
     bounds: float = 1.0
     hue: float = 0.03
+    level: Tensor | None = None
     neutral: float = 0.3
     lamp: float = 0.3
     smooth: float = 0.01
@@ -219,7 +222,8 @@ def solve_amplitudes(
             tint = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
             loss = loss + priors.lamp * tint.clamp(min=0).sum(1).mean()
         energy = (irradiance - transfer.indirect).mean(0).log()
-        loss = loss + priors.neutral * ((energy - energy.mean()) ** 2).sum()
+        level = energy.mean() if priors.level is None else priors.level
+        loss = loss + priors.neutral * ((energy - level) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:
@@ -245,11 +249,11 @@ def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
 
 
 def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
-    """Penalty for albedos that no common material has; it fixes the overall scale.
+    """Penalty for albedos that no common material has.
 
-    The mean of log albedo is drawn towards that of common scenes, as long as the brightest
-    materials stay physical. Only the lowest of the brightest few per cent counts: above it lie
-    highlights and shadow edges.
+    Where nothing else is known of the overall scale the mean of log albedo is drawn towards that of
+    common scenes, as long as the brightest materials stay physical. Only the lowest of the
+    brightest few per cent counts: above it lie highlights and shadow edges.
 
     Args:
         log_albedo: (U, 3).
@@ -261,6 +265,8 @@ def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
     above = log_albedo.amax(1).topk(len(log_albedo) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
+    if priors.level is not None:
+        return 2 * high
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()
 

@@ -203,7 +203,9 @@ def fit(
     return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
 
 
-def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
+def refit(
+    problem: Problem, light: Light, config: AppearanceConfig, keeps_level: bool = False
+) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
@@ -216,6 +218,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
         config: Sizes.
+        keeps_level: Whether hue and strength of the whole are known, and stay.
 
     Returns:
         The light.
@@ -224,7 +227,9 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     radiance = problem.rows_radiance(rows)
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
     transfer = problem.transfer(sharp, rows)
-    log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
+    irradiance = light.amplitudes.irradiance(transfer)
+    level = (irradiance - transfer.indirect).mean(0).log() if keeps_level else None
+    log_albedo = log_ratio(radiance.linear, irradiance)
     alike = [
         pairs.weighted(
             pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, pairs.common_step(log_albedo))
@@ -235,7 +240,9 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         radiance,
         transfer,
         (problem.scene.pairs, Pairs.joined(alike)),
-        Priors(parsimony=config.parsimony_weight, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT),
+        Priors(
+            level=level, parsimony=config.parsimony_weight, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT
+        ),
         config.iterations // 2,
         start=light.amplitudes,
     )
