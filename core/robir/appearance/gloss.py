@@ -4,8 +4,8 @@
 A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
 reflects with its base colour. Both are predicted for every view at several roughnesses. What is
 metal is judged by the neighbourhood of each sample: its views differ more than any dielectric's
-may. Roughness is judged over many samples, see roughness.py: one of them sees a highlight in a few
-views at most.
+may. Roughness is judged over patches of samples alike in albedo and place, see roughness.py: one of
+them sees a highlight in a few views at most.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.choice import Choice
+from robir.appearance.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.metal import metal_parts, metal_samples
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
@@ -29,10 +30,10 @@ from robir.appearance.reflections import (
     reflected_share,
     view_rays,
 )
-from robir.appearance.roughness import LEVELS, UNKNOWN, Highlights, choose_roughness
+from robir.appearance.roughness import Patches, choose_roughness
+from robir.appearance.seen import Seen, seen_along
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
-from robir.maths.tone_curve import AbstractToneCurve
 
 Floats = NDArray[np.float32]
 
@@ -62,7 +63,7 @@ class Gloss:
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
-        table: One dictionary per material.
+        table: One dictionary per patch of paint and per metal part.
         choices: What was chosen against what, for the report.
     """
 
@@ -117,56 +118,11 @@ def _dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What the photographs show along some rays.
-
-    Attributes:
-        curve: Tone curve.
-        linear: (M, 3) radiance.
-        display: (M, 3) display codes, 0..1.
-        clipped: (M, 3) whether the true value is at least `linear`.
-        gain: (M, 1) exposure of the photograph there.
-    """
-
-    curve: AbstractToneCurve
-    linear: Tensor
-    display: Tensor
-    clipped: Tensor
-    gain: Tensor
-
-    def of(self, chosen: Tensor) -> Seen:
-        """Some of the rays."""
-        parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return Seen(self.curve, *parts)
-
-    def error(self, prediction: Tensor) -> Tensor:
-        """Display error (M,) of a predicted radiance (M, 3)."""
-        shown = (self.curve.display_from_linear(self.gain * prediction) - self.display).abs()
-        shown = shown.masked_fill(self.clipped & (prediction > self.linear), 0)
-        return shown.clamp(max=0.15).mean(1)
-
-
-def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
-    """What the photographs show of some samples."""
-    observations = problem.scene.transport.observations
-    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
-    gain = problem.gains.of(observations.views)[view]
-    off_axis = observations.off_axis[rows][rays.sample, rays.view]
-    return Seen(
-        curve=problem.curve,
-        linear=problem.linear[rows][sample, view],
-        display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
-        clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
-        gain=problem.gains.dimmed(gain, off_axis),
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class _Costs:
     """Display errors of some samples at every level.
 
     Attributes:
-        highlights: Of a dielectric in views near a sun's mirror direction.
+        highlights: Of a dielectric in views near a sun's mirror direction, and in others.
         dielectric: (U, L) mean over all views.
         metal: (U, ROUGHEST_METAL) the same of a metal.
     """
@@ -186,6 +142,9 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
     shape, linear, sample = (valid.shape[0], valid.shape[1]), seen.linear, rays.sample
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
+    others = torch.ones(len(sample), dtype=torch.bool).index_fill_(0, near, value=False)
+    peaks, predicted = (torch.zeros(len(near), len(LEVELS)) for _ in range(2))
+    noise = torch.zeros(int(others.sum()), len(LEVELS))
 
     def summed(values: Tensor, rays: ViewRays) -> Tensor:
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
@@ -201,7 +160,9 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
         lit, even = sky + sun, sky[:, 0]
         base = below(lit[:, 0], through)
-        dielectric[:, index] = summed(seen.error(base + lit[:, 0]), rays)
+        excess = seen.excess(base + lit[:, 0])
+        dielectric[:, index] = summed(seen.counted(excess, base + lit[:, 0]), rays)
+        noise[:, index] = excess[others].mean(1)
         if index < ROUGHEST_METAL:
             ratio = _dense(linear / lit[:, 1].clamp(min=1e-5), rays, shape)
             colour = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
@@ -209,6 +170,8 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
         if level < SHARPEST_SKY:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
+        peaks[:, index] = near_seen.excess(soft).mean(1)
+        predicted[:, index] = peaks[:, index] - near_seen.excess(soft + sun[near, 0]).mean(1)
         for tilt in TILTS:
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
@@ -217,7 +180,16 @@ def _costs(reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor) 
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
     return _Costs(
-        Highlights(highlight.numpy(), plain.numpy(), count),
+        Highlights(
+            error=highlight.numpy(),
+            plain=plain.numpy(),
+            count=count,
+            sample=near_rays.sample,
+            seen=peaks.numpy(),
+            predicted=predicted.numpy(),
+            other=sample[others.numpy()],
+            noise=noise.numpy(),
+        ),
         (dielectric / views).numpy(),
         (metal / views).numpy(),
     )
@@ -246,14 +218,14 @@ def _low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
 
 
 def estimate_gloss(
-    problem: Problem, light: Light, num_materials: int, seed: int, step: int = 1
+    problem: Problem, light: Light, num_patches: int, seed: int, step: int = 1
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
     Args:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        num_materials: Clusters of dielectrics.
+        num_patches: Patches of paint that have a roughness each.
         seed: Of the clustering.
         step: Every so manieth of the samples that take part in the light solve is judged.
 
@@ -277,13 +249,14 @@ def estimate_gloss(
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
-    cluster = clusters(_features(problem, light, seen), num_materials, seed)
-    choice = choose_roughness(
-        costs.highlights.of(~is_metal),
-        cluster[in_solve][~is_metal],
-        surfels.position[rows][~is_metal],
-        num_materials,
+    features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
+    cluster = clusters(features, num_patches, seed)
+    patches = Patches(
+        features=_means(features, cluster),
+        number=cluster[in_solve][~is_metal],
+        position=surfels.position[rows][~is_metal],
     )
+    choice = choose_roughness(costs.highlights.of(~is_metal), patches)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
@@ -332,6 +305,12 @@ def clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
         features.astype(np.float64), count, minit="++", seed=np.random.default_rng(seed)
     )
     return labels.astype(np.int64)
+
+
+def _means(features: Floats, cluster: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Means (K, D) over each cluster; 0 where k-means left one empty."""
+    size = np.bincount(cluster).clip(1)
+    return np.stack([np.bincount(cluster, column) / size for column in features.T], axis=1)
 
 
 def _apply(

@@ -16,11 +16,12 @@ import torch
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, block_numbers, table_of
-from robir.appearance.gloss import SHARPEST_SKY, clusters, diffuse_below, seen_along
+from robir.appearance.gloss import SHARPEST_SKY, clusters, diffuse_below
 from robir.appearance.light import log_ratio
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import Reflections, ViewRays, reflected_share, view_rays
 from robir.appearance.roughness import MIN_HIGHLIGHTS
+from robir.appearance.seen import seen_along
 from robir.appearance.solver import Light
 
 Floats = NDArray[np.floating[Any]]

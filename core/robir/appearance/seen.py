@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the photographs show along rays from the samples, to be compared with predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.problem import Problem
+from robir.appearance.reflections import ViewRays
+from robir.maths.tone_curve import AbstractToneCurve
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the photographs show along some rays.
+
+    Attributes:
+        curve: Tone curve.
+        linear: (M, 3) radiance.
+        display: (M, 3) display codes, 0..1.
+        clipped: (M, 3) whether the true value is at least `linear`.
+        gain: (M, 1) exposure of the photograph there.
+    """
+
+    curve: AbstractToneCurve
+    linear: Tensor
+    display: Tensor
+    clipped: Tensor
+    gain: Tensor
+
+    def of(self, chosen: Tensor) -> Seen:
+        """Some of the rays."""
+        parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
+        return Seen(self.curve, *parts)
+
+    def excess(self, prediction: Tensor) -> Tensor:
+        """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
+        return self.display - self.curve.display_from_linear(self.gain * prediction)
+
+    def error(self, prediction: Tensor) -> Tensor:
+        """Display error (M,) of a predicted radiance (M, 3)."""
+        return self.counted(self.excess(prediction), prediction)
+
+    def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
+        """The same where the excess (M, 3) is known."""
+        shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
+        return shown.clamp(max=0.15).mean(1)
+
+
+def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
+    """What the photographs show of some samples."""
+    observations = problem.scene.transport.observations
+    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
+    gain = problem.gains.of(observations.views)[view]
+    off_axis = observations.off_axis[rows][rays.sample, rays.view]
+    return Seen(
+        curve=problem.curve,
+        linear=problem.linear[rows][sample, view],
+        display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
+        clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
+        gain=problem.gains.dimmed(gain, off_axis),
+    )
