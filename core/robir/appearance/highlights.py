@@ -36,10 +36,12 @@ HALF_BELIEVED = 300
 600 all give about the same."""
 
 STEEPNESS = 12.0
-"""Power of an error ratio that is its likelihood: about a dozen views err each in its own way."""
+"""Power of an error ratio that is its likelihood: as if a dozen views erred each in its own way,
+however many there are, for neighbours err alike. From 6 to 20 all give about the same."""
 
 PEAK_ERROR = 0.25
-"""Deviation of the log of a peak that is seen from the one predicted at the true roughness."""
+"""Deviation of the log of a peak that is seen from the one predicted at the true roughness. From
+0.2 to 0.35 all give about the same."""
 
 UNSEEN_CODES, PEAK_CODES = 0.3, 1.0
 """Errors and heights of peaks, codes, below which ratios mean nothing."""
