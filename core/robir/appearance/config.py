@@ -26,7 +26,7 @@ class AppearanceConfig:
         num_solve_surfels: Surface samples that take part in the light solve.
         iterations: Adam steps of the last light solve; trial solves take a third.
         parsimony_weight: Weight of "few distinct albedos" once the suns stand.
-        num_materials: Clusters of albedo that share one roughness.
+        num_materials: Patches of like albedo and place that share one roughness.
         texture_size: Side of the square textures, texels.
     """
 
@@ -37,7 +37,7 @@ class AppearanceConfig:
     num_solve_surfels: int = 5000
     iterations: int = 240
     parsimony_weight: float = 0.1
-    num_materials: int = 10
+    num_materials: int = 40
     texture_size: int = 512
 
     def __post_init__(self) -> None:

@@ -4,8 +4,8 @@
 A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
 reflects with its base colour. Both are predicted for every view at several roughnesses. What is
 metal is judged by the neighbourhood of each sample: its views differ more than any dielectric's
-may. Roughness is judged over many samples, see roughness.py: one of them sees a highlight in a few
-views at most.
+may. Roughness is judged over patches of samples alike in albedo and place, see roughness.py: one of
+them sees a highlight in a few views at most.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.choice import Choice
+from robir.appearance.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.metal import metal_errors, metal_parts, metal_samples, neighbourhoods
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
@@ -30,7 +31,7 @@ from robir.appearance.reflections import (
     reflected_share,
     view_rays,
 )
-from robir.appearance.roughness import LEVELS, UNKNOWN, Highlights, choose_roughness
+from robir.appearance.roughness import Patches, choose_roughness
 from robir.appearance.seen import Seen, dense, seen_along
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
@@ -57,7 +58,7 @@ class Gloss:
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
-        table: One dictionary per material.
+        table: One dictionary per patch of paint and per metal part.
         choices: What was chosen against what, for the report.
     """
 
@@ -107,15 +108,18 @@ def specular_towards(
 def _costs(
     reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor
 ) -> tuple[Highlights, Floats]:
-    """Errors of a dielectric near highlights, and their mean (U, L) over all views.
+    """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
     sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
     """
-    linear = seen.linear
+    linear, sample = seen.linear, rays.sample
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
+    others = torch.ones(len(sample), dtype=torch.bool).index_fill_(0, near, value=False)
+    peaks, predicted = (torch.zeros(len(near), len(LEVELS)) for _ in range(2))
+    noise = torch.zeros(int(others.sum()), len(LEVELS))
 
     def summed(values: Tensor, rays: ViewRays) -> Tensor:
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
@@ -131,10 +135,14 @@ def _costs(
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
         lit, even = (sky + sun)[:, 0], sky[:, 0]
         base = below(lit, through)
-        dielectric[:, index] = summed(seen.error(base + lit), rays)
+        excess = seen.excess(base + lit)
+        dielectric[:, index] = summed(seen.counted(excess, base + lit), rays)
+        noise[:, index] = excess[others].mean(1)
         if level < SHARPEST_SKY:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
+        peaks[:, index] = near_seen.excess(soft).mean(1)
+        predicted[:, index] = peaks[:, index] - near_seen.excess(soft + sun[near, 0]).mean(1)
         for tilt in TILTS:
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
@@ -142,7 +150,17 @@ def _costs(
     plain = summed(near_seen.error(low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
-    return Highlights(highlight.numpy(), plain.numpy(), count), (dielectric / views).numpy()
+    highlights = Highlights(
+        error=highlight.numpy(),
+        plain=plain.numpy(),
+        count=count,
+        sample=near_rays.sample,
+        seen=peaks.numpy(),
+        predicted=predicted.numpy(),
+        other=sample[others.numpy()],
+        noise=noise.numpy(),
+    )
+    return highlights, (dielectric / views).numpy()
 
 
 def diffuse_below(
@@ -168,14 +186,14 @@ def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
 
 
 def estimate_gloss(
-    problem: Problem, light: Light, num_materials: int, seed: int, step: int = 1
+    problem: Problem, light: Light, num_patches: int, seed: int, step: int = 1
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
     Args:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        num_materials: Clusters of dielectrics.
+        num_patches: Patches of paint that have a roughness each.
         seed: Of the clustering.
         step: Every so manieth of the samples that take part in the light solve is judged.
 
@@ -202,13 +220,14 @@ def estimate_gloss(
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
-    cluster = clusters(_features(problem, light, seen), num_materials, seed)
-    choice = choose_roughness(
-        highlights.of(~is_metal),
-        cluster[in_solve][~is_metal],
-        surfels.position[rows][~is_metal],
-        num_materials,
+    features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
+    cluster = clusters(features, num_patches, seed)
+    patches = Patches(
+        features=_means(features, cluster),
+        number=cluster[in_solve][~is_metal],
+        position=surfels.position[rows][~is_metal],
     )
+    choice = choose_roughness(highlights.of(~is_metal), patches)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
@@ -257,6 +276,12 @@ def clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
         features.astype(np.float64), count, minit="++", seed=np.random.default_rng(seed)
     )
     return labels.astype(np.int64)
+
+
+def _means(features: Floats, cluster: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Means (K, D) over each cluster; 0 where k-means left one empty."""
+    size = np.bincount(cluster).clip(1)
+    return np.stack([np.bincount(cluster, column) / size for column in features.T], axis=1)
 
 
 def _apply(

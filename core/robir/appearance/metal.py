@@ -18,9 +18,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.highlights import LEVELS
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import TILTS, Reflections, ViewRays, view_rays
-from robir.appearance.roughness import LEVELS
 from robir.appearance.seen import dense, seen_along
 from robir.appearance.solver import Light
 

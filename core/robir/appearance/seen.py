@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the photographs show along rays from samples to cameras."""
+"""What the photographs show along rays from the samples, to be compared with predictions."""
 
 from __future__ import annotations
 
@@ -38,10 +38,17 @@ class Seen:
         parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
         return Seen(self.curve, *parts)
 
+    def excess(self, prediction: Tensor) -> Tensor:
+        """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
+        return self.display - self.curve.display_from_linear(self.gain * prediction)
+
     def error(self, prediction: Tensor) -> Tensor:
         """Display error (M,) of a predicted radiance (M, 3)."""
-        shown = (self.curve.display_from_linear(self.gain * prediction) - self.display).abs()
-        shown = shown.masked_fill(self.clipped & (prediction > self.linear), 0)
+        return self.counted(self.excess(prediction), prediction)
+
+    def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
+        """The same where the excess (M, 3) is known."""
+        shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
         return shown.clamp(max=0.15).mean(1)
 
 

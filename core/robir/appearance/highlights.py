@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What highlights say of the roughness of each patch of paint, and what patches say of each other.
+
+Two things are read. How well a roughness predicts the views near a sun's mirror direction is exact
+where the mesh is right. Where it is a few degrees off, a narrow highlight is predicted beside the
+true one and counts twice, as if there were none; but it is as bright there as it would be here. So
+the brightest views of a patch are compared with the brightest predicted, wherever they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Reals = NDArray[np.floating[Any]]
+Rows = NDArray[np.int64]
+
+LEVELS = (0.12, 0.2, 0.3, 0.42, 0.56, 0.72, 0.9)
+"""Roughnesses that are tried."""
+
+BEYOND = 0.66
+"""Share of the highlight at 0.9 that is left at roughness 1: (0.9 / 1)^4."""
+
+NARROW = 4
+"""Levels whose highlight is narrower than 10 degrees: an error of the mesh may put it anywhere."""
+
+FEWEST_VIEWS = 30
+"""Views near a sun's mirror direction that a patch must have for its roughness to be read."""
+
+HALF_BELIEVED = 300
+"""Views at which what they say counts half: neighbouring samples and views err alike. From 100 to
+600 all give about the same."""
+
+STEEPNESS = 12.0
+"""Power of an error ratio that is its likelihood: as if a dozen views erred each in its own way,
+however many there are, for neighbours err alike. From 6 to 20 all give about the same."""
+
+PEAK_ERROR = 0.25
+"""Deviation of the log of a peak that is seen from the one predicted at the true roughness. From
+0.2 to 0.35 all give about the same."""
+
+UNSEEN_CODES, PEAK_CODES = 0.3, 1.0
+"""Errors and heights of peaks, codes, below which ratios mean nothing."""
+
+TOP_SHARE = 0.03
+"""Brightest views of a patch, as a share: all but one in thirty are beside a narrow highlight."""
+
+UNKNOWN = 0.5
+"""Roughness given to what the views say nothing about."""
+
+READING_ERROR = 0.05
+"""Error of the best of readings: the true 0.75 of many grounds is read as 0.68 to 0.74."""
+
+SPREAD = 0.3
+"""How far paints differ in roughness, within one scene and from scene to scene: all between
+polished and matte is common."""
+
+ALIKE = 1.0
+"""Distance of patches, in log albedo and place in the unit frame, over which they tell of each
+other. From 0.6 to 1.2 all give the same."""
+
+GRID = np.linspace(0.1, 1.0, 46)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Highlights:
+    """Samples in the views near a sun's mirror direction, N of them, and in the M others.
+
+    Attributes:
+        error: (U, L) display error, summed over the near views, at every level.
+        plain: (U,) the same without any highlight.
+        count: (U,) number of near views.
+        sample: (N,) sample of each near view.
+        seen: (N, L) what it shows beyond the light that is no sun's highlight, display, 0..1; that
+            light depends on the level.
+        predicted: (N, L) the sun's highlight in it.
+        other: (M,) sample of each other view.
+        noise: (M, L) what these show beyond what is predicted.
+    """
+
+    error: Floats
+    plain: Floats
+    count: Floats
+    sample: Rows
+    seen: Floats
+    predicted: Floats
+    other: Rows
+    noise: Floats
+
+    def of(self, chosen: NDArray[np.bool_]) -> Highlights:
+        """Some of the samples, numbered anew."""
+        number = np.cumsum(chosen) - 1
+        near, far = chosen[self.sample], chosen[self.other]
+        return Highlights(
+            error=self.error[chosen],
+            plain=self.plain[chosen],
+            count=self.count[chosen],
+            sample=number[self.sample[near]],
+            seen=self.seen[near],
+            predicted=self.predicted[near],
+            other=number[self.other[far]],
+            noise=self.noise[far],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Roughness of those of the patches whose highlights say something.
+
+    Attributes:
+        patch: (R,) their numbers.
+        roughness: (R,).
+        variance: (R,) of the error of each.
+    """
+
+    patch: Rows
+    roughness: Reals
+    variance: Reals
+
+    def weighted_mean(self) -> float:
+        """The one roughness that fits all readings best; UNKNOWN where there is none."""
+        weight = 1 / self.variance
+        return float(weight @ self.roughness / weight.sum()) if len(weight) else UNKNOWN
+
+
+def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
+    """Roughness of every patch by its own highlights alone.
+
+    Args:
+        highlights: Of U samples.
+        patch: (U,) of each, below `num_patches`.
+        num_patches: K.
+
+    Returns:
+        What is left of each once the roughness that is likely anyhow is taken out, so that patches
+        that say little weigh little.
+    """
+    count = np.bincount(patch, highlights.count, num_patches)
+    known = np.flatnonzero(count >= FEWEST_VIEWS)
+    fit = -STEEPNESS * np.log(_costs(highlights, patch, known, count) + UNSEEN_CODES)
+    peaks = -0.5 * (_peak_ratios(highlights, patch, known) / PEAK_ERROR) ** 2
+    levels = [*LEVELS, 1.0]
+    believed = count[known] / (count[known] + HALF_BELIEVED)
+    log = np.array([np.interp(GRID, levels, row) for row in fit + peaks]).reshape(-1, len(GRID))
+    log *= believed[:, None]
+    likely = np.exp(log - log.max(1, keepdims=True))
+    likely /= likely.sum(1, keepdims=True)
+    mean = likely @ GRID
+    variance = (likely * (GRID - mean[:, None]) ** 2).sum(1)
+    anyhow = float(GRID.var())
+    precision = 1 / variance - 1 / anyhow
+    says = precision > 0.5
+    mean, variance, precision = mean[says], variance[says], precision[says]
+    own = (mean / variance - GRID.mean() / anyhow) / precision
+    return Readings(known[says], own.clip(GRID[0], GRID[-1]), 1 / precision + READING_ERROR**2)
+
+
+def _costs(highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any]) -> Reals:
+    """Codes (R, L + 1) that a near view differs by at every level and at roughness 1.
+
+    A narrow highlight in the wrong place is worse than none. That speaks against the place, so it
+    costs no more than none would.
+    """
+    columns = [*highlights.error.T, highlights.plain]
+    sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
+    *errors, plain = 255 * sums / count[known]
+    levels = [np.minimum(each, plain) if i < NARROW else each for i, each in enumerate(errors)]
+    last = levels[-1] + (1 - BEYOND) * np.maximum(plain - levels[-1], 0)
+    return np.array([*levels, last]).T
+
+
+def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:
+    """Log (R, L + 1) of the brightest near views over the brightest that are predicted.
+
+    Errors of mesh and albedo brighten some views as well; the other views tell by how much.
+    """
+    near, far = patch[highlights.sample], patch[highlights.other]
+    result = np.zeros((len(known), len(LEVELS) + 1))
+    for row, index in enumerate(known):
+        seen = _brightest(highlights.seen[near == index])
+        predicted = _brightest(highlights.predicted[near == index])
+        noise = _brightest(highlights.noise[far == index])
+        shown = np.append(predicted, BEYOND * predicted[-1])
+        expected = np.hypot(shown, np.append(noise, noise[-1]))
+        height = np.append(seen, seen[-1]).clip(0)
+        result[row] = np.log((height + PEAK_CODES) / (expected + PEAK_CODES))
+    return result
+
+
+def _brightest(values: Floats) -> Reals:
+    """Mean codes (L,) of the brightest TOP_SHARE of views (N, L); 0 where there are none."""
+    if not len(values):
+        return np.zeros(values.shape[1])
+    top = max(2, int(np.ceil(TOP_SHARE * len(values))))
+    return 255 * np.partition(values, max(0, len(values) - top), axis=0)[-top:].mean(0)
+
+
+def pooled(readings: Readings, features: Reals) -> Reals:
+    """Roughness (K,) of all patches, each from its own reading and those of patches like it.
+
+    Kriging: patches alike in albedo and place are expected to be alike in roughness. What has no
+    reading goes by what is like it, and where nothing is by the mean of the scene.
+
+    Args:
+        readings: Of some of the patches.
+        features: (K, D) log albedo and place of all.
+    """
+    apart = ((features[:, None] - features[None]) ** 2).sum(2)
+    prior = SPREAD**2 * (np.exp(-0.5 * apart / ALIKE**2) + 1)
+    rows = readings.patch
+    seen = prior[np.ix_(rows, rows)] + np.diag(readings.variance)
+    weight = np.linalg.solve(seen, readings.roughness - UNKNOWN)
+    return (UNKNOWN + prior[:, rows] @ weight).clip(GRID[0], GRID[-1])

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roughness read from highlights in their place or beside it, and pooled over like patches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robir.appearance.highlights import (
+    FEWEST_VIEWS,
+    LEVELS,
+    READING_ERROR,
+    UNKNOWN,
+    Highlights,
+    Readings,
+    pooled,
+    read,
+)
+
+HEIGHT = np.array([0.55, 0.5, 0.45, 0.36, 0.2, 0.1, 0.04])
+"""Brightest view under a highlight of each level, display."""
+
+
+def patch_of(errors, plain, brightest, noise=0.0, count=40, views=50):
+    """One patch of alike samples.
+
+    Args:
+        errors: (L,) display error a view.
+        plain: The same without any highlight.
+        brightest: What the brightest view shows, display.
+        noise: What the brightest of the other views shows.
+        count: Samples.
+        views: Near views of each.
+    """
+    sample = np.repeat(np.arange(count), views)
+    # one view in ten is at the middle of a highlight
+    at = (np.arange(len(sample)) % 10 == 0).astype(float)
+    seen = np.repeat((brightest * at)[:, None], len(LEVELS), axis=1)
+    total = views * np.ones((count, 1))
+    return Highlights(
+        error=(total * errors).astype(np.float32),
+        plain=(total[:, 0] * plain).astype(np.float32),
+        count=np.full(count, views, np.float32),
+        sample=sample,
+        seen=seen.astype(np.float32),
+        predicted=(HEIGHT * at[:, None]).astype(np.float32),
+        other=sample,
+        noise=np.repeat((noise * at)[:, None], len(LEVELS), axis=1).astype(np.float32),
+    )
+
+
+def roughness_of(highlights):
+    readings = read(highlights, np.zeros(len(highlights.count), np.int64), 1)
+    np.testing.assert_array_equal(readings.patch, [0])
+    return readings.roughness[0], np.sqrt(readings.variance[0])
+
+
+IN_PLACE = 0.01 + 0.05 * np.abs(np.log(np.array(LEVELS) / 0.56))
+
+
+def test_a_highlight_in_its_place_is_read_where_it_fits():
+    found, error = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))
+    assert found == pytest.approx(0.56, abs=0.03)
+    assert READING_ERROR < error < 0.12
+
+
+BESIDE = np.array([0.043, 0.05, 0.065, 0.075, 0.07, 0.045, 0.035])
+"""Errors of a polished part whose highlights are predicted beside the true ones."""
+
+
+def test_a_bright_highlight_beside_its_place_is_no_rough_one():
+    found, error = roughness_of(patch_of(BESIDE, 0.035, 0.45))
+    assert found < 0.42
+    # it is less sure than one in its place
+    assert error > 2 * roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
+    # the same errors where nothing bright is seen at all
+    assert roughness_of(patch_of(BESIDE, 0.035, 0.02))[0] > 0.8
+
+
+def test_views_away_from_highlights_tell_what_is_no_highlight():
+    fit = np.full(len(LEVELS), 0.03)
+    clear, _ = roughness_of(patch_of(fit, 0.03, 0.1))
+    hidden, _ = roughness_of(patch_of(fit, 0.03, 0.1, noise=0.1))
+    assert clear == pytest.approx(0.72, abs=0.05)
+    assert hidden > clear + 0.08
+
+
+def test_few_views_say_little_and_fewer_nothing():
+    many = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
+    few = roughness_of(patch_of(IN_PLACE, 0.03, 0.2, count=1))[1]
+    assert few > 1.5 * many
+    fewer = patch_of(IN_PLACE, 0.03, 0.2, count=1, views=FEWEST_VIEWS - 1)
+    assert not len(read(fewer, np.zeros(1, np.int64), 1).patch)
+
+
+def test_patches_are_read_apart():
+    both = [patch_of(IN_PLACE, 0.03, 0.2), patch_of(BESIDE, 0.035, 0.45)]
+    alone = [roughness_of(one)[0] for one in both]
+    names = ("error", "plain", "count", "seen", "predicted", "noise")
+    joined = {name: np.concatenate([getattr(one, name) for one in both]) for name in names}
+    numbers = {
+        name: np.concatenate([getattr(both[0], name), 40 + getattr(both[1], name)])
+        for name in ("sample", "other")
+    }
+    whole = Highlights(**joined, **numbers)
+    patch = np.repeat([2, 0], 40)
+    readings = read(whole, patch, 3)
+    np.testing.assert_array_equal(readings.patch, [0, 2])
+    np.testing.assert_allclose(readings.roughness, alone[::-1])
+    # some of the samples keep their own views
+    np.testing.assert_allclose(
+        read(whole.of(patch == 0), patch[patch == 0], 1).roughness, alone[1:]
+    )
+
+
+def test_what_is_not_read_goes_by_what_is_like_it():
+    features = np.array([[0.0, 0.0], [6.0, 0.0], [0.2, 0.1], [6.0, 0.3], [0.0, 9.0]])
+    readings = Readings(np.array([0, 1]), np.array([0.3, 0.8]), np.full(2, READING_ERROR**2))
+    found = pooled(readings, features)
+    np.testing.assert_allclose(found[:4], [0.3, 0.8, 0.3, 0.8], atol=0.03)
+    assert found[4] == pytest.approx(0.54, abs=0.03)
+    nothing = Readings(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    np.testing.assert_array_equal(pooled(nothing, features), UNKNOWN)
+    assert nothing.weighted_mean() == UNKNOWN
+
+
+def test_an_unsure_reading_gives_way_to_sure_ones_beside_it():
+    features = np.array([[0.0], [0.1], [0.1]])
+    readings = Readings(np.arange(3), np.array([0.4, 0.4, 0.9]), np.array([0.05, 0.05, 0.3]) ** 2)
+    assert pooled(readings, features)[2] < 0.45
+    assert readings.weighted_mean() == pytest.approx(0.4, abs=0.02)
