@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.appearance.evening import evened, with_normals
+from robir.appearance.evening import ALIKE, evened, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.light import Amplitudes, soft_transfer
 from robir.appearance.problem import make_problem, make_scene
@@ -162,8 +162,11 @@ def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left)
     assert left < share_left if doubt > 0.5 else left > share_left
 
 
-def test_texels_of_a_lit_floor_have_their_paint():
-    """Sun and sky on open ground, photographed: albedo is pi R / E, unseen texels borrow it."""
+def lit_floor(paints, is_second):
+    """Sun and sky on open ground, photographed: problem, light, texels, views, matte gloss, tracer.
+
+    The second of the paints (2, 3) lies where `is_second` of the positions (N, 3) holds.
+    """
     mesh = mesh_of(patch((-0.7, -0.7, 0), (1.4, 0, 0), (0, 1.4, 0), 4))
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     surfels = sample_surfels(mesh, 500, np.random.default_rng(0))
@@ -176,7 +179,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     curve = curve_from_name("agx")
 
     def shade(points, face, view_dir):
-        paint = PAINTS[(points[:, 1] > 0).astype(int)]
+        paint = paints[is_second(points).astype(int)]
         return curve.display_from_linear(torch.from_numpy(paint * irradiance / np.pi)).numpy()
 
     cameras = [looking_at(place, size=96) for place in ((0, 0.4, 3), (1.6, 0, 2.2), (-1, -1, 2.5))]
@@ -201,7 +204,14 @@ def test_texels_of_a_lit_floor_have_their_paint():
         choices=(),
     )
     texels = Texels(position=position, normal=normal)
-    values = texel_albedo(make_problem(scene, curve), light, texels, views, matte, tracer)
+    return make_problem(scene, curve), light, texels, views, matte, tracer
+
+
+def test_texels_of_a_lit_floor_have_their_paint():
+    """Albedo is pi R / E, unseen texels borrow it."""
+    problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
+    y = texels.position[:, 1]
+    values = texel_albedo(problem, light, texels, views, matte, tracer)
     paint = PAINTS[(y > 0).astype(int)]
     inner = np.abs(y) > 0.05
     error = np.abs(values.albedo / paint - 1)
@@ -215,10 +225,25 @@ def test_texels_of_a_lit_floor_have_their_paint():
     assert np.all(values.uncertainty[unseen] > np.median(seen_error))
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.
-    floor = 0.1 * make_problem(scene, curve).radiance.linear.numpy()
-    glossy = replace(matte, floor=floor)
-    again = texel_albedo(make_problem(scene, curve), light, texels, views, glossy, tracer)
+    glossy = replace(matte, floor=0.1 * problem.radiance.linear.numpy())
+    again = texel_albedo(problem, light, texels, views, glossy, tracer)
     assert np.abs(again.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
     np.testing.assert_allclose(
         again.disagreement[inner & ~unseen], values.disagreement[inner & ~unseen], atol=1e-6
     )
+
+
+def test_a_dark_polished_part_stays_darker_than_its_light_without_any_reflection():
+    """Most of its light is taken for reflected, its paint is hardly known, all about is bright."""
+
+    def in_disc(points, radius=0.2):
+        return np.hypot(points[:, 0], points[:, 1]) < radius
+
+    paints = np.float32([[0.6, 0.5, 0.4], [0.24, 0.2, 0.16]])
+    problem, light, texels, views, matte, tracer = lit_floor(paints, in_disc)
+    dark = in_disc(problem.scene.transport.surfels.position, 0.25)[:, None]
+    floor = np.where(dark, 0.75, 0.0).astype(np.float32) * problem.radiance.linear.numpy()
+    values = texel_albedo(problem, light, texels, views, replace(matte, floor=floor), tracer)
+    inner = in_disc(texels.position, 0.15)
+    slack = np.exp(np.hypot(ALIKE, values.disagreement[inner]))[:, None]
+    assert np.all(values.albedo[inner] < 1.02 * slack * paints[1])

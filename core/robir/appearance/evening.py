@@ -37,6 +37,23 @@ def with_normals(position: Floats, normal: Floats) -> Floats:
     return np.concatenate([position, NORMAL_SCALE * normal], axis=1)
 
 
+def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats) -> Floats:
+    """Albedo (N, 3) that no surroundings may lift a texel above.
+
+    Were none of its light reflected, all of it would be the paint's; a dark polished part is not
+    known well, but known to be darker than the bright stone about it. To that comes what mesh and
+    light may be wrong by: without ALIKE, what a wrong normal darkens stays dark, and the albedo of
+    `still_life` loses .3 dB.
+
+    Args:
+        albedo: (N, 3) of the light that is not reflected.
+        reflected: (N, 3) radiance over that of the paint alone, about 1 or more.
+        disagreement: (N,) one standard deviation of log albedo by views, shadow edges, dim light.
+    """
+    slack = np.exp(np.hypot(disagreement, ALIKE))[:, None]
+    return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
+
+
 def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.evening import evened, with_normals
+from robir.appearance.evening import evened, most_albedo, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.sharpen import sharpened
@@ -204,7 +204,8 @@ def texel_albedo(
     disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)
     unknown = np.hypot(disagreement, reflected).clip(0.0, 1.0)
     points = with_normals(texels.position, texels.normal)
-    smooth = evened(albedo, unknown, points).clip(MIN_ALBEDO, MAX_ALBEDO)
+    most = most_albedo(albedo, total * kept / below, disagreement)
+    smooth = np.minimum(evened(albedo, unknown, points), most).clip(MIN_ALBEDO, MAX_ALBEDO)
     distance = distance_to_seen(texels.position, coverage > 0)
     changed = np.abs(np.log(smooth / albedo)).mean(1)
     return TexelAlbedo(
