@@ -50,7 +50,7 @@ def test_highlights_tell_hue_and_strength(ball, wrong):
     wanted = -np.log(wrong)
     hue = wanted - wanted.mean()
     np.testing.assert_allclose(moved - moved.mean(), HUE_TRUST * hue, atol=0.03)
-    assert moved.mean() == pytest.approx(STRENGTH_TRUST * wanted.mean(), abs=0.05)
+    assert moved.mean() == pytest.approx(STRENGTH_TRUST * wanted.mean(), abs=0.07)
     # the sky with the sun
     ratio = (found.amplitudes.soft / tinted.amplitudes.soft).numpy()
     np.testing.assert_allclose(np.log(ratio), np.broadcast_to(moved, ratio.shape), atol=1e-5)
