@@ -10,28 +10,18 @@ on the mesh; their sum does so less, and their hue not at all.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from robir.appearance.gloss import Gloss, low_mean
-from robir.appearance.light import Amplitudes
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import Reflections, view_rays
 from robir.appearance.seen import seen_along
 from robir.appearance.solver import Light
 
 Floats = NDArray[np.float32]
-
-HUE_TRUST = 0.8
-"""Share of the way from the present hue to that of the highlights. On six rendered scenes under two
-lights each these were .04 off in log units (root of the mean square), a grey light .09."""
-
-STRENGTH_TRUST = 0.5
-"""The same of the strength: .21 off by the highlights, .19 by the mean albedo of common scenes, and
-the middle of both .13."""
 
 CLEAR = 0.2
 """Highlight against what is below it from which its hue is read: below, errors of the normals and
@@ -44,38 +34,31 @@ STEP = 2
 """Every so manieth of the samples that take part in the light solve is looked at."""
 
 
-def level_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Light:
-    """The light, all of it brighter and of another hue, as far as highlights say so.
+def level_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | None:
+    """Mean irradiance that sky and suns have where highlights are the only witness.
 
     Args:
         problem: Scene under a tone curve, highlights included.
-        light: Its light.
+        light: Its light, whose distribution over directions is taken for right.
         gloss: Specular material under it.
 
     Returns:
-        The light; the same where too few highlights are seen.
+        Log (3,) of the mean over the samples that take part; None where too few highlights show.
     """
-    factor = np.exp(_log_factor(problem, light, gloss))
-    scale = torch.from_numpy(factor.astype(np.float32))
-    brighter = Amplitudes(soft=light.amplitudes.soft * scale, sharp=light.amplitudes.sharp * scale)
-    return replace(light, amplitudes=brighter)
-
-
-def _log_factor(problem: Problem, light: Light, gloss: Gloss) -> NDArray[np.float64]:
-    """Log (3,) of what each channel of the light is to be multiplied by."""
-    nothing = np.zeros(3)
     if not gloss.has_highlights or not len(light.axes):
-        return nothing
+        return None
     shown, predicted, below = _highlights(problem, light, gloss)
     if min(shown.sum(), predicted.sum()) <= 0:
-        return nothing
+        return None
     clear = (shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1)
     if clear.sum() < LEAST_CLEAR:
-        return nothing
+        return None
     # sums, not medians: the brightest hold least of what the surface itself scatters
     hue = np.log(shown[clear].sum(0) / predicted[clear].sum(0))
     strength = np.log(shown.sum() / predicted.sum())
-    return HUE_TRUST * (hue - hue.mean()) + STRENGTH_TRUST * strength
+    factor = torch.from_numpy(hue - hue.mean() + strength).float()
+    rows = problem.scene.rows
+    return (light.irradiance(problem, rows) - problem.indirect[rows]).mean(0).log() + factor
 
 
 def _highlights(problem: Problem, light: Light, gloss: Gloss) -> tuple[Floats, Floats, Floats]:

@@ -204,7 +204,7 @@ def fit(
 
 
 def refit(
-    problem: Problem, light: Light, config: AppearanceConfig, keeps_level: bool = False
+    problem: Problem, light: Light, config: AppearanceConfig, level: Tensor | None = None
 ) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
@@ -218,7 +218,7 @@ def refit(
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
         config: Sizes.
-        keeps_level: Whether hue and strength of the whole are known, and stay.
+        level: Log (3,) of the mean irradiance from sky and suns, as far as highlights tell.
 
     Returns:
         The light.
@@ -227,9 +227,7 @@ def refit(
     radiance = problem.rows_radiance(rows)
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
     transfer = problem.transfer(sharp, rows)
-    irradiance = light.amplitudes.irradiance(transfer)
-    level = (irradiance - transfer.indirect).mean(0).log() if keeps_level else None
-    log_albedo = log_ratio(radiance.linear, irradiance)
+    log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     alike = [
         pairs.weighted(
             pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, pairs.common_step(log_albedo))
