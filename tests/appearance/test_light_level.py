@@ -73,7 +73,7 @@ def test_the_light_follows_what_is_told(ball):
     config = AppearanceConfig(iterations=160, parsimony_weight=0.0)
     alone = level_of(problem, refit(problem, light, config))
     told = alone.mean() + np.float32([0.5, 0.3, 0.1])
-    found = level_of(problem, refit(problem, light, config, torch.from_numpy(told)))
+    found = level_of(problem, refit(problem, replace(light, told=torch.from_numpy(told)), config))
     hue, told_hue = found - found.mean(), told - told.mean()
     np.testing.assert_allclose(alone - alone.mean(), 0, atol=0.03)
     np.testing.assert_allclose(hue, HUE_TRUST * told_hue, atol=0.03)

@@ -18,6 +18,8 @@ from robir.appearance.tone_choice import (
     ToneChoice,
 )
 
+GREY, BY_HIGHLIGHTS = "grey as a whole", "as of the highlights"
+
 
 def light_choices(
     tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
@@ -57,6 +59,13 @@ def light_choices(
             why="the first must cast a shadow that the photographs show or explain the shading, a "
             "further one both; differences between neighbouring albedos without, with one, ...: "
             + ", ".join(f"{loss:.3f}" for loss in light.history),
+        ),
+        Choice(
+            choice="hue of the light",
+            chosen=GREY if light.told is None else BY_HIGHLIGHTS,
+            alternatives=(BY_HIGHLIGHTS if light.told is None else GREY,),
+            why="highlights on paint have the colour of the light; where too few show, nothing "
+            "tells it from the colour of all albedos",
         ),
         Choice(
             choice="metal",

@@ -74,6 +74,7 @@ class Light:
         amplitudes: Strengths of soft and sharp lobes.
         loss: Mean absolute difference of log albedo between neighbours.
         history: Neighbour loss with 0, 1, ... sharp lobes, for the report.
+        told: Log (3,) of the mean irradiance from sky and suns as highlights have it, if they do.
     """
 
     axes: Floats
@@ -81,6 +82,7 @@ class Light:
     amplitudes: Amplitudes
     loss: float
     history: tuple[float, ...]
+    told: Tensor | None = None
 
     def irradiance(self, problem: Problem, rows: NDArray[np.int64]) -> Tensor:
         """What some samples receive, (len(rows), 3), from suns, sky and other surfaces."""
@@ -203,9 +205,7 @@ def fit(
     return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
 
 
-def refit(
-    problem: Problem, light: Light, config: AppearanceConfig, level: Tensor | None = None
-) -> Light:
+def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
@@ -218,7 +218,6 @@ def refit(
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
         config: Sizes.
-        level: Log (3,) of the mean irradiance from sky and suns, as far as highlights tell.
 
     Returns:
         The light.
@@ -239,7 +238,10 @@ def refit(
         transfer,
         (problem.scene.pairs, Pairs.joined(alike)),
         Priors(
-            level=level, parsimony=config.parsimony_weight, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT
+            level=light.told,
+            parsimony=config.parsimony_weight,
+            smooth=EVEN_SKY,
+            shadow=SHADOW_WEIGHT,
         ),
         config.iterations // 2,
         start=light.amplitudes,

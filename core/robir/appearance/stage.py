@@ -131,8 +131,8 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     # only to be judged anew under the next light: half of the samples will do
     gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed, step=2)
     problem = sized.problem.without_highlights(diffuse)
-    level = level_by_highlights(sized.problem, light, gloss)
-    final = refit(problem, light, config, level)
+    told = replace(light, told=level_by_highlights(sized.problem, light, gloss))
+    final = refit(problem, told, config)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
     return sized.problem.without_highlights(diffuse), final, gloss
 
