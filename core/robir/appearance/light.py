@@ -149,13 +149,10 @@ class Priors:
         brightest: Albedo that the brightest materials should not exceed.
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
-        level: Log (3,) of the mean irradiance from the lights as highlights have it, if they do.
-        neutral: Weight of the light as a whole having that hue, or being grey. Surfaces that do not
-            shine tell the light's hue from that of all albedos in no other way, and bounced light
-            is judged wrongly under a tinted one.
-        strength: Weight of that strength. It is half of what the mean albedo of common scenes has:
-            on six rendered scenes under two lights each highlights were .21 off in log units (root
-            of the mean square), that mean .19, and what lies between the two .13.
+        told: Log hue (3,) of the mean irradiance from the lights by highlights, if they tell any.
+        neutral: Weight of the light as a whole having HUE_TRUST of that, or being grey. Surfaces
+            that do not shine tell the light's hue from that of all albedos in no other way, and
+            bounced light is judged wrongly under a tinted one.
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
@@ -169,9 +166,8 @@ class Priors:
     brightest: float = 0.9
     bounds: float = 1.0
     hue: float = 0.03
-    level: Tensor | None = None
+    told: Tensor | None = None
     neutral: float = 0.3
-    strength: float = 0.1
     lamp: float = 0.3
     smooth: float = 0.01
     spread: float = 0.1
@@ -230,11 +226,10 @@ def solve_amplitudes(
             tint = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
             loss = loss + priors.lamp * tint.clamp(min=0).sum(1).mean()
         energy = (irradiance - transfer.indirect).mean(0).log()
-        hue = energy - energy.mean()
-        if priors.level is not None:
-            hue = hue - HUE_TRUST * (priors.level - priors.level.mean())
-            loss = loss + priors.strength * (energy.mean() - priors.level.mean()) ** 2
-        loss = loss + priors.neutral * (hue**2).sum()
+        tinted = energy - energy.mean()
+        if priors.told is not None:
+            tinted = tinted - HUE_TRUST * priors.told
+        loss = loss + priors.neutral * (tinted**2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
+    HUE_TRUST,
     Amplitudes,
     Priors,
     log_ratio,
@@ -74,7 +75,7 @@ class Light:
         amplitudes: Strengths of soft and sharp lobes.
         loss: Mean absolute difference of log albedo between neighbours.
         history: Neighbour loss with 0, 1, ... sharp lobes, for the report.
-        told: Log (3,) of the mean irradiance from sky and suns as highlights have it, if they do.
+        told: Log hue (3,) of what sky and suns send, by highlights, if they tell any.
     """
 
     axes: Floats
@@ -88,6 +89,12 @@ class Light:
         """What some samples receive, (len(rows), 3), from suns, sky and other surfaces."""
         sharp = problem.scene.sharp_transfer(self.axes, self.sharpness, rows)
         return self.amplitudes.irradiance(problem.transfer(sharp, rows))
+
+    def tinted(self, log_hue: Tensor) -> Light:
+        """Every lobe exp(log_hue) (3,) as bright."""
+        strengths, factor = self.amplitudes, log_hue.exp()
+        tinted = Amplitudes(soft=strengths.soft * factor, sharp=strengths.sharp * factor)
+        return replace(self, amplitudes=tinted)
 
 
 def no_suns() -> tuple[Floats, Floats]:
@@ -226,6 +233,9 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     radiance = problem.rows_radiance(rows)
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
     transfer = problem.transfer(sharp, rows)
+    if light.told is not None:
+        sent = (light.amplitudes.irradiance(transfer) - transfer.indirect).mean(0).log()
+        light = light.tinted(HUE_TRUST * light.told - sent + sent.mean())
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     alike = [
         pairs.weighted(
@@ -238,7 +248,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         transfer,
         (problem.scene.pairs, Pairs.joined(alike)),
         Priors(
-            level=light.told,
+            told=light.told,
             parsimony=config.parsimony_weight,
             smooth=EVEN_SKY,
             shadow=SHADOW_WEIGHT,

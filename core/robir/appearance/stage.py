@@ -15,7 +15,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.exposure import Gains, find_exposures
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
-from robir.appearance.light_level import level_by_highlights
+from robir.appearance.light_hue import hue_by_highlights
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.reasons import camera_choices, light_choices
@@ -35,7 +35,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 30
+REVISION = 31
 
 TEXTURE_VIEWS = 48
 
@@ -131,7 +131,7 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     # only to be judged anew under the next light: half of the samples will do
     gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed, step=2)
     problem = sized.problem.without_highlights(diffuse)
-    told = replace(light, told=level_by_highlights(sized.problem, light, gloss))
+    told = replace(light, told=hue_by_highlights(sized.problem, light, gloss))
     final = refit(problem, told, config)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
     return sized.problem.without_highlights(diffuse), final, gloss

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hue and strength of the light as a whole, by the highlights of paint.
+"""Hue of the light as a whole, by the highlights of paint.
 
 Photographs of diffuse surfaces know light and albedo by their product alone: blue light on white
 paint is white light on blue paint. A highlight on paint has the colour of the light, whatever the
-paint (the dichromatic model: Shafer 1985, "Using color to separate reflection components"), and F0
-says how much of the light it holds. How strongly a few pixels shine also depends on roughness and
-on the mesh; their sum does so less, and their hue not at all.
+paint (the dichromatic model: Shafer 1985, "Using color to separate reflection components").
+
+How strongly highlights shine would tell the strength of the light too, for F0 is known. But it also
+tells their roughness, and what is left is worth less than the mean albedo of common scenes.
 """
 
 from __future__ import annotations
@@ -34,31 +35,30 @@ STEP = 2
 """Every so manieth of the samples that take part in the light solve is looked at."""
 
 
-def level_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | None:
-    """Mean irradiance that sky and suns have where highlights are the only witness.
+def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | None:
+    """Hue of what sky and suns send together where highlights are the only witness.
 
     Args:
         problem: Scene under a tone curve, highlights included.
-        light: Its light, whose distribution over directions is taken for right.
+        light: Its light, of which all but the hue as a whole is taken for right.
         gloss: Specular material under it.
 
     Returns:
-        Log (3,) of the mean over the samples that take part; None where too few highlights show.
+        Log (3,) of the mean irradiance of the samples that take part, less its mean over the
+        channels; None where too few highlights show.
     """
     if not gloss.has_highlights or not len(light.axes):
         return None
     shown, predicted, below = _highlights(problem, light, gloss)
-    if min(shown.sum(), predicted.sum()) <= 0:
-        return None
     clear = (shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1)
     if clear.sum() < LEAST_CLEAR:
         return None
     # sums, not medians: the brightest hold least of what the surface itself scatters
-    hue = np.log(shown[clear].sum(0) / predicted[clear].sum(0))
-    strength = np.log(shown.sum() / predicted.sum())
-    factor = torch.from_numpy(hue - hue.mean() + strength).float()
+    off = np.log(shown[clear].sum(0).clip(1e-9) / predicted[clear].sum(0))
     rows = problem.scene.rows
-    return (light.irradiance(problem, rows) - problem.indirect[rows]).mean(0).log() + factor
+    sent = (light.irradiance(problem, rows) - problem.indirect[rows]).mean(0).log()
+    hue = sent + torch.from_numpy(off).float()
+    return hue - hue.mean()
 
 
 def _highlights(problem: Problem, light: Light, gloss: Gloss) -> tuple[Floats, Floats, Floats]:

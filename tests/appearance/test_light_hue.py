@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ball of two paints, whose light is known but for its hue."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.gloss import estimate_gloss
+from robir.appearance.light import HUE_TRUST
+from robir.appearance.light_hue import hue_by_highlights
+from robir.appearance.problem import make_problem
+from robir.appearance.solver import refit
+from robir.maths.tone import curve_from_name
+
+RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)
+BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 0.45)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """The problem and its light."""
+    light, curve = synthetic.sun_and_uneven_sky(), curve_from_name("filmic")
+    halves = [(lambda at: at[:, 1] > 0, RED), (lambda at: at[:, 1] <= 0, BLUE)]
+    return make_problem(synthetic.ball(halves, light, curve)[0], curve), light
+
+
+def hue_of(problem, light):
+    """Log hue (3,) of the mean irradiance from sky and suns."""
+    rows = problem.scene.rows
+    sent = (light.irradiance(problem, rows) - problem.indirect[rows]).mean(0).log()
+    return (sent - sent.mean()).numpy()
+
+
+@pytest.mark.parametrize("wrong", [np.log([0.75, 1.0, 1.25]), np.full(3, 0.3), np.zeros(3)])
+def test_highlights_tell_the_hue(ball, wrong):
+    problem, light = ball
+    supposed = light.tinted(torch.from_numpy(wrong.astype(np.float32)))
+    gloss, _ = estimate_gloss(problem, supposed, 2, 0)
+    told = hue_by_highlights(problem, supposed, gloss)
+    assert told is not None
+    np.testing.assert_allclose(told.numpy(), hue_of(problem, light), atol=0.04)
+
+
+def test_without_highlights_nothing_is_told(ball):
+    problem, light = ball
+    gloss, _ = estimate_gloss(problem, light, 2, 0)
+    assert hue_by_highlights(problem, light, replace(gloss, has_highlights=False)) is None
+    all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
+    assert hue_by_highlights(problem, light, all_metal) is None
+
+
+def test_the_light_follows_what_is_told(ball):
+    problem, light = ball
+    config = AppearanceConfig(iterations=160, parsimony_weight=0.0)
+    told = np.float32([0.2, 0.0, -0.2])
+    alone = refit(problem, light, config)
+    found = refit(problem, replace(light, told=torch.from_numpy(told)), config)
+    np.testing.assert_allclose(hue_of(problem, alone), 0, atol=0.03)
+    np.testing.assert_allclose(hue_of(problem, found), HUE_TRUST * told, atol=0.03)
