@@ -12,7 +12,7 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.gloss import estimate_gloss
-from robir.appearance.light import HUE_TRUST
+from robir.appearance.light import Priors
 from robir.appearance.light_hue import hue_by_highlights
 from robir.appearance.problem import make_problem
 from robir.appearance.solver import refit
@@ -62,4 +62,5 @@ def test_the_light_follows_what_is_told(ball):
     alone = refit(problem, light, config)
     found = refit(problem, replace(light, told=torch.from_numpy(told)), config)
     np.testing.assert_allclose(hue_of(problem, alone), 0, atol=0.03)
-    np.testing.assert_allclose(hue_of(problem, found), HUE_TRUST * told, atol=0.03)
+    share = Priors().witness / (Priors().witness + Priors().neutral)
+    np.testing.assert_allclose(hue_of(problem, found), share * told, atol=0.03)

@@ -36,10 +36,6 @@ LAMP_TINT = 0.4
 """Log of the factor by which a channel of a sun may differ from grey at no cost: a sun ten degrees
 above the horizon is that orange."""
 
-HUE_TRUST = 0.8
-"""Share of the way from a grey light to the hue of the highlights. On six rendered scenes under two
-lights each these were .04 off in log units (root of the mean square), a grey light .09."""
-
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
 
@@ -150,9 +146,11 @@ class Priors:
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
         told: Log hue (3,) of the mean irradiance from the lights by highlights, if they tell any.
-        neutral: Weight of the light as a whole having HUE_TRUST of that, or being grey. Surfaces
-            that do not shine tell the light's hue from that of all albedos in no other way, and
-            bounced light is judged wrongly under a tinted one.
+        neutral: Weight of the light as a whole being grey. Surfaces that do not shine do not tell
+            its hue from that of all albedos, and under a tint bounced light is judged wrongly.
+        witness: Weight of the light as a whole having the hue that is told. On six rendered scenes
+            under two lights each highlights were .04 off in log units (root of the mean square), a
+            grey light .09; the weights go as the inverse squares.
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
         smooth: Weight of neighbouring soft lobes being alike.
@@ -168,6 +166,7 @@ class Priors:
     hue: float = 0.03
     told: Tensor | None = None
     neutral: float = 0.3
+    witness: float = 1.5
     lamp: float = 0.3
     smooth: float = 0.01
     spread: float = 0.1
@@ -223,13 +222,13 @@ def solve_amplitudes(
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
         if num_sharp:
-            tint = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
-            loss = loss + priors.lamp * tint.clamp(min=0).sum(1).mean()
+            beyond = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
+            loss = loss + priors.lamp * beyond.clamp(min=0).sum(1).mean()
         energy = (irradiance - transfer.indirect).mean(0).log()
-        tinted = energy - energy.mean()
+        tint = energy - energy.mean()
+        loss = loss + priors.neutral * (tint**2).sum()
         if priors.told is not None:
-            tinted = tinted - HUE_TRUST * priors.told
-        loss = loss + priors.neutral * (tinted**2).sum()
+            loss = loss + priors.witness * ((tint - priors.told) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:

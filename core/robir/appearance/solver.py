@@ -12,7 +12,6 @@ from torch import Tensor
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
-    HUE_TRUST,
     Amplitudes,
     Priors,
     log_ratio,
@@ -235,7 +234,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     transfer = problem.transfer(sharp, rows)
     if light.told is not None:
         sent = (light.amplitudes.irradiance(transfer) - transfer.indirect).mean(0).log()
-        light = light.tinted(HUE_TRUST * light.told - sent + sent.mean())
+        light = light.tinted(light.told - sent + sent.mean())
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     alike = [
         pairs.weighted(
