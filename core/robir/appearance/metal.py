@@ -143,10 +143,11 @@ def _least_errors(
     valid = torch.from_numpy(transport.observations.weight[rows] > 0)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
     best = torch.full((len(rows), len(METAL_LEVELS)), float("inf"))
-    for tilt in tilts:
-        tilted = reflections.tilted(rays, tilt)
-        for index, level in enumerate(METAL_LEVELS):
-            white = reflections.from_sky(tilted, level) + reflections.from_suns(rays, level, tilt)
+    for index, level in enumerate(METAL_LEVELS):
+        about = reflections.blurred(level)
+        for tilt in tilts:
+            sky = reflections.from_sky(reflections.tilted(rays, tilt), level, about)
+            white = sky + reflections.from_suns(rays, level, tilt)
             ratio = dense(seen.linear / white[:, 1].clamp(min=1e-5), rays, shape)
             base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
             shown = base.clamp(0, 1)[sample] * white[:, 1]
@@ -213,14 +214,16 @@ def metal_parts(
         _, piece[rows] = connected_components(links, directed=False)
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
+    whites: dict[float, Tensor] = {}
     for index in range(piece.max() + 1):
         inside = certain & (piece == index)
         if inside.sum() < max(LEAST_PART, LEAST_SHARE * (piece == index).sum()):
             continue
         level = METAL_LEVELS[int(errors[inside].mean(0).argmin())]
         seen = inside[rays.sample]
-        white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
-        base = np.median((linear / white).numpy()[seen], axis=0)
+        if level not in whites:
+            whites[level] = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
+        base = np.median((linear / whites[level]).numpy()[seen], axis=0)
         if base.max() >= DARKEST_READING:
             part[piece == index] = len(bases)
             bases.append(base)

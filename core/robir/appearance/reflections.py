@@ -160,22 +160,34 @@ class Reflections:
         """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
         return self.from_sky(rays, roughness) + self.from_suns(rays, roughness)
 
-    def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
-        """The part (M, 2, 3) that soft lobes and bounces send."""
-        sample = torch.from_numpy(rays.sample)
+    def blurred(self, roughness: float) -> list[Tensor]:
+        """What soft lobes and bounces send from about every direction, as wide as a highlight.
+
+        Returns:
+            Tables (U, D) of three channels, and of how much of that lies above the surface.
+        """
         # Width of the GGX lobe about the mirror direction at a typical slant.
         alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
         sharpness = float(1 / (2 * alpha**2 * 0.75))
         kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
+        return [values @ kernel for values in (*self._incident, self._above)]
+
+    def from_sky(
+        self, rays: ViewRays, roughness: float, about: list[Tensor] | None = None
+    ) -> Tensor:
+        """The part (M, 2, 3) that soft lobes and bounces send.
+
+        Args:
+            rays: Observations.
+            roughness: Of the surface.
+            about: From `blurred` at this roughness, where it is needed more than once.
+        """
+        *channels, above = self.blurred(roughness) if about is None else about
         # one flat look-up: pairs of indices cost three times as much
-        place = sample * len(kernel) + rays.mirror
-
-        def blurred_towards_mirror(values: Tensor) -> Tensor:
-            return (values @ kernel).view(-1).index_select(0, place)
-
-        mass = blurred_towards_mirror(self._above).clamp(min=1e-6)
+        place = torch.from_numpy(rays.sample) * above.shape[1] + rays.mirror
+        mass = above.view(-1).index_select(0, place).clamp(min=1e-6)
         blurred = torch.stack(
-            [blurred_towards_mirror(values) / mass for values in self._incident], 1
+            [values.view(-1).index_select(0, place) / mass for values in channels], 1
         )
         scale, bias = microfacet.environment_brdf(
             rays.cosine, torch.full_like(rays.cosine, roughness)
