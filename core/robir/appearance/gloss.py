@@ -32,7 +32,7 @@ from robir.appearance.reflections import (
     view_rays,
 )
 from robir.appearance.roughness import Patches, choose_roughness
-from robir.appearance.seen import Seen, dense, seen_along
+from robir.appearance.seen import Seen, dense, looked_at
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
 
@@ -200,23 +200,18 @@ def estimate_gloss(
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
     """
-    scene = problem.scene
-    surfels, observations = scene.transport.surfels, scene.transport.observations
-    directions = scene.transport.visibility.directions
+    surfels = problem.scene.transport.surfels
     seen = np.flatnonzero(problem.radiance.seen.numpy())
-    in_solve = np.isin(seen, scene.rows[::step])
+    in_solve = np.isin(seen, problem.scene.rows[::step])
     rows = seen[in_solve]
-    reflections = Reflections(problem, light, rows)
-    rays = view_rays(surfels, observations, rows, directions)
-    looked_at = seen_along(problem, rays, rows)
-    valid = torch.from_numpy(observations.weight[rows] > 0)
-    highlights, dielectric = _costs(reflections, rays, looked_at, valid)
+    reflections, rays, shown, valid = looked_at(problem, light, rows)
+    highlights, dielectric = _costs(reflections, rays, shown, valid)
     points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
     around = neighbourhoods(points[rows])
     errors = metal_errors(problem, light, rows, dielectric, around)
     metals = metal_samples(dielectric, errors, around)
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    parts = metal_parts(metals, place, (reflections, rays, looked_at.linear), errors)
+    parts = metal_parts(metals, place, (reflections, rays, shown.linear), errors)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]

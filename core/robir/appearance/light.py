@@ -137,6 +137,17 @@ def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
     return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
 
 
+def log_hue(irradiance: Tensor, indirect: Tensor) -> Tensor:
+    """Log hue (3,), its mean zero, of what sky and suns send to samples together.
+
+    Args:
+        irradiance: (U, 3) from everything.
+        indirect: (U, 3) of it from surfaces.
+    """
+    sent = (irradiance - indirect).mean(0).log()
+    return sent - sent.mean()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Priors:
     """Weights of the priors on albedo and light, relative to the neighbour term.
@@ -224,8 +235,7 @@ def solve_amplitudes(
         if num_sharp:
             beyond = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
             loss = loss + priors.lamp * beyond.clamp(min=0).sum(1).mean()
-        energy = (irradiance - transfer.indirect).mean(0).log()
-        tint = energy - energy.mean()
+        tint = log_hue(irradiance, transfer.indirect)
         loss = loss + priors.neutral * (tint**2).sum()
         if priors.told is not None:
             loss = loss + priors.witness * ((tint - priors.told) ** 2).sum()

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.gloss import Gloss, low_mean
+from robir.appearance.light import log_hue
 from robir.appearance.problem import Problem
-from robir.appearance.reflections import Reflections, view_rays
-from robir.appearance.seen import seen_along
+from robir.appearance.seen import looked_at
 from robir.appearance.solver import Light
 
 Floats = NDArray[np.float32]
@@ -54,25 +54,17 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
     if clear.sum() < LEAST_CLEAR:
         return None
     # sums, not medians: the brightest hold least of what the surface itself scatters
-    off = np.log(shown[clear].sum(0).clip(1e-9) / predicted[clear].sum(0))
+    off = torch.from_numpy(np.log(shown[clear].sum(0).clip(1e-9) / predicted[clear].sum(0))).float()
     rows = problem.scene.rows
-    sent = (light.irradiance(problem, rows) - problem.indirect[rows]).mean(0).log()
-    hue = sent + torch.from_numpy(off).float()
-    return hue - hue.mean()
+    return log_hue(light.irradiance(problem, rows), problem.indirect[rows]) + off - off.mean()
 
 
 def _highlights(problem: Problem, light: Light, gloss: Gloss) -> tuple[Floats, Floats, Floats]:
     """Highlights (M, 3) of paint that are not clipped, as predicted (M, 3), and what is below."""
-    scene = problem.scene
-    transport = scene.transport
     chosen = problem.radiance.seen.numpy() & (gloss.metallic < 0.5)
-    rows = scene.rows[::STEP]
+    rows = problem.scene.rows[::STEP]
     rows = rows[chosen[rows]]
-    rays = view_rays(
-        transport.surfels, transport.observations, rows, transport.visibility.directions
-    )
-    reflections, seen = Reflections(problem, light, rows), seen_along(problem, rays, rows)
-    valid = torch.from_numpy(transport.observations.weight[rows] > 0)
+    reflections, rays, seen, valid = looked_at(problem, light, rows)
     specular = torch.zeros(len(rays.sample), 3)
     level = gloss.roughness[rows][rays.sample]
     for roughness in np.unique(level):

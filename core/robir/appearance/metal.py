@@ -20,8 +20,8 @@ from torch import Tensor
 
 from robir.appearance.highlights import LEVELS
 from robir.appearance.problem import Problem
-from robir.appearance.reflections import TILTS, Reflections, ViewRays, view_rays
-from robir.appearance.seen import dense, seen_along
+from robir.appearance.reflections import TILTS, Reflections, ViewRays
+from robir.appearance.seen import dense, looked_at
 from robir.appearance.solver import Light
 
 Floats = NDArray[np.float32]
@@ -119,7 +119,7 @@ def metal_errors(
         (U, METAL_LEVELS), infinite where no neighbourhood asks.
     """
     errors = np.full((len(rows), len(METAL_LEVELS)), np.inf, np.float32)
-    paint = dielectric[around].mean(1).min(1)
+    paint = _together(dielectric, around)
     asking = paint > METAL_ERROR
     # as the mesh has it first: where metal is far from any tilt's help, six more are not tried
     for tilts in (TILTS[:1], TILTS[1:]):
@@ -127,7 +127,7 @@ def metal_errors(
         if len(asked):
             tried = _least_errors(problem, light, rows[asked], tilts)
             errors[asked] = np.minimum(errors[asked], tried)
-        asking &= errors[around].mean(1).min(1) < TILTS_WIN * _allowed(paint, 1.0)
+        asking &= _together(errors, around) < TILTS_WIN * _allowed(paint, 1.0)
     return errors
 
 
@@ -135,12 +135,7 @@ def _least_errors(
     problem: Problem, light: Light, rows: NDArray[np.int64], tilts: tuple[tuple[float, float], ...]
 ) -> Floats:
     """Errors (U, METAL_LEVELS) of samples as metal under the best of some tilts."""
-    transport = problem.scene.transport
-    rays = view_rays(
-        transport.surfels, transport.observations, rows, transport.visibility.directions
-    )
-    reflections, seen = Reflections(problem, light, rows), seen_along(problem, rays, rows)
-    valid = torch.from_numpy(transport.observations.weight[rows] > 0)
+    reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
     best = torch.full((len(rows), len(METAL_LEVELS)), float("inf"))
     for index, level in enumerate(METAL_LEVELS):
@@ -154,6 +149,11 @@ def _least_errors(
             total = torch.zeros(len(rows)).index_add_(0, sample, seen.error(shown))
             best[:, index] = torch.minimum(best[:, index], total)
     return (best / valid.sum(1).clamp(min=1)[:, None]).numpy()
+
+
+def _together(errors: Floats, around: NDArray[np.int64]) -> Floats:
+    """Least error (U,) of each neighbourhood at one roughness, of errors (U, L)."""
+    return errors[around].mean(1).min(1)
 
 
 def _allowed(paint: Floats, share: float) -> Floats:
@@ -174,7 +174,7 @@ def metal_samples(
     Returns:
         (U,) bool each, the second within the first.
     """
-    paint, best = dielectric[around].mean(1).min(1), metal[around].mean(1).min(1)
+    paint, best = _together(dielectric, around), _together(metal, around)
     likely, certain = (
         ((paint > METAL_ERROR) & (best < _allowed(paint, share)))[around].mean(1) > 0.5
         for share in (1.0, CERTAIN)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.problem import Problem
-from robir.appearance.reflections import ViewRays
+from robir.appearance.reflections import Reflections, ViewRays, view_rays
+from robir.appearance.solver import Light
 from robir.maths.tone_curve import AbstractToneCurve
 
 
@@ -65,6 +66,23 @@ def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> See
         clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
         gain=problem.gains.dimmed(gain, off_axis),
     )
+
+
+def looked_at(
+    problem: Problem, light: Light, rows: NDArray[np.int64]
+) -> tuple[Reflections, ViewRays, Seen, Tensor]:
+    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V).
+
+    Args:
+        problem: Scene under a tone curve.
+        light: Its light.
+        rows: The samples.
+    """
+    transport = problem.scene.transport
+    observations, directions = transport.observations, transport.visibility.directions
+    rays = view_rays(transport.surfels, observations, rows, directions)
+    valid = torch.from_numpy(observations.weight[rows] > 0)
+    return Reflections(problem, light, rows), rays, seen_along(problem, rays, rows), valid
 
 
 def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:

@@ -14,6 +14,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
     Amplitudes,
     Priors,
+    log_hue,
     log_ratio,
     solve_amplitudes,
 )
@@ -233,8 +234,8 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
     transfer = problem.transfer(sharp, rows)
     if light.told is not None:
-        sent = (light.amplitudes.irradiance(transfer) - transfer.indirect).mean(0).log()
-        light = light.tinted(light.told - sent + sent.mean())
+        hue = log_hue(light.amplitudes.irradiance(transfer), transfer.indirect)
+        light = light.tinted(light.told - hue)
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
     alike = [
         pairs.weighted(
