@@ -190,6 +190,7 @@ def ball(
     parts: list[tuple[Callable[[np.ndarray], np.ndarray], Material]],
     light: Light,
     curve: AbstractToneCurve,
+    count: int = 700,
 ) -> tuple[Scene, np.ndarray]:
     """A lone ball, photographed from all around.
 
@@ -197,6 +198,7 @@ def ball(
         parts: Materials, each with what tells from positions (S, 3) whether it is there.
         light: Its light.
         curve: What the photographs went through.
+        count: About how many samples.
 
     Returns:
         The scene and the radiance (S, V, 3) of every observation.
@@ -204,7 +206,7 @@ def ball(
     solid = trimesh.creation.icosphere(subdivisions=3, radius=0.8)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    surfels = sample_surfels(mesh, 700, np.random.default_rng(0))
+    surfels = sample_surfels(mesh, count, np.random.default_rng(0))
     directions = fibonacci_sphere(512).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, 0.01)
     positions = 3 * fibonacci_sphere(14).numpy().astype(np.float32)

@@ -19,6 +19,8 @@ from robir.maths.tone import curve_from_name
 
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
+STRIP = 0.09
+"""Half the width of a strip of metal, unit frame; neighbourhoods reach about twice as far."""
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,22 @@ def test_metal_and_plastic_are_told_apart(ball):
     before = np.nanstd(whole, axis=1) / np.nanmean(whole, axis=1)
     assert np.nanmedian(spread) < 0.25 * np.nanmedian(before)
     assert sum(row["share"] for row in gloss.table) == pytest.approx(1)
+
+
+def test_a_strip_of_metal_narrower_than_its_neighbourhoods_is_found():
+    light, curve = synthetic.sun_and_uneven_sky(), curve_from_name("filmic")
+    inside = [
+        (lambda at: abs(at[:, 1]) < STRIP, GOLD),
+        (lambda at: abs(at[:, 1]) >= STRIP, PLASTIC),
+    ]
+    scene, _ = synthetic.ball(inside, light, curve, 2000)
+    is_gold = abs(scene.transport.surfels.position[:, 1]) < STRIP
+    problem = make_problem(scene, curve)
+    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    seen = problem.radiance.seen.numpy()
+    # where hardly any light is mirrored nothing tells metal; by place alone half is found
+    assert metallic[seen & is_gold].mean() > 0.6
+    assert metallic[seen & ~is_gold].mean() < 0.02
 
 
 def test_what_the_textures_subtract_is_what_their_views_show(ball):

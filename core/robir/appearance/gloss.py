@@ -3,9 +3,9 @@
 
 A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
 reflects with its base colour. Both are predicted for every view at several roughnesses. What is
-metal is judged by the neighbourhood of each sample: its views differ more than any dielectric's
-may. Roughness is judged over patches of samples alike in albedo and place, see roughness.py: one of
-them sees a highlight in a few views at most.
+metal is judged by the neighbourhood of each sample, near it and of like colour: its views differ
+more than any dielectric's may. Roughness is judged over patches of samples alike in albedo and
+place, see roughness.py: one of them sees a highlight in a few views at most.
 """
 
 from __future__ import annotations
@@ -40,6 +40,11 @@ Floats = NDArray[np.float32]
 
 ALIKE_NORMAL = 0.06
 """Distance, unit frame, that half the difference of opposite normals counts as."""
+
+ALIKE_PAINT = 0.05
+"""Distance that a difference of one in the logarithm of albedo, as of paint, counts as: a small
+part of metal is judged with itself, not with the paint about it. Of 424 samples of a truck's metal
+236 are found without, 283, 281 and 237 with .025, .05 and .1: what metal mirrors differs too."""
 
 SHARPEST_SKY = 0.5
 """Roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
@@ -206,16 +211,19 @@ def estimate_gloss(
     rows = seen[in_solve]
     reflections, rays, shown, valid = looked_at(problem, light, rows)
     highlights, dielectric = _costs(reflections, rays, shown, valid)
-    points = np.concatenate([surfels.position, ALIKE_NORMAL * surfels.normal], axis=1)
-    around = neighbourhoods(points[rows])
+    features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
+    normal, paint = surfels.normal[seen], features[:, :3]
+    points = np.concatenate(
+        [surfels.position[seen], ALIKE_NORMAL * normal, ALIKE_PAINT * paint], axis=1
+    )
+    around = neighbourhoods(points[in_solve])
     errors = metal_errors(problem, light, rows, dielectric, around)
     metals = metal_samples(dielectric, errors, around)
     place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     parts = metal_parts(metals, place, (reflections, rays, shown.linear), errors)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
-    part = parts.part[cKDTree(points[rows]).query(points[seen])[1]]
-    features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
+    part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
     cluster = clusters(features, num_patches, seed)
     patches = Patches(
         features=_means(features, cluster),

@@ -90,7 +90,7 @@ def neighbourhoods(points: Floats) -> NDArray[np.int64]:
     """Samples (U, N) that judge together with each, itself among them.
 
     Args:
-        points: (U, D) positions, with scaled normals so that neighbours face alike.
+        points: (U, D) positions, with scaled normals and colours so that one part judges together.
     """
     count = min(METAL_NEIGHBOURS, len(points))
     return cKDTree(points).query(points, k=count)[1].reshape(len(points), count)
