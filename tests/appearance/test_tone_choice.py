@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.plain_lead import Lead, PlainLead
 from robir.appearance.problem import make_problem
+from robir.appearance.solver import fit
 from robir.appearance.tone_choice import (
-    PlainLead,
+    Judged,
     best_shoulder,
     choose_tone_curve,
+    chosen_number,
     clipping_evidence,
     pair_likeness,
 )
@@ -74,6 +79,9 @@ def histogram(codes: list[int]) -> Observations:
         ([100] * 900 + [255] * 5 + [250] * 95, False),
         ([100] * 900 + [250] * 50, False),
         ([100] * 900, None),
+        # a white plate that just clips leads up to white as much as it clips
+        ([100] * 860 + [255] * 60 + [250] * 80, None),
+        ([100] * 900 + [255] * 20 + [250] * 80, False),
         # a few highlights that nothing leads up to are cut off; one glint is none
         ([100] * 9990 + [255] * 10, True),
         ([100] * 9990 + [255] * 10 + [250] * 2, None),
@@ -144,26 +152,38 @@ def test_the_plain_curve_alone_has_no_shoulder():
 
 
 @pytest.mark.parametrize(
-    ("carried", "highlights", "noise", "clear"),
+    ("plain", "neutral", "scores", "expected"),
     [
-        (0.3, None, 0.0, True),
-        (0.15, None, 0.0, False),
-        (-0.3, None, 0.0, False),
-        # both errors speak, and either may overrule the other
-        (-0.2, 1.2, 0.0, True),
-        (1.2, -0.2, 0.0, True),
-        (0.3, -0.2, 0.0, False),
-        # the noise of both counts
-        (1.2, -0.2, 12.0, False),
+        (0.0, 0.0, (9.0, 10.0, 9.0), "filmic"),  # what display errors say of these is not asked
+        (3.0, 0.0, (9.0, 10.0, 9.0), "standard"),
+        (0.0, 3.0, (9.0, 10.0, 9.0), "khronos_pbr_neutral"),
+        (0.0, 3.0, (9.0, 10.0, 10.0), "filmic"),
+        (3.0, 0.0, (9.0, 10.0, 8.5), "khronos_pbr_neutral"),  # of these two they are
     ],
 )
-def test_the_plain_curve_must_lead_clearly_where_nothing_is_bright(
-    carried, highlights, noise, clear
-):
-    pairs = table(10.0), table(10.0 + carried, noise)
-    seen = None if highlights is None else [table(3.0), table(3.0 + highlights, noise)]
-    lead = PlainLead.of("filmic", pairs, seen)
-    assert lead.is_clear is clear
+def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, scores, expected):
+    names = ["standard", "filmic", "khronos_pbr_neutral"]
+    leads = {(0, 1): plain, (2, 1): neutral}
+
+    def lead_of(index, shoulder, steps, seed):
+        shadows = Lead(value=leads[index, shoulder], error=1.0)
+        return PlainLead(shoulder=names[shoulder], shadows=shadows, highlights=None)
+
+    judged = SimpleNamespace(tables=[table(score) for score in scores], lead=lead_of)
+    number, lead = chosen_number(judged, names, 10, 0)
+    assert names[number] == expected
+    assert lead.total == plain
+
+
+def test_lights_are_settled_before_the_plain_curve_is_compared(stage):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+    models = []
+    for name in ("standard", "filmic"):
+        problem = make_problem(scene, curve_from_name(name))
+        models.append((problem, fit(problem, synthetic.SUN[None], np.float32([2000.0]), 10)))
+    early, settled = (Judged.of(models).lead(0, 1, steps, 0).shadows for steps in (0, 150))
+    assert settled.value < early.value - 0.02
+    assert settled.errors < -2
 
 
 def test_pairs_of_two_materials_do_not_count(stage):

@@ -9,14 +9,9 @@ from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
 from robir.appearance.gloss import Gloss
 from robir.appearance.metal import LEAST_SHARE as LEAST_METAL_SHARE
+from robir.appearance.plain_lead import PLAIN_MARGIN
 from robir.appearance.solver import Light
-from robir.appearance.tone_choice import (
-    PLAIN,
-    PLAIN_MARGIN,
-    SIMPLER_MARGIN,
-    Candidate,
-    ToneChoice,
-)
+from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
 
 GREY, BY_HIGHLIGHTS = "grey as a whole", "as of the highlights"
 
@@ -36,7 +31,7 @@ def light_choices(
     reason = {
         True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
         False: "bright pixels thin out towards code 255: the curve rolls off",
-        None: "nothing is bright enough to tell; all families were compared",
+        None: "too little is white, or nearly so, to tell; all families were compared",
     }[evidence.verdict]
     metal = sum(material["share"] for material in gloss.table if material["metallic"] > 0.5)
     return (
@@ -46,8 +41,9 @@ def light_choices(
             alternatives=tuple(candidate.curve.name for candidate in candidates[1:]),
             held_out_error=candidates[0].score,
             cost_seconds=seconds["tone_curve"],
-            why=f"{reason}; lowest display error of albedo carried between neighbours in different "
-            f"light, the simplest within one standard error{_near(candidates)}{_lead(tone)}",
+            why=f"{reason}; of those with a shoulder the lowest display error of albedo carried "
+            "between neighbours in different light, the simplest within one standard error"
+            f"{_near(candidates)}{_lead(tone)}",
         ),
         *_power(tone.power),
         Choice(
@@ -93,10 +89,13 @@ def _lead(tone: ToneChoice) -> str:
     lead = tone.plain_lead
     if lead is None:
         return ""
-    seen = "none seen" if lead.highlights is None else f"{lead.highlights:+.2f} near highlights"
+    shadows, highlights = lead.shadows, lead.highlights
+    near = f"by {highlights.value:+.2f} codes ({highlights.error:.2f}) near" if highlights else "no"
     return (
-        f"; {PLAIN} leads {lead.shoulder} by {lead.carried:+.2f} codes so carried, {seen}, "
-        f"standard error {lead.standard_error:.2f}, and must lead by {PLAIN_MARGIN:g} of these"
+        f"; {PLAIN} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
+        f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
+        f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
+        f"{PLAIN_MARGIN:g}"
     )
 
 

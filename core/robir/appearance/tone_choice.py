@@ -8,8 +8,8 @@ curve does a shadow darken bright and dark materials by the same factor. Pairs c
 their irradiances differ and by how alike their albedos are, on average over all curves: a border
 of two materials says nothing, and all curves must be judged by the same pairs.
 
-Between the plain curve and those with a shoulder highlights speak as well, see tone_highlights.py:
-where a sun meets one bright material and one dark one, shadows alone may fit either.
+So curves with a shoulder are told from each other. Whether it is the plain one instead, the most
+that a choice can cost, is weighed apart, see plain_lead.py.
 
 One kind of evidence comes before any fit: a curve that clips piles pixels up at code 255, one that
 rolls off does not.
@@ -17,15 +17,17 @@ rolls off does not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
+from robir.appearance.plain_lead import PlainLead, mismatch_table
 from robir.appearance.problem import Problem, Scene, make_problem
 from robir.appearance.solver import ALIKE_BRIGHTNESS, ALIKE_HUE, Light, find_suns, fit
 from robir.appearance.tone_highlights import highlight_tables
@@ -39,8 +41,12 @@ ERROR_CAP = 0.08
 CLIPPED_SHARE = 0.004
 """Share of observations at code 255 from which clipping is plain."""
 
-SPIKE_RATIO = 1.5
-"""How many times the pixels at 255 must outnumber those at 245 to 254 for a spike."""
+SPIKE_RATIO = 0.75
+"""Pixels at 255 for each at 245 to 254 from which they are a spike."""
+
+BRIGHT_SHARE, ROLLED_RATIO = 0.016, 0.5
+"""Share of observations at 245 to 254 that rolls off if no more than so many for each lie at 255.
+In photographs of three cameras it is .06 to .37; a white plate that just clips comes to .72."""
 
 FEW_CLIPPED = 3e-4
 """Share of observations at code 255 that is no glint any more, if next to none lie just below."""
@@ -60,12 +66,6 @@ cameras do; where it does not lead all others, one of those is the likelier."""
 
 SIMPLER_MARGIN = 1.0
 """Standard errors within which the simpler one of two curves of a kind is taken."""
-
-PLAIN_MARGIN = 2.0
-"""Standard errors by which the plain curve must lead those with a shoulder where nothing is bright.
-Photographs that are not rolled off and use the range of the display have clipped highlights, so
-where the errors cannot tell, the shoulder is the likelier. On 24 captures, most from two or three
-starts, the lead was 1.0 at most under Filmic and 2.8 at least under Standard (docs/tone.md)."""
 
 LEAST_LEAD = 0.1
 """Codes by which mean display errors differ for no reason; adds to their standard error. The
@@ -87,10 +87,10 @@ class ClippingEvidence:
 
     @property
     def verdict(self) -> bool | None:
-        """True for a clipping curve, False for one that rolls off, None if nothing is bright."""
-        if self.clipped_share > CLIPPED_SHARE:
-            return self.clipped_share > SPIKE_RATIO * self.bright_share / 2
-        if self.bright_share > 4 * CLIPPED_SHARE:
+        """True for a clipping curve, False for one that rolls off, None if white does not tell."""
+        if self.clipped_share > max(CLIPPED_SHARE, SPIKE_RATIO * self.bright_share):
+            return True
+        if self.bright_share > max(BRIGHT_SHARE, self.clipped_share / ROLLED_RATIO):
             return False
         if self.clipped_share > max(FEW_CLIPPED, LONE_RATIO * self.bright_share):
             return True
@@ -116,51 +116,9 @@ class Candidate:
     problem: Problem
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlainLead:
-    """How far the plain curve leads the best one with a shoulder, in 8-bit codes.
-
-    Attributes:
-        shoulder: Name of that curve.
-        carried: By how much its mean display error of cross-predicted pairs is the greater.
-        highlights: By how much its mean display error near highlights is; None if none are seen.
-        standard_error: Of the sum.
-    """
-
-    shoulder: str
-    carried: float
-    highlights: float | None
-    standard_error: float
-
-    @property
-    def total(self) -> float:
-        """By how much its display errors are the greater."""
-        return self.carried + (self.highlights or 0.0)
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the photographs were made by the plain curve."""
-        return self.total > PLAIN_MARGIN * self.standard_error
-
-    @classmethod
-    def of(
-        cls, shoulder: str, carried: tuple[Table, Table], highlights: list[Table] | None
-    ) -> PlainLead:
-        """From tables of both errors, 0..1, of the plain curve and of the other."""
-        parts = [carried, *([(highlights[0], highlights[1])] if highlights else [])]
-        leads = [255 * (mean_of(other) - mean_of(mine)) for mine, other in parts]
-        return cls(
-            shoulder=shoulder,
-            carried=leads[0],
-            highlights=leads[1] if highlights else None,
-            standard_error=_error_of_sum(parts),
-        )
-
-
-def _error_of_sum(parts: list[tuple[Table, Table]]) -> float:
-    """Standard error, codes, of a sum of differences of mean display errors."""
-    errors = [255 * difference_error(mine, other) for mine, other in parts]
-    return float(np.sqrt(LEAST_LEAD**2 + np.square(errors).sum()))
+def _lead_error(mine: Table, other: Table) -> float:
+    """Standard error, codes, of the difference of two mean display errors."""
+    return float(np.hypot(LEAST_LEAD, 255 * difference_error(mine, other)))
 
 
 def clipping_evidence(observations: Observations, power: float = 1.0) -> ClippingEvidence:
@@ -257,6 +215,58 @@ def _fitting(
     ] or allowed
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """Models of one scene under several curves, judged by the same pairs.
+
+    Attributes:
+        models: The scene under each curve, and its light.
+        blocks: (2 P,) of every ordered pair.
+        weight: (2 P,) by which pairs count: what the models say on average.
+        tables: Display errors of the pairs under each curve.
+        settled: The models, by number, whose lights were settled so far.
+    """
+
+    models: list[tuple[Problem, Light]]
+    blocks: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    tables: list[Table]
+    settled: dict[int, tuple[Problem, Light]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, models: list[tuple[Problem, Light]]) -> Judged:
+        """From the models alone."""
+        judged = [pair_errors(*model) for model in models]
+        contrast = torch.stack([weight for _, weight in judged]).mean(0)
+        likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
+        weight = (contrast * likeness).double().numpy()
+        blocks = blocks_of(models[0][0].scene)
+        tables = [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
+        return cls(models=models, blocks=blocks, weight=weight, tables=tables)
+
+    def lead(self, index: int, shoulder: int, steps: int, seed: int) -> PlainLead:
+        """How far one curve leads another that has a shoulder.
+
+        Their lights are settled first: a curve of more contrast starts farther from its light, and
+        after the steps that rank all curves it has up to a quarter of its mismatch still to lose.
+
+        Args:
+            index: Number of the one.
+            shoulder: Number of the other.
+            steps: Further steps that settle their lights.
+            seed: Of what is looked at.
+        """
+        for number in {index, shoulder} - set(self.settled):
+            problem, light = self.models[number]
+            start = light.amplitudes
+            further = fit(problem, light.axes, light.sharpness, steps, start=start)
+            self.settled[number] = (problem, further)
+        two = (self.settled[index], self.settled[shoulder])
+        mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
+        highlights = highlight_tables(two, seed)
+        return PlainLead.of(two[1][0].curve.name, (mine, other), highlights)
+
+
 def _ranked(
     scene: Scene,
     curves: list[AbstractToneCurve],
@@ -270,23 +280,14 @@ def _ranked(
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
         models.append((problem, replace(light, history=found.history)))
-    tables = _pair_tables(models)
-    names = [curve.name for curve in curves]
-    shoulder, chosen, lead = best_shoulder(names, tables), 0, None
-    if shoulder is not None:
-        chosen = shoulder
-        if PLAIN in names:
-            plain = names.index(PLAIN)
-            highlights = highlight_tables((models[plain], models[shoulder]), seed)
-            lead = PlainLead.of(names[shoulder], (tables[plain], tables[shoulder]), highlights)
-            chosen = plain if lead.is_clear else shoulder
-    if NEUTRAL in names and _lags(tables[chosen], tables[names.index(NEUTRAL)], SIMPLER_MARGIN):
-        chosen = names.index(NEUTRAL)
+    judged = Judged.of(models)
+    chosen, lead = chosen_number(judged, [curve.name for curve in curves], config.iterations, seed)
+    tables = judged.tables
     candidates = [
         Candidate(
             curve=curve,
             score=255 * mean_of(table),
-            standard_error=0.0 if index == chosen else _error_of_sum([(table, tables[chosen])]),
+            standard_error=0.0 if index == chosen else _lead_error(table, tables[chosen]),
             light=light,
             problem=problem,
         )
@@ -298,17 +299,31 @@ def _ranked(
     return [first, *sorted(candidates, key=lambda candidate: candidate.score)], lead
 
 
-def _pair_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
-    """Display errors of cross-predicted pairs under each model.
+def chosen_number(
+    judged: Judged, names: list[str], steps: int, seed: int
+) -> tuple[int, PlainLead | None]:
+    """Number of the curve to be taken, and the plain one's lead if it was compared.
 
-    A pair counts by what the models say of it on average, and so alike in all.
+    Args:
+        judged: The scene under each curve.
+        names: Of the curves, simplest first.
+        steps: Further steps that settle the lights of two that are compared closely.
+        seed: Of what is looked at.
     """
-    judged = [pair_errors(*model) for model in models]
-    contrast = torch.stack([weight for _, weight in judged]).mean(0)
-    likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
-    weight = (contrast * likeness).double().numpy()
-    blocks = blocks_of(models[0][0].scene)
-    return [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
+    tables = judged.tables
+    shoulder, chosen, lead = best_shoulder(names, tables), 0, None
+    if shoulder is not None:
+        chosen = shoulder
+        if PLAIN in names:
+            lead = judged.lead(names.index(PLAIN), shoulder, steps, seed)
+            chosen = names.index(PLAIN) if lead.is_clear else shoulder
+    if NEUTRAL in names:
+        neutral = names.index(NEUTRAL)
+        leads = _lags(tables[chosen], tables[neutral], SIMPLER_MARGIN)
+        # but for the brightest it is the plain one, and must lead a shoulder as that must
+        if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
+            chosen = neutral
+    return chosen, lead
 
 
 def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
@@ -337,4 +352,4 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
 
 def _lags(table: Table, other: Table, margin: float) -> bool:
     """Whether the first error is clearly the greater, by so many standard errors."""
-    return 255 * (mean_of(table) - mean_of(other)) > margin * _error_of_sum([(table, other)])
+    return 255 * (mean_of(table) - mean_of(other)) > margin * _lead_error(table, other)

@@ -34,14 +34,16 @@ NUM_SAMPLES = 1500
 NUM_MATERIALS = 6
 
 
-def highlight_tables(models: tuple[tuple[Problem, Light], ...], seed: int) -> list[Table] | None:
+def highlight_tables(
+    models: tuple[tuple[Problem, Light], tuple[Problem, Light]], seed: int
+) -> tuple[Table, Table] | None:
     """Display errors near the mirror directions of the suns, by blocks of the surface.
 
     Every material has the one roughness that explains its highlights best. What is one material
     the first model says for all, or they would be judged by different groups.
 
     Args:
-        models: One scene under several curves, and the light under each, of the same suns.
+        models: One scene under two curves, and the light under each, of the same suns.
         seed: Of samples and materials.
 
     Returns:
@@ -57,15 +59,16 @@ def highlight_tables(models: tuple[tuple[Problem, Light], ...], seed: int) -> li
     block = block_numbers(transport.surfels.position[rows])
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
-    tables = []
-    for model in models:
+
+    def table(model: tuple[Problem, Light]) -> Table:
         error, count = _errors(*model, rows, rays)
         best = np.zeros(len(rows))
         for index in range(material.max() + 1):
             own = material == index
             best[own] = error[own, error[own].sum(0).argmin()]
-        tables.append(table_of(block, best / count.clip(1), count))
-    return tables
+        return table_of(block, best / count.clip(1), count)
+
+    return table(models[0]), table(models[1])
 
 
 def _near_mirrors(problem: Problem, light: Light, rng: np.random.Generator) -> NDArray[np.int64]:
