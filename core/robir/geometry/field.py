@@ -10,11 +10,16 @@ import torch
 from torch import Tensor, nn
 
 from robir.geometry.lattice import Lattice, interpolate, resample, taken
+from robir.geometry.regularise import smoothed
 from robir.geometry.sampling import Intervals
 from robir.maths.volume import log_survival_between, weights
 
-OCTAVES = (2.0, 4.0)
+OCTAVES = (2.0, 4.0, 8.0)
 """Frequencies, radians, at which the mirrored direction is shown to the network as well."""
+
+
+SOFT_PASSES = 6
+"""Passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps."""
 
 
 class ColourNetwork(nn.Module):
@@ -77,6 +82,16 @@ class Field:
         self.sdf = sdf.clone().requires_grad_()
         self.features = torch.zeros(1, features, device=sdf.device).requires_grad_()
         self.row = torch.zeros(lattice.count, dtype=torch.int32, device=sdf.device)
+        self.soften()
+
+    def soften(self) -> None:
+        """Take the present surface, freed of its small lumps, as what the network is told of it.
+
+        A lump turns the mirrored direction, so that the network cannot tell what is mirrored,
+        and what it cannot tell digs the lump further.
+        """
+        # beyond the border the filter finds 0, which shortens gradients but does not turn them
+        self._soft = smoothed(self.sdf.detach(), self.lattice, SOFT_PASSES)
 
     def place_features(self, wanted: Tensor) -> Tensor:
         """Give the wanted nodes features, keep those that have some, drop the others.
@@ -117,11 +132,11 @@ class Field:
         return finer
 
     def gradient(self, points: Tensor) -> Tensor:
-        """Gradient of the distance at points (P, 3), central differences over two cells."""
+        """Gradient of the softened distance at points (P, 3), differences over two cells."""
         cell = self.lattice.cell
         offsets = cell * torch.eye(3, device=points.device)
         stacked = (points[None] + torch.cat([offsets, -offsets])[:, None]).reshape(-1, 3)
-        value = self.lattice.trilinear(self.sdf, stacked).view(6, -1)
+        value = self.lattice.trilinear(self._soft, stacked).view(6, -1)
         return ((value[:3] - value[3:]) / (2.0 * cell)).T
 
     def render(

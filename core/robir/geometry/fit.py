@@ -11,25 +11,23 @@ from torch import Tensor
 
 from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.descent import BETAS, Descent
 from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.lattice import Lattice
 from robir.geometry.preview import Renderer
 from robir.geometry.rays import RaySampler
-from robir.geometry.regularise import laplacian_step, smoothed
+from robir.geometry.regularise import laplacian_step
 from robir.geometry.sampling import Occupancy, march
 from robir.maths.adam import Adam
 
 SHARPNESS = (30.0, 160.0)
 """NeuS steepness at the start and at the end, for an object of longest side 2."""
 
-MASK_WEIGHT = 0.05
+MASK_WEIGHT = 0.2
 """Weight of the coverage's cross-entropy against the colour."""
 
 REFRESH = 25
 """Steps between updates of the occupancy and of the nodes that carry features."""
-
-GRADIENT_PASSES = 2
-"""Passes of the (1, 2, 1) / 4 filter over the gradient of the distances."""
 
 SMOOTH_EVERY = 10
 """Steps between the proximal steps on the field."""
@@ -44,43 +42,46 @@ FAIRING = 0.25
 """Share of the way that every such step moves a node there and back, which takes what is rough
 and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design")."""
 
-DISTANCE_RATE = 0.25
-"""Adam's rate of the distances, cells a step."""
+DISTANCE_RATE = 0.375
+"""Rate of the distances where gradients agree, cells a step."""
 
-_FEATURES = 1
-"""Where the optimiser keeps the features."""
+HASTE = 4.0 / 3.0
+"""By how much faster they move at the coarsest level, which has to leave the visual hull."""
+
+FEATURE_RATE = 0.3
+"""Adam's rate of the features."""
+
+NETWORK_RATE = 0.01
+"""Adam's rate of the network: reflections must be learnt before the surface is dug for them."""
+
+_FEATURES = 0
+"""Where Adam keeps the features."""
 
 
 class _Optimiser:
     """Adam over field and network, whose state follows the rows of the features.
 
-    The gradient of the distances is smoothed first, so that the surface moves in patches rather
-    than node by node (after Nicolet et al. 2021, "Large steps in inverse rendering of geometry").
-
     Args:
         field: Field of the present level.
         network: Colour network.
+        rate: Rate of the distances, cells a step.
     """
 
-    def __init__(self, field: Field, network: ColourNetwork) -> None:
-        self._field = field
-        self._rates = (
-            DISTANCE_RATE * field.lattice.cell,
-            0.3,
-            *(5e-3 for _ in network.parameters()),
-        )
-        self._adam = Adam([field.sdf, field.features, *network.parameters()], (0.9, 0.99))
+    def __init__(self, field: Field, network: ColourNetwork, rate: float) -> None:
+        self._descent = Descent(field.sdf, field.lattice)
+        self._reach = rate * field.lattice.cell
+        self._rates = (FEATURE_RATE, *(NETWORK_RATE for _ in network.parameters()))
+        self._adam = Adam([field.features, *network.parameters()], BETAS)
 
-    def follow(self, field: Field, old_rows: Tensor) -> None:
-        """Carry the moments of the features over to their new rows."""
+    def follow(self, field: Field, wanted: Tensor, old_rows: Tensor) -> None:
+        """Go on with the nodes that carry features; moments go along."""
+        self._descent.follow(wanted)
         self._adam.replace(_FEATURES, field.features, old_rows)
 
     def step(self, loss: Tensor, factor: float) -> None:
         """One step with every learning rate times `factor`."""
         loss.backward()
-        gradient = self._field.sdf.grad
-        assert gradient is not None
-        self._field.sdf.grad = smoothed(gradient, self._field.lattice, GRADIENT_PASSES)
+        self._descent.step(factor * self._reach)
         self._adam.step([factor * rate for rate in self._rates])
 
 
@@ -117,7 +118,8 @@ def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     """Update the band around the surface and the nodes that carry features."""
     band = 5.0 / inv_std + field.lattice.cell
     occupancy = Occupancy.of(field.lattice, field.sdf.detach(), band)
-    optimiser.follow(field, field.place_features(field.lattice.dilated(occupancy.near, 1)))
+    wanted = field.lattice.dilated(occupancy.near, 1)
+    optimiser.follow(field, wanted, field.place_features(wanted))
     return occupancy
 
 
@@ -173,7 +175,7 @@ def fit(
             cells,
         )
         field = field.refined(level)
-        optimiser = _Optimiser(field, network)
+        optimiser = _Optimiser(field, network, DISTANCE_RATE * (1.0 if done else HASTE))
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
@@ -195,5 +197,6 @@ def fit(
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
                     smooth(field.sdf, level, done / total)
+                    field.soften()
         settle(field)
     return field
