@@ -86,6 +86,16 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
     assert float(pairs.weight.sum()) == pytest.approx(1, rel=1e-4)
 
 
+def test_partners_of_a_shadow_are_not_all_at_its_edge(floor):
+    position, normal = floor.position, floor.normal
+    lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
+    pairs = shadow_pairs(position, normal, lit, dark)
+    second = pairs.second.numpy()
+    # the twelve nearest of every sample in shadow lie within .15 of the middle, a tenth of the lit
+    assert 0.2 < (position[second, 0] > 0.15).mean() < 0.5
+    assert len(np.unique(second)) > 0.2 * lit.sum()
+
+
 def test_a_sun_without_a_shadow_has_no_pairs(floor):
     everywhere = np.ones(2000, bool)
     pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere)

@@ -51,11 +51,13 @@ class Transfer:
         soft: (U, K) irradiance for unit amplitude of each soft lobe.
         sharp: (U, J) irradiance for unit energy of each sharp lobe, visibility included.
         indirect: (U, 3) irradiance from surfaces, fixed by the photographs.
+        sure: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
     """
 
     soft: Tensor
     sharp: Tensor
     indirect: Tensor
+    sure: Tensor | None = None
 
     @cached_property
     def soft_rows(self) -> Tensor:
@@ -220,6 +222,8 @@ def solve_amplitudes(
     loss_value = 0.0
     neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
+    is_sure = torch.ones(len(radiance.seen)) if transfer.sure is None else transfer.sure
+    sure = torch.nonzero(is_sure)[:, 0]
     generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
@@ -228,7 +232,7 @@ def solve_amplitudes(
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
         loss = neighbour + priors.shadow * across.loss(log_albedo)
-        loss = loss + priors.bounds * range_loss(log_albedo, whole, priors)
+        loss = loss + priors.bounds * range_loss(log_albedo, (whole, sure), priors)
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)
         loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
@@ -263,21 +267,24 @@ def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
     return Amplitudes(soft=soft, sharp=sharp)
 
 
-def range_loss(log_albedo: Tensor, whole: Tensor, priors: Priors) -> Tensor:
+def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors) -> Tensor:
     """Penalty for albedos that no common material has; it fixes the overall scale.
 
     The mean of log albedo is drawn towards that of common scenes, as long as the brightest
-    materials stay physical. Only the lowest of the brightest few per cent counts: above it lie
-    highlights and shadow edges.
+    materials stay physical. These are looked for where it is sure how much sun arrives: under a low
+    sun a wall that the mesh turns out of it by a few degrees has an albedo of two. Only the lowest
+    of the brightest few per cent counts: above it lie highlights.
 
     Args:
         log_albedo: (U, 3).
-        whole: Samples of which no channel is clipped.
+        chosen: Samples of which no channel is clipped, and those of which it is sure.
         priors: Limits.
     """
+    whole, sure = chosen
     # the quantile, linear between ranks, without sorting what lies below
-    rank, part = divmod(BRIGHTEST_QUANTILE * (len(log_albedo) - 1), 1.0)
-    above = log_albedo.amax(1).topk(len(log_albedo) - int(rank)).values
+    brightness = log_albedo.index_select(0, sure).amax(1)
+    rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
+    above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2

@@ -20,8 +20,9 @@ from robir.appearance.light import (
 )
 from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import PAIR_REACHES, Problem
-from robir.appearance.statistics import Pairs, neighbour_pairs, shadow_pairs
+from robir.appearance.statistics import Pairs, neighbour_pairs
 from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
+from robir.appearance.sunlight import Sunlight
 
 Floats = NDArray[np.float32]
 
@@ -34,10 +35,6 @@ MIN_SEPARATION = 0.3
 SCAN_SURFELS = 2000
 SUN_SHARPNESS = 2000.0
 """Of a sun before its own is searched: about 1.3 degrees across."""
-
-EDGE_SHARPNESS = 250.0
-"""Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
-across, about what a mesh error of one grid cell does to a shadow."""
 
 ALIKE_COSINE = 0.8
 """Cosine between the normals of pairs by which a sun is polished: where shadows lie tells its
@@ -144,7 +141,7 @@ def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
     with the photographs is a light.
     """
-    (pairs,) = _across_shadows(problem, after.axes[-1:])
+    (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
     if not len(pairs.first):
         return False
     rows = problem.scene.rows
@@ -201,10 +198,11 @@ def fit(
     """
     rows = problem.scene.rows
     sharp = problem.scene.sharp_transfer(axes, sharpness, rows)
+    sunlight = Sunlight.of(problem, axes)
     amplitudes, loss = solve_amplitudes(
         problem.rows_radiance(rows),
-        problem.transfer(sharp, rows),
-        (problem.scene.pairs, Pairs.joined(_across_shadows(problem, axes))),
+        replace(problem.transfer(sharp, rows), sure=sunlight.is_sure()),
+        (problem.scene.pairs, Pairs.joined(sunlight.across_shadows())),
         Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
         iterations,
         start=start,
@@ -232,7 +230,8 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     rows = problem.scene.rows
     radiance = problem.rows_radiance(rows)
     sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
-    transfer = problem.transfer(sharp, rows)
+    sunlight = Sunlight.of(problem, light.axes)
+    transfer = replace(problem.transfer(sharp, rows), sure=sunlight.is_sure())
     if light.told is not None:
         hue = log_hue(light.amplitudes.irradiance(transfer), transfer.indirect)
         light = light.tinted(light.told - hue)
@@ -241,7 +240,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         pairs.weighted(
             pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, pairs.common_step(log_albedo))
         )
-        for pairs in _across_shadows(problem, light.axes)
+        for pairs in sunlight.across_shadows()
     ]
     amplitudes, loss = solve_amplitudes(
         radiance,
@@ -257,22 +256,6 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         start=light.amplitudes,
     )
     return replace(light, amplitudes=amplitudes, loss=loss)
-
-
-def _across_shadows(problem: Problem, axes: Floats) -> list[Pairs]:
-    """Pairs across the shadow of each sun, away from its edge."""
-    scene, rows = problem.scene, problem.scene.rows
-    surfels = scene.transport.surfels
-    normal = surfels.normal[rows]
-    wide = scene.sharp_transfer(axes, np.full(len(axes), EDGE_SHARPNESS, np.float32), rows).numpy()
-    parts = []
-    for index, axis in enumerate(axes):
-        cosine = normal @ axis
-        share = wide[:, index] / np.maximum(cosine, 1e-3)
-        facing = cosine > 0.15
-        lit, dark = facing & (share > 0.97), facing & (share < 0.03)
-        parts.append(shadow_pairs(surfels.position[rows], normal, lit, dark))
-    return parts
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:

@@ -29,6 +29,12 @@ SHADOW_NORMAL = 0.6
 
 MIN_SHADOW_SAMPLES = 20
 
+SHADOW_PARTNERS, SHADOW_PARTS = 12, 4
+"""Lit partners of a sample in shadow, and of how many lit ones one may be its partner. The nearest
+all hug the shadow's edge, where photographs blur it and the mesh displaces it: under the true light
+of six rendered scenes the shade was .12 brighter than they (log, mean), .10 brighter than every
+fourth. Of every twelfth, .08, more were of another paint: a truck's albedo lost .5 dB."""
+
 STEP_WIDTH = 0.15
 """Width of the kernel that finds the commonest step across shadows, log units: more than noise,
 less than the difference between the materials of a scene."""
@@ -250,7 +256,7 @@ def shadow_pairs(
     lit: NDArray[np.bool_],
     dark: NDArray[np.bool_],
 ) -> Pairs:
-    """Pairs across a sun's shadow: samples wholly in it with the nearest that are wholly lit.
+    """Pairs across a sun's shadow: samples wholly in it with near ones that are wholly lit.
 
     Neighbours at fixed distances hold few pairs with one end on either side of a shadow, and it is
     these that say how strong the sun is against the sky.
@@ -266,11 +272,17 @@ def shadow_pairs(
     """
     points = np.concatenate([position, SHADOW_NORMAL * normal], axis=1)
     lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
-    first = second = np.zeros(0, np.int64)
+    first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     if min(len(lit_rows), len(dark_rows)) >= MIN_SHADOW_SAMPLES:
-        distance, index = cKDTree(points[lit_rows]).query(points[dark_rows], k=12)
-        near = distance < SHADOW_REACH
-        first = np.repeat(dark_rows, 12)[near.ravel()]
-        second = lit_rows[index[near]]
-    weight = torch.full((len(first),), 1 / max(1, len(first)))
-    return Pairs(first=torch.from_numpy(first), second=torch.from_numpy(second), weight=weight)
+        # each part of those in shadow has its own part of the lit ones
+        parts = max(1, min(SHADOW_PARTS, len(lit_rows) // SHADOW_PARTNERS))
+        for part in range(parts):
+            own, partners = dark_rows[part::parts], lit_rows[part::parts]
+            count = min(SHADOW_PARTNERS, len(partners))
+            distance, index = cKDTree(points[partners]).query(points[own], k=count)
+            near = distance < SHADOW_REACH
+            first.append(np.repeat(own, count)[near.ravel()])
+            second.append(partners[index[near]])
+    left, right = np.concatenate(first), np.concatenate(second)
+    weight = torch.full((len(left),), 1 / max(1, len(left)))
+    return Pairs(first=torch.from_numpy(left), second=torch.from_numpy(right), weight=weight)

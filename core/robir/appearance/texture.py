@@ -23,13 +23,14 @@ from robir.appearance.evening import evened, most_albedo, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
 from robir.appearance.sharpen import sharpened
-from robir.appearance.solver import EDGE_SHARPNESS, Light
+from robir.appearance.solver import Light
 from robir.appearance.statistics import (
     darker_view_weights,
     linear_observations,
     sharpest_views,
     weighted_radiance,
 )
+from robir.appearance.sunlight import EDGE_SHARPNESS
 from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
