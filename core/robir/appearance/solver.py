@@ -280,7 +280,7 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
-    first = fit(problem, axes, sharpness, config.iterations)
+    first = fit(problem, axes, sharpness, config.iterations // 2, start=light.amplitudes)
     if config.parsimony_weight == 0:
         return replace(first, history=light.history)
     final = fit(
