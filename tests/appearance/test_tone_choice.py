@@ -175,15 +175,28 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
     assert lead.total == plain
 
 
-def test_lights_are_settled_before_the_plain_curve_is_compared(stage):
-    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+def models_of(scene, steps):
+    """The scene under the plain curve and Filmic, with lights of so many steps."""
     models = []
     for name in ("standard", "filmic"):
         problem = make_problem(scene, curve_from_name(name))
-        models.append((problem, fit(problem, synthetic.SUN[None], np.float32([2000.0]), 10)))
+        models.append((problem, fit(problem, synthetic.SUN[None], np.float32([2000.0]), steps)))
+    return models
+
+
+def test_lights_are_settled_before_the_plain_curve_is_compared(stage):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+    models = models_of(scene, 2)
     early, settled = (Judged.of(models).lead(0, 1, steps, 0).shadows for steps in (0, 150))
     assert settled.value < early.value - 0.02
     assert settled.errors < -2
+
+
+def test_lights_are_not_settled_where_the_shoulder_is_plainly_nearer(stage):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+    judged = Judged.of(models_of(scene, 10))
+    assert judged.lead(0, 1, 150, 0).total < -2
+    assert not judged.settled
 
 
 def test_pairs_of_two_materials_do_not_count(stage):
