@@ -222,8 +222,8 @@ def solve_amplitudes(
     loss_value = 0.0
     neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
-    is_sure = torch.ones(len(radiance.seen)) if transfer.sure is None else transfer.sure
-    sure = torch.nonzero(is_sure)[:, 0]
+    count = len(radiance.seen)
+    sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
     generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)

@@ -138,10 +138,11 @@ def _least_errors(
     reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
     best = torch.full((len(rows), len(METAL_LEVELS)), float("inf"))
+    tilted = [reflections.tilted(rays, tilt) for tilt in tilts]
     for index, level in enumerate(METAL_LEVELS):
         about = reflections.blurred(level)
-        for tilt in tilts:
-            sky = reflections.from_sky(reflections.tilted(rays, tilt), level, about)
+        for tilt, mirrored in zip(tilts, tilted, strict=True):
+            sky = reflections.from_sky(mirrored, level, about)
             white = sky + reflections.from_suns(rays, level, tilt)
             ratio = dense(seen.linear / white[:, 1].clamp(min=1e-5), rays, shape)
             base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values

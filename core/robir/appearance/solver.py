@@ -14,6 +14,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import (
     Amplitudes,
     Priors,
+    Transfer,
     log_hue,
     log_ratio,
     solve_amplitudes,
@@ -196,18 +197,24 @@ def fit(
     Returns:
         The light.
     """
-    rows = problem.scene.rows
-    sharp = problem.scene.sharp_transfer(axes, sharpness, rows)
-    sunlight = Sunlight.of(problem, axes)
+    transfer, sunlight = _lit_by(problem, axes, sharpness)
     amplitudes, loss = solve_amplitudes(
-        problem.rows_radiance(rows),
-        replace(problem.transfer(sharp, rows), sure=sunlight.is_sure()),
+        problem.rows_radiance(problem.scene.rows),
+        transfer,
         (problem.scene.pairs, Pairs.joined(sunlight.across_shadows())),
         Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
         iterations,
         start=start,
     )
     return Light(axes=axes, sharpness=sharpness, amplitudes=amplitudes, loss=loss, history=())
+
+
+def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer, Sunlight]:
+    """Transfer of the samples that take part, and how they stand to the suns."""
+    sharp = problem.scene.sharp_transfer(axes, sharpness, problem.scene.rows)
+    sunlight = Sunlight.of(problem, axes)
+    transfer = problem.transfer(sharp, problem.scene.rows)
+    return replace(transfer, sure=sunlight.is_sure()), sunlight
 
 
 def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
@@ -227,11 +234,8 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     Returns:
         The light.
     """
-    rows = problem.scene.rows
-    radiance = problem.rows_radiance(rows)
-    sharp = problem.scene.sharp_transfer(light.axes, light.sharpness, rows)
-    sunlight = Sunlight.of(problem, light.axes)
-    transfer = replace(problem.transfer(sharp, rows), sure=sunlight.is_sure())
+    radiance = problem.rows_radiance(problem.scene.rows)
+    transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)
     if light.told is not None:
         hue = log_hue(light.amplitudes.irradiance(transfer), transfer.indirect)
         light = light.tinted(light.told - hue)

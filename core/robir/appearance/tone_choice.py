@@ -69,8 +69,8 @@ SIMPLER_MARGIN = 1.0
 
 SETTLED_FROM = -1.0
 """Lead in standard errors, of the plain curve over a shoulder, below which their lights need not be
-settled: that moved it by .4 at most on five captures between -3 and -8, by up to 2 where the lead
-was close, and the plain curve must lead by PLAIN_MARGIN."""
+settled: that moved it by .2 to .4 on four captures between -2.9 and -7.4, and the plain curve must
+lead by PLAIN_MARGIN."""
 
 LEAST_LEAD = 0.1
 """Codes by which mean display errors differ for no reason; adds to their standard error. The
@@ -262,10 +262,10 @@ class Judged:
             steps: Further steps that settle their lights.
             seed: Of what is looked at.
         """
-        lead = self._compared(index, shoulder, seed)
-        if lead.total < SETTLED_FROM:
+        lead, unsettled = self._compared(index, shoulder, seed), {index, shoulder} - {*self.settled}
+        if lead.total < SETTLED_FROM or not unsettled:
             return lead
-        for number in {index, shoulder} - set(self.settled):
+        for number in unsettled:
             problem, light = self.models[number]
             start = light.amplitudes
             further = fit(problem, light.axes, light.sharpness, steps, start=start)
