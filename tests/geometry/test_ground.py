@@ -33,6 +33,7 @@ def flattened(
     solid: trimesh.Trimesh,
     left_over: trimesh.Trimesh | None = None,
     paint: Callable[[np.ndarray], np.ndarray] = pale,
+    dug: trimesh.Trimesh | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true surface of a solid on the ground, flattened by what the photographs show.
 
@@ -40,6 +41,7 @@ def flattened(
         solid: What stands on the ground.
         left_over: What the surface has although it is in no photograph, or None.
         paint: Display colours of points.
+        dug: What the surface lacks although it is there, or None.
 
     Returns:
         Nodes (N, 3) with heights above the ground, values before and values after, (N,).
@@ -55,6 +57,8 @@ def flattened(
     inside = solid.contains(nodes) | (np.hypot(*nodes.T[:2]) < 0.9) & (nodes[:, 2] < TOP)
     if left_over is not None:
         inside |= left_over.contains(nodes)
+    if dug is not None:
+        inside &= ~dug.contains(nodes)
     before = torch.from_numpy(np.where(inside, -1.0, 1.0) * lattice.cell).float()
     backdrop = Backdrop(ground, photos)
     backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
@@ -113,3 +117,15 @@ def test_lumps_beside_a_rim_are_ground_though_the_rim_hides_their_feet() -> None
     assert (after[lump] > 0).mean() > 0.55
     rim = (before < 0) & (radius < RIM[1] - 0.05) & (nodes[:, 2] > 0.02)
     assert (after[rim] < 0).mean() > 0.95
+
+
+def test_a_pit_below_a_table_is_filled() -> None:
+    table = trimesh.util.concatenate([drum(0.1, TOP, TOP + 0.3), drum(0.5, TOP + 0.29, TOP + 0.4)])
+    pit = drum(0.08, TOP - 0.1, TOP + 0.02)
+    pit.apply_translation([0.3, 0.0, 0.0])
+    nodes, before, after = flattened(table, dug=pit)
+    wall = (np.hypot(nodes[:, 0] - 0.3, nodes[:, 1]) < 0.08) & (nodes[:, 2] > -0.04)
+    hole = wall & (nodes[:, 2] < -0.005)
+    assert hole.sum() >= 8
+    assert (before[hole] > 0).all()
+    assert (after[hole] < 0).all()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, distance_transform_edt, label
+from scipy.ndimage import binary_fill_holes, binary_opening, distance_transform_edt, label
 from torch import Tensor
 
 from robir.geometry.columns import Columns
@@ -126,7 +126,8 @@ class Ground:
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the plane over ground columns, and fill pits below it.
 
-        What hangs over them higher than columns are searched stays.
+        What hangs over them higher than columns are searched stays. Below things that ground
+        encloses there is ground too: pits are dug beside the feet of what hangs over them.
 
         Args:
             lattice: Nodes.
@@ -137,14 +138,21 @@ class Ground:
             The new signed distances (N,).
         """
         columns = self.columns
-        aside = distance_transform_edt(ground) - distance_transform_edt(~ground)
         points = lattice.nodes().numpy().astype(np.float64)
-        reach = columns.sample(aside * columns.spacing, points)
+        reach, below = (
+            columns.sample(_depth_inside(area) * columns.spacing, points)
+            for area in (ground, binary_fill_holes(ground))
+        )
         height = columns.plane.local(points)[:, 2]
         before = sdf.detach().cpu().numpy()
         searched = np.minimum(height, HIGHEST - height)
         cut = np.maximum(before, np.minimum(searched, reach))
         # pits are filled, but the rim itself is left to the masks
-        inner = columns.spacing * 2.0 - reach
+        inner = columns.spacing * 2.0 - below
         slab = np.maximum(np.maximum(height, inner), -height - 1.5 * lattice.cell)
         return torch.from_numpy(np.minimum(cut, slab).astype(np.float32)).to(sdf.device)
+
+
+def _depth_inside(area: NDArray[np.bool_]) -> Array:
+    """Distance from the border of an area of columns, in columns; negative outside."""
+    return distance_transform_edt(area) - distance_transform_edt(~area)

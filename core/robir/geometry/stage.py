@@ -33,7 +33,7 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
-REVISION = 13
+REVISION = 14
 """Raised whenever the same input gives another result."""
 
 
