@@ -237,7 +237,8 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
             }
         ],
     )
-    write_json(appearance / "exposure.json", {"steps": {}, "corner_steps": 0.0})
+    exposure = {"steps": {}, "corner_steps": 0.0, "other_light": []}
+    write_json(appearance / "exposure.json", exposure)
     held_out = {v.name: v.image_display for v in views if v.split == "held_out"}
     np.savez(appearance / "held_out.npz", **held_out)
     for stage in STAGES[:-1]:

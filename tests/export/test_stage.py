@@ -193,7 +193,8 @@ def test_exposures_of_photographs_are_reported(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     names = [view.name for view in load_capture(paths.stage("capture")).views]
     steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
-    write_json(paths.stage("appearance") / "exposure.json", {"steps": steps, "corner_steps": 0.25})
+    table = {"steps": steps, "corner_steps": 0.25, "other_light": []}
+    write_json(paths.stage("appearance") / "exposure.json", table)
     stage.run(context(paths, Recorder(), renders=False))
     exposure = read_json(paths.report_json)["exposure"]
     assert not exposure["is_even"]
@@ -210,8 +211,35 @@ def test_exposures_of_photographs_are_reported(tmp_path):
 
 def test_alike_photographs_are_said_to_be_alike(exported):
     exposure = read_json(exported[0].report_json)["exposure"]
-    assert exposure == {"is_even": True, "spread_steps": 0.0, "corner_steps": 0.0, "views": {}}
-    assert "exposed and balanced alike" in exported[0].report.read_text(encoding="utf-8")
+    assert exposure == {
+        "is_even": True,
+        "other_light": [],
+        "spread_steps": 0.0,
+        "corner_steps": 0.0,
+        "views": {},
+    }
+    page = exported[0].report.read_text(encoding="utf-8")
+    assert "exposed and balanced alike" in page
+    assert "another light" not in page
+
+
+def test_photographs_under_another_light_are_named_and_not_scored(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    views = load_capture(paths.stage("capture")).views
+    odd = [next(v.name for v in views if v.split == split) for split in ("train", "held_out")]
+    table = {"steps": {}, "corner_steps": 0.0, "other_light": odd}
+    write_json(paths.stage("appearance") / "exposure.json", table)
+    stage.run(context(paths, Recorder(), renders=False))
+    numbers = read_json(paths.report_json)
+    kept_aside = sum(view.split == "held_out" for view in views)
+    assert numbers["exposure"]["other_light"] == odd
+    assert numbers["held_out"]["views"] == kept_aside - 1
+    assert numbers["capture"]["train_views"] == len(views) - kept_aside - 1
+    assert f"left out of albedo, light and scores: {', '.join(odd)}" in paths.report.read_text(
+        encoding="utf-8"
+    )
+    # the cameras are all there still
+    assert len(read_json(paths.cameras)["views"]) == len(views)
 
 
 def test_a_name_from_outside_cannot_write_html(tmp_path):

@@ -24,9 +24,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.other_light import find_unlike, unlike
 from robir.appearance.robust import Weighing, deviation, solve_views
 from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
-from robir.capture.capture import View
+from robir.capture.capture import Capture, View
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
@@ -145,19 +146,33 @@ class Exposures:
         return Gains(by_view, falloff)
 
 
-def find_exposures(
-    transport: Transport, tracer: AbstractTracer, views: tuple[View, ...], seed: int
-) -> Exposures | None:
-    """Look whether photographs were exposed alike, and gather what tells how if not.
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What photographs of the same points tell about how these were lit and exposed.
+
+    Attributes:
+        other_light: Names of the photographs taken under another light than most, held-out ones
+            included.
+        exposures: Where the others were not exposed alike, what tells how; else None.
+    """
+
+    other_light: frozenset[str] = frozenset()
+    exposures: Exposures | None = None
+
+
+def compare_photographs(
+    transport: Transport, tracer: AbstractTracer, capture: Capture, seed: int
+) -> Comparison:
+    """Look whether photographs were lit and exposed alike, and gather what tells how if not.
 
     Args:
         transport: Baked transport with the samples' observations.
         tracer: Tracer of the mesh.
-        views: All views, the held-out ones included: those need a gain to be compared with.
+        capture: All views, the held-out ones included: those need a gain to be compared with.
         seed: Of the choice of points.
 
     Returns:
-        None where the photographs are alike or too little is seen in common.
+        What was found; nothing where too little is seen in common.
     """
     surfels, seen = transport.surfels, transport.observations
     usable = np.flatnonzero((seen.weight > FRONTAL).sum(1) >= FEWEST_VIEWS)
@@ -167,23 +182,36 @@ def find_exposures(
     keep[chosen] = True
     points = surfels.subset(keep)
     few = seen.subset(keep)
-    log, kept = comparable(few, curve_from_name("standard"))
+
+    def observed(views: Sequence[View]) -> Observations:
+        small = tuple(resize_view(view, SIDE) for view in views)
+        offset = transport.visibility.offset
+        return observe(tracer, points.position, points.normal, small, offset)
+
+    plain = curve_from_name("standard")
+    log, kept = comparable(few, plain)
     if len(log) < FEWEST_POINTS:
-        return None
+        return Comparison()
+    odd, common = find_unlike(log, solve_gains(log, points.normal[kept])[0])
+    other = {few.views[index] for index in np.flatnonzero(odd)}
+    if other:
+        if aside := capture.held_out:
+            found = unlike(log_radiance(observed(aside), plain)[kept], common)
+            other |= {aside[index].name for index in np.flatnonzero(found)}
+        few = few.of_views(~odd)
+        log, kept = comparable(few, plain)
     normals, off_axis = points.normal[kept], few.off_axis[kept]
     falloff = find_falloff(log, normals, off_axis)
     are_apart = are_uneven(log - falloff.log(off_axis)[..., None], normals)
     if not are_apart and not falloff.strength:
-        return None
-    small = tuple(resize_view(view, SIDE) for view in views)
-    offset = transport.visibility.offset
-    observations = observe(tracer, points.position, points.normal, small, offset)
-    return Exposures(
-        observations=observations,
+        return Comparison(frozenset(other))
+    exposures = Exposures(
+        observations=observed([view for view in capture.views if view.name not in other]),
         normals=points.normal,
         are_apart=are_apart,
         has_falloff=falloff.strength > 0,
     )
+    return Comparison(frozenset(other), exposures)
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
@@ -222,13 +250,19 @@ def comparable(
     Returns:
         Log radiance, and which (N,) points are left.
     """
+    log = log_radiance(observations, curve)
+    kept = np.isfinite(log[..., 0]).sum(1) >= FEWEST_VIEWS
+    return log[kept], kept
+
+
+def log_radiance(observations: Observations, curve: AbstractToneCurve) -> Array:
+    """Log radiance (N, V, 3) under a tone curve, NaN where a view does not show a point well."""
     log = np.log(decoded(observations, curve).numpy().astype(np.float64).clip(1e-4))
     display = observations.display
     poor = (observations.weight < FRONTAL)[..., None] | observations.clipped
     poor = poor | (display < DARKEST) | (display > BRIGHTEST)
     log[poor.any(2)] = np.nan
-    kept = np.isfinite(log[..., 0]).sum(1) >= FEWEST_VIEWS
-    return log[kept], kept
+    return log
 
 
 def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from robir.appearance import vignetting
+from collections.abc import Collection
+
+from robir.appearance import other_light, vignetting
 from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
@@ -43,7 +45,7 @@ def light_choices(
             cost_seconds=seconds["tone_curve"],
             why=f"{reason}; of those with a shoulder the lowest display error of albedo carried "
             "between neighbours in different light, the simplest within one standard error"
-            f"{_near(candidates)}{_lead(tone)}",
+            f"{_near(candidates)}{_lead(tone)}{_beyond(tone)}",
         ),
         *_power(tone.power),
         Choice(
@@ -84,6 +86,13 @@ def _near(candidates: list[Candidate]) -> str:
     return f"; within noise of it: {', '.join(near)}" if near else ""
 
 
+def _beyond(tone: ToneChoice) -> str:
+    """Which curves do not reach the colours of the photographs."""
+    return "".join(
+        f"; {name} cannot show {share:.1%} of the colours" for name, share in tone.beyond.items()
+    )
+
+
 def _lead(tone: ToneChoice) -> str:
     """How the plain curve compares with those that roll off, in words."""
     lead = tone.plain_lead
@@ -122,17 +131,29 @@ def _power(choice: PowerChoice | None) -> tuple[Choice, ...]:
     )
 
 
-def camera_choices(gains: Gains, seconds: dict[str, float]) -> tuple[Choice, Choice]:
-    """On exposures and corners of the photographs.
+def camera_choices(
+    gains: Gains, unlike: Collection[str], seconds: dict[str, float]
+) -> tuple[Choice, ...]:
+    """On exposures, light and corners of the photographs.
 
     Args:
         gains: What was found.
+        unlike: Photographs under another light than most.
         seconds: Processor time by task: "exposure".
     """
     alike, apart = "one for all", "each photograph its own"
     steps = gains.falloff.corner_steps
     even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
+    number = len(unlike)
     return (
+        Choice(
+            choice="light of the photographs",
+            chosen=f"one, without {number} of them" if number else "one",
+            alternatives=("one",) if number else (),
+            why="a photograph is left out where it is more than "
+            f"{other_light.LEAST_STEPS} steps brighter or darker than the rest and its points "
+            f"differ in that by more than {other_light.LEAST_LEFT:.0%}",
+        ),
         Choice(
             choice="exposure",
             chosen=apart if gains.by_view else alike,

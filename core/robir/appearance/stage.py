@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.exposure import Gains, find_exposures
+from robir.appearance.exposure import Gains, compare_photographs
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.light_hue import hue_by_highlights
@@ -25,6 +25,7 @@ from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
+from robir.capture.refusal import MAX_FILES
 from robir.capture.store import load_capture
 from robir.geometry.mesh import Mesh
 from robir.geometry.unwrap import rasterise_atlas
@@ -35,7 +36,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 35
+REVISION = 36
 
 TEXTURE_VIEWS = 48
 
@@ -67,17 +68,20 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
     tracer = make_tracer(mesh.vertices, mesh.faces, context.device)
+    started = time.process_time()
+    compared = compare_photographs(transport, tracer, capture, context.seed)
+    seconds = {"exposure": time.process_time() - started}
+    other = compared.other_light
+    if other:
+        reporter.warn(_told(other, capture))
     scene = make_scene(
-        transport,
+        transport.without_views(other),
         tracer if transport.visibility.is_traced else None,
         transport.visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    started = time.process_time()
-    exposures = find_exposures(transport, tracer, capture.views, context.seed)
-    scene = replace(scene, exposures=exposures)
-    seconds = {"exposure": time.process_time() - started}
+    scene = replace(scene, exposures=compared.exposures)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed)
@@ -88,20 +92,22 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     problem, light, gloss = solve(sized, config, context.seed)
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    inside, values = _bake(problem, light, gloss, (mesh, tracer), capture, config.texture_size)
+    fitted = capture.without(other)
+    inside, values = _bake(problem, light, gloss, (mesh, tracer), fitted, config.texture_size)
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
-    psnr = _held_out(folder, problem, light, gloss, capture, (mesh, tracer, lookup, values))
+    surface = (mesh, tracer, lookup, values)
+    psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
-    _write_exposure(folder, problem.gains)
+    _write_exposure(folder, problem.gains, other)
     choices = (
         *light_choices(tone, light, gloss, seconds),
         *gloss.choices,
         *sized.choices,
-        *camera_choices(problem.gains, seconds),
+        *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     return {
@@ -110,6 +116,17 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _told(other: frozenset[str], capture: Capture) -> str:
+    """The warning about photographs under another light."""
+    names = [view.name for view in capture.views if view.name in other]
+    shown = ", ".join(names[:MAX_FILES]) + (", ..." if len(names) > MAX_FILES else "")
+    return (
+        f"{len(names)} of {len(capture.views)} photographs show the object in another light than "
+        f"the rest ({shown}); the surface is fitted to them, albedo and light are not. Let nothing "
+        "stand between lamps and object, and change no light, while photographing."
+    )
 
 
 def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Problem, Light, Gloss]:
@@ -161,13 +178,16 @@ def _held_out(
     light: Light,
     gloss: Gloss,
     capture: Capture,
+    other_light: frozenset[str],
     surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
 ) -> float | None:
-    """Render and store the held-out views; their PSNR against the photographs."""
+    """Render and store the held-out views; PSNR of those in the common light."""
     images, squared, count = {}, 0.0, 0
     pictures = render_views(problem, light, gloss, capture.held_out, surface)
     for view, (image, alpha) in zip(capture.held_out, pictures, strict=True):
         images[view.name] = np.dstack([image, alpha])
+        if view.name in other_light:
+            continue
         chosen = (alpha > 0) & (view.mask > MASK_INSIDE)
         difference = (image[chosen].astype(float) - view.image_display[chosen]) / 255
         squared += float((difference**2).sum())
@@ -253,7 +273,11 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     )
 
 
-def _write_exposure(folder: Path, gains: Gains) -> None:
-    """Store how each photograph was exposed and how much darker the corners of all are."""
-    table = {"steps": gains.steps(), "corner_steps": gains.falloff.corner_steps}
+def _write_exposure(folder: Path, gains: Gains, other_light: frozenset[str]) -> None:
+    """Store how each photograph was exposed and lit, and how much darker the corners of all are."""
+    table = {
+        "steps": gains.steps(),
+        "corner_steps": gains.falloff.corner_steps,
+        "other_light": sorted(other_light),
+    }
     write_json(folder / "exposure.json", table)

@@ -11,8 +11,8 @@ of two materials says nothing, and all curves must be judged by the same pairs.
 So curves with a shoulder are told from each other. Whether it is the plain one instead, the most
 that a choice can cost, is weighed apart, see plain_lead.py.
 
-One kind of evidence comes before any fit: a curve that clips piles pixels up at code 255, one that
-rolls off does not.
+Two kinds of evidence come before any fit: a curve that clips piles pixels up at code 255, one that
+rolls off does not; and a curve that mixes channels does not reach all colours, see reach.py.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
 from robir.appearance.plain_lead import PlainLead, mismatch_table
 from robir.appearance.problem import Problem, Scene, make_problem
+from robir.appearance.reach import unable
 from robir.appearance.solver import ALIKE_BRIGHTNESS, ALIKE_HUE, Light, find_suns, fit
 from robir.appearance.tone_highlights import highlight_tables
 from robir.maths.tone import curve_from_name, powered
@@ -171,6 +172,8 @@ class ToneChoice:
     Attributes:
         candidates: The chosen one first, then by score.
         evidence: Of the histogram.
+        beyond: Shares of the observations whose colours no light gives under a curve, by the names
+            of the curves that these rule out.
         power: The power of the display codes, None where the curve was given.
         plain_lead: Of the plain curve against those with a shoulder, None where not both were
             compared.
@@ -178,6 +181,7 @@ class ToneChoice:
 
     candidates: list[Candidate]
     evidence: ClippingEvidence
+    beyond: dict[str, float]
     power: PowerChoice | None
     plain_lead: PlainLead | None
 
@@ -197,26 +201,34 @@ def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> Tone
         Candidates and evidence.
     """
     allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
-    evidence = clipping_evidence(scene.transport.observations)
-    fitting = _fitting(allowed, evidence)
+    observations = scene.transport.observations
+    evidence = clipping_evidence(observations)
+    beyond = unable(allowed, observations)
+    fitting = _fitting(allowed, evidence, beyond)
     # Filmic lies between the families, so its suns start all of them.
     first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
     found = find_suns(make_problem(scene, first), config, seed)
     choice = None if len(allowed) == 1 else choose_power(scene, first, found, seed)
     if choice is not None and choice.power != 1.0:
-        evidence = clipping_evidence(scene.transport.observations, choice.power)
-        fitting = [powered(curve, choice.power) for curve in _fitting(allowed, evidence)]
+        evidence = clipping_evidence(observations, choice.power)
+        toned = [powered(curve, choice.power) for curve in allowed]
+        beyond = unable(toned, observations)
+        fitting = _fitting(toned, evidence, beyond)
     candidates, lead = _ranked(scene, fitting, found, config, seed)
-    return ToneChoice(candidates=candidates, evidence=evidence, power=choice, plain_lead=lead)
+    return ToneChoice(
+        candidates=candidates, evidence=evidence, beyond=beyond, power=choice, plain_lead=lead
+    )
 
 
 def _fitting(
-    allowed: list[AbstractToneCurve], evidence: ClippingEvidence
+    allowed: list[AbstractToneCurve], evidence: ClippingEvidence, beyond: dict[str, float]
 ) -> list[AbstractToneCurve]:
-    """The curves that the histogram does not rule out; all if it would rule out every one."""
+    """The curves that no code and no colour rules out; all if that would rule out every one."""
     verdict = evidence.verdict
     return [
-        curve for curve in allowed if verdict is None or (curve.name == PLAIN) == verdict
+        curve
+        for curve in allowed
+        if (verdict is None or (curve.name == PLAIN) == verdict) and curve.name not in beyond
     ] or allowed
 
 

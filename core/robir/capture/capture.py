@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -106,6 +106,10 @@ class Capture:
     def held_out(self) -> tuple[View, ...]:
         """Views kept aside to judge the result."""
         return tuple(view for view in self.views if view.split == "held_out")
+
+    def without(self, names: Collection[str]) -> Capture:
+        """The capture without some views."""
+        return replace(self, views=tuple(view for view in self.views if view.name not in names))
 
     def normalised(self) -> Capture:
         """The capture in the frame where its bounding sphere is the unit sphere at the origin."""

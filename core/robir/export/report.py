@@ -65,7 +65,7 @@ class Products:
     """What the report shows.
 
     Attributes:
-        capture: The photographs.
+        capture: The photographs, those under another light left out.
         mesh: The surface, capture frame.
         arrays: Textures as the appearance stage left them.
         light: Recovered light.
@@ -268,12 +268,13 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
 
     Args:
         exposure: "steps" (log2) of each channel by the view's name, empty where all are alike, and
-            "corner_steps" by which the corners of all are darker than the middle.
+            "corner_steps" by which the corners of all are darker than the middle, and
+            "other_light", names of the photographs that were left out for it.
 
     Returns:
-        "is_even"; "spread_steps", the standard deviation of the views' exposures; "views" by name,
-        brightest first, each with its "exposure" (mean of the channels) and the "white_balance" of
-        red and blue against green, in steps; "corner_steps".
+        "is_even"; "other_light"; "spread_steps", the standard deviation of the views' exposures;
+        "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
+        "white_balance" of red and blue against green, in steps; "corner_steps".
     """
     views = {
         name: {
@@ -285,6 +286,7 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
     spread = float(np.std([view["exposure"] for view in views.values()])) if views else 0.0
     return {
         "is_even": not views,
+        "other_light": exposure["other_light"],
         "spread_steps": round(spread, 3),
         "corner_steps": round(exposure["corner_steps"], 3),
         "views": views,

@@ -53,10 +53,12 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     paths, report = context.paths, context.reporter
     report.progress(0.0, "reading the reconstruction")
     capture = load_capture(paths.stage("capture"))
+    exposure = read_json(paths.stage("appearance") / "exposure.json")
+    judged = capture.without(exposure["other_light"])
     mesh = result_mesh(paths, capture.bounds)
     arrays = load_textures(paths)
     report.progress(0.05, "writing textures and the asset")
-    textures = finished_textures(arrays, len(capture.train))
+    textures = finished_textures(arrays, len(judged.train))
     write_textures(textures, paths.textures)
     write_glb(paths.asset, mesh, textures, asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")
@@ -64,19 +66,19 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     tone_curve = export_tone_curve(paths)
     export_cameras(paths, capture)
     own = {"cpu": time.process_time() - cpu, "wall": time.monotonic() - wall}
-    rendering = _render(context, capture, tone_curve)
+    rendering = _render(context, judged, tone_curve)
     cpu, wall = time.process_time(), time.monotonic()
     report.progress(_RENDER_SHARE, "writing the report")
     numbers = write_report(
         paths,
         Products(
-            capture=capture,
+            capture=judged,
             mesh=mesh,
             arrays=arrays,
             light=light,
             tone_curve=tone_curve,
             choices=read_json(paths.stage("appearance") / "choices.json"),
-            exposure=read_json(paths.stage("appearance") / "exposure.json"),
+            exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
                 "cpu": own["cpu"] + time.process_time() - cpu,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +34,12 @@ class Transport:
     surfels: Surfels
     visibility: Visibility
     observations: Observations
+
+    def without_views(self, names: Collection[str]) -> Transport:
+        """The transport without what some views show."""
+        seen = self.observations
+        keep = np.array([view not in names for view in seen.views])
+        return replace(self, observations=seen.of_views(keep)) if not keep.all() else self
 
     def save(self, folder: Path) -> None:
         """Write surfels.npz, visibility.npz and bounce.npz, each atomically."""

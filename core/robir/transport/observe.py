@@ -61,6 +61,17 @@ class Observations:
             off_axis=self.off_axis[keep],
         )
 
+    def of_views(self, keep: NDArray[np.bool_]) -> Observations:
+        """All points in the views where `keep` holds."""
+        return Observations(
+            display=self.display[:, keep],
+            weight=self.weight[:, keep],
+            clipped=self.clipped[:, keep],
+            off_axis=self.off_axis[:, keep],
+            positions=self.positions[keep],
+            views=tuple(view for view, kept in zip(self.views, keep, strict=True) if kept),
+        )
+
 
 def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     """At most `count` views, chosen so that their camera positions lie far apart.

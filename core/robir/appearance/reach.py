@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Curves that cannot have made the photographs, whatever was in front of the camera.
+
+A curve that mixes channels does not reach every display colour: AgX draws saturated colours
+towards grey. Photographs that hold what it cannot show did not go through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.observe import Observations
+
+FARTHEST = 5.0
+"""Codes by which a colour may miss what a curve reaches: compression shifts colours by so much."""
+
+MOST_BEYOND = 1e-3
+"""Share of observations that may lie farther beyond. Of eight captures through AgX none does at
+all; of photographs by cameras 3 to 31 % do, of captures through Standard .2 to 2.6 %."""
+
+ASKED = 20000
+"""Observations that are asked."""
+
+
+def share_beyond(curve: AbstractToneCurve, observations: Observations) -> float:
+    """Share of the observations whose colour no light gives under a curve.
+
+    Args:
+        curve: The tone curve.
+        observations: What photographs show; clipped codes, which may stand for anything, aside.
+
+    Returns:
+        0..1.
+    """
+    if not curve.mixes_channels:
+        return 0.0
+    shown = (observations.weight > 0) & ~observations.clipped.any(2)
+    codes = observations.display[shown]
+    codes = codes[:: max(1, len(codes) // ASKED)]
+    display = torch.from_numpy(codes.astype(np.float32) / 255)
+    reached = curve.display_from_linear(curve.linear_from_display(display))
+    missed = 255 * (reached - display).abs().amax(1)
+    return float((missed > FARTHEST).float().mean()) if len(codes) else 0.0
+
+
+def unable(curves: Iterable[AbstractToneCurve], observations: Observations) -> dict[str, float]:
+    """The curves that cannot have made the photographs: their `share_beyond` by name."""
+    shares = {curve.name: share_beyond(curve, observations) for curve in curves}
+    return {name: share for name, share in shares.items() if share > MOST_BEYOND}

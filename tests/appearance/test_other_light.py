@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photographs under another light are told from those exposed otherwise, and from metal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robir.appearance.exposure import solve_gains
+from robir.appearance.other_light import find_unlike, unlike
+from robir.maths.vectors import fibonacci_sphere
+
+VIEWS, POINTS = 24, 600
+
+COVERED = (3, 4, 17)
+"""Photographs during which a lamp is covered."""
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+@pytest.fixture
+def lit(rng):
+    """Matte points under two lamps: log radiance (P, V, 3), what the second lamp gives, normals."""
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    lamps = np.array([[0.6, 0.0, 0.8], [-0.6, 0.3, 0.74]])
+    first, second = 0.15 + (normals @ lamps.T).clip(0).T
+    albedo = rng.uniform(0.1, 0.5, (POINTS, 3))
+    log = np.log(albedo * (first + second)[:, None])[:, None].repeat(VIEWS, 1)
+    log = log + 0.05 * rng.standard_normal((POINTS, VIEWS, 1))
+    log[rng.random((POINTS, VIEWS)) < 0.4] = np.nan
+    return log, np.log(first / (first + second)), normals
+
+
+def found(log: np.ndarray, normals: np.ndarray) -> list[int]:
+    gains, _ = solve_gains(log, normals)
+    return np.flatnonzero(find_unlike(log, gains)[0]).tolist()
+
+
+def test_photographs_with_a_lamp_covered_are_found(lit):
+    log, loss, normals = lit
+    assert found(log, normals) == []
+    log[:, COVERED] += loss[:, None, None]
+    assert found(log, normals) == list(COVERED)
+
+
+def test_what_the_points_are_like_under_the_common_light_is_kept(lit):
+    log, loss, normals = lit
+    true = np.nanmedian(log, axis=1)
+    log[:, COVERED] += loss[:, None, None]
+    gains, _ = solve_gains(log, normals)
+    _, points = find_unlike(log, gains)
+    assert np.abs(points - true).mean() < 0.05
+
+
+def test_one_factor_for_a_whole_photograph_is_its_exposure(lit):
+    log, _, normals = lit
+    log[:, COVERED] -= 1.2
+    assert found(log, normals) == []
+
+
+def test_of_a_mirror_every_photograph_differs(rng):
+    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
+    cameras = fibonacci_sphere(2 * VIEWS).numpy()[:VIEWS]
+    mirrored = 2 * (normals @ cameras.T)[..., None] * normals[:, None] - cameras
+    axes = rng.standard_normal((5, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    radiance = 0.05 + np.exp(6 * (mirrored @ axes.T - 1)).sum(-1)
+    assert found(np.log(radiance)[..., None].repeat(3, 2), normals) == []
+
+
+def test_without_a_common_light_none_is_left_out(lit):
+    log, loss, normals = lit
+    log[:, ::3] += loss[:, None, None]
+    assert found(log, normals) == []
+
+
+def test_photographs_kept_aside_are_judged_by_the_others(lit):
+    log, loss, normals = lit
+    gains, _ = solve_gains(log, normals)
+    _, points = find_unlike(log, gains)
+    aside = np.stack([log[:, 0], log[:, 1] + loss[:, None], log[:, 2] - 1.0], axis=1)
+    assert unlike(aside, points).tolist() == [False, True, False]
+
+
+def test_a_photograph_that_shows_hardly_any_point_is_not_judged(lit):
+    log, loss, _ = lit
+    points = np.nanmedian(log, axis=1)
+    aside = points[:, None] + loss[:, None, None]
+    assert unlike(aside, points).all()
+    aside[np.random.default_rng(0).permutation(POINTS)[10:]] = np.nan
+    assert not unlike(aside, points).any()
