@@ -82,7 +82,9 @@ def falloff_of(seen: Observations, normals: np.ndarray) -> Falloff:
 def uneven(seen: Observations, normals: np.ndarray, falloff: Falloff) -> bool:
     """Whether photographs are unlike under a plain curve, their falloff undone."""
     log, kept = comparable(seen, curve_from_name("standard"))
-    return are_uneven(log - falloff.log(seen.off_axis[kept])[..., None], normals[kept])
+    return are_uneven(
+        *solve_gains(log - falloff.log(seen.off_axis[kept])[..., None], normals[kept])
+    )
 
 
 def jitter(rng, steps: float, hue: float) -> np.ndarray:

@@ -192,7 +192,8 @@ def compare_photographs(
     log, kept = comparable(few, plain)
     if len(log) < FEWEST_POINTS:
         return Comparison()
-    odd, common = find_unlike(log, solve_gains(log, points.normal[kept])[0])
+    solved = solve_gains(log, points.normal[kept])
+    odd, common = find_unlike(log, solved[0])
     other = {few.views[index] for index in np.flatnonzero(odd)}
     if other:
         if aside := capture.held_out:
@@ -202,7 +203,9 @@ def compare_photographs(
         log, kept = comparable(few, plain)
     normals, off_axis = points.normal[kept], few.off_axis[kept]
     falloff = find_falloff(log, normals, off_axis)
-    are_apart = are_uneven(log - falloff.log(off_axis)[..., None], normals)
+    if other or falloff.strength:
+        solved = solve_gains(log - falloff.log(off_axis)[..., None], normals)
+    are_apart = are_uneven(*solved)
     if not are_apart and not falloff.strength:
         return Comparison(frozenset(other))
     exposures = Exposures(
@@ -226,14 +229,13 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
     return fit.falloff if fit.is_needed else NO_FALLOFF
 
 
-def are_uneven(log: Array, normals: Floats) -> bool:
+def are_uneven(gains: Array, explained: float) -> bool:
     """Whether photographs were so unlike that gains explain most of what points differ by.
 
     Args:
-        log: (P, V, 3) log radiance under a plain tone curve, without any falloff.
-        normals: (P, 3) of the points.
+        gains: (V, 3) log gains under a plain tone curve, without any falloff, from `solve_gains`.
+        explained: What they explain.
     """
-    gains, explained = solve_gains(log, normals)
     steps = float(np.sqrt((gains**2).mean()) / np.log(2))
     return steps > LEAST_STEPS and explained > LEAST_SHARE
 
