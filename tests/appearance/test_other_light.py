@@ -3,12 +3,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from robir.appearance.exposure import solve_gains
+from robir.appearance.exposure import compare_photographs, solve_gains
 from robir.appearance.other_light import find_unlike, unlike
+from robir.capture.capture import View
+from robir.geometry.surface import plain_mesh
 from robir.maths.vectors import fibonacci_sphere
+from robir.transport.baked import bake
+from robir.transport.config import TransportConfig
+from robir.transport.tracer import make_tracer
+from tests.geometry.scenes import ball, capture_of
 
 VIEWS, POINTS = 24, 600
 
@@ -92,3 +100,33 @@ def test_a_photograph_that_shows_hardly_any_point_is_not_judged(lit):
     assert unlike(aside, points).all()
     aside[np.random.default_rng(0).permutation(POINTS)[10:]] = np.nan
     assert not unlike(aside, points).any()
+
+
+def shaded(view: View) -> View:
+    """A photograph during which the lamp on the left is covered: it grows darker to that side."""
+    columns = np.flatnonzero((view.mask > 0).any(0))
+    light = np.interp(np.arange(view.camera.width), columns[[0, -1]], [0.1, 1.0])
+    dimmed = light[None, :, None] * view.image_display
+    return replace(view, image_display=dimmed.astype(np.uint8))
+
+
+def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
+    solid = ball(0.7, (0.0, 0.0, 0.0))
+    views = list(capture_of(solid, views=24).views)
+    views[5], views[16] = shaded(views[5]), shaded(views[16])
+    views[20] = replace(shaded(views[20]), split="held_out")
+    views[21] = replace(views[21], split="held_out")
+    capture = replace(capture_of(solid, views=1), views=tuple(views))
+    mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
+    config = TransportConfig(num_surfels=1500, num_directions=64)
+    transport = bake(mesh, capture.train, config, seed=0, device="cpu")
+    tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+    compared = compare_photographs(transport, tracer, capture, 0)
+    odd = {views[number].name for number in (5, 16, 20)}
+    assert compared.other_light == odd
+    assert compared.exposures is None
+    left = transport.without_views(compared.other_light).observations
+    assert set(left.views) == {view.name for view in capture.train} - odd
+    kept = np.isin(transport.observations.views, left.views)
+    np.testing.assert_array_equal(left.display, transport.observations.display[:, kept])
+    np.testing.assert_array_equal(left.weight, transport.observations.weight[:, kept])
