@@ -147,6 +147,11 @@ class Pairs:
         weight = self.weight * factor
         return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
+    def facing_alike(self, normal: NDArray[np.float32], cosine: float) -> Pairs:
+        """The pairs between whose normals, of (U, 3), the cosine is greater than a given one."""
+        facing = torch.from_numpy(normal)
+        return self.of((facing[self.first] * facing[self.second]).sum(1) > cosine)
+
     @classmethod
     def joined(cls, parts: list[Pairs]) -> Pairs:
         """All pairs of some lists, each list counting by its length."""
