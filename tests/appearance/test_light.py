@@ -267,6 +267,17 @@ def test_one_sun_is_found_where_there_is_one(problem):
     assert light.history[1] < 0.7 * light.history[0]
 
 
+@pytest.mark.parametrize(("sky", "away"), [(SKY, 1.0), (0.6, 1.5)])
+def test_the_sun_is_found_beside_what_mirrors_a_sky(stage, sky, away):
+    """Boxes as bright towards the sun as away from it, or less, as metal is, on plain ground."""
+    received = synthetic.direct(stage, SUN, sky).mean(1, keepdims=True)
+    mirroring = stage.albedo * (received / received.mean()).clip(0.05) ** -away
+    on_ground = stage.surfels.position[:, 2:] < 1e-4
+    shiny = replace(stage, albedo=np.where(on_ground, 0.4, mirroring).astype(np.float32))
+    light = find_suns(problem_under(shiny, SUN, sky, 0.0), CONFIG, 0)
+    assert [degrees(axis, synthetic.SUN) < 2 for axis in light.axes] == [True]
+
+
 def test_candidates_are_lights_not_the_slopes_about_one(stage):
     """Two lamps: the second is the next candidate, not a direction beside the first."""
     other = unit(-0.5, 0.6, 0.62)

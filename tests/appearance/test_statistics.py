@@ -135,6 +135,22 @@ def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
     assert pairs.of(torch.zeros(2400, dtype=torch.bool)).common_step(log_albedo).tolist() == [0] * 3
 
 
+@pytest.mark.parametrize(("coloured", "found"), [(220, 1), (400, 0)])
+def test_of_steps_about_as_common_the_greyer_is_the_lights(coloured, found):
+    """Two paints on either side of a shadow, and 200 pairs of one paint."""
+    steps = torch.tensor([[-0.72, -0.99, -1.26], [-0.3, -0.33, -0.25]])
+    apart = torch.cat([steps[:1].expand(coloured, 3), steps[1:].expand(200, 3)])
+    apart = apart + 0.05 * torch.randn(apart.shape, generator=torch.Generator().manual_seed(2))
+    count = len(apart)
+    pairs = Pairs(
+        first=torch.arange(count),
+        second=torch.full((count,), count),
+        weight=torch.full((count,), 1 / count),
+    )
+    step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]))
+    torch.testing.assert_close(step, steps[found], rtol=0, atol=0.02)
+
+
 def test_joined_lists_of_pairs_count_by_their_length():
     ends = torch.arange(4)
     long = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))

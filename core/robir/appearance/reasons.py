@@ -55,8 +55,8 @@ def light_choices(
             held_out_error=light.loss,
             cost_seconds=seconds["light"],
             why="the first must cast a shadow that the photographs show or explain the shading, a "
-            "further one both; differences between neighbouring albedos without, with one, ...: "
-            + ", ".join(f"{loss:.3f}" for loss in light.history),
+            "further one both; differences of albedo between neighbours that face alike without, "
+            "with one, ...: " + ", ".join(f"{loss:.3f}" for loss in light.history),
         ),
         Choice(
             choice="hue of the light",

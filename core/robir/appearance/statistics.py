@@ -39,6 +39,12 @@ STEP_WIDTH = 0.15
 """Width of the kernel that finds the commonest step across shadows, log units: more than noise,
 less than the difference between the materials of a scene."""
 
+STEP_HUE = 0.5
+"""Hue of a step, log units, at which it is half as likely: a light too weak in the sun, or too
+strong, leaves a nearly grey step, two paints a coloured one. On a chessboard a step from brown to
+white, of hue .38, was as common as the light's own, of .06, and a turn of the sun by a fifth of a
+degree made it the commonest."""
+
 MAX_STEP_PAIRS, STEP_STARTS, STEP_ROUNDS = 4000, 400, 30
 """Pairs that tell a step, those of them from which it is searched, and rounds of the search."""
 
@@ -147,6 +153,11 @@ class Pairs:
         weight = self.weight * factor
         return replace(self, weight=weight / weight.sum().clamp(min=1e-9))
 
+    def facing_alike(self, normal: NDArray[np.float32], cosine: float) -> Pairs:
+        """The pairs between whose normals, of (U, 3), the cosine is greater than a given one."""
+        facing = torch.from_numpy(normal)
+        return self.of((facing[self.first] * facing[self.second]).sum(1) > cosine)
+
     @classmethod
     def joined(cls, parts: list[Pairs]) -> Pairs:
         """All pairs of some lists, each list counting by its length."""
@@ -166,6 +177,7 @@ class Pairs:
         Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
         one material all show that, and if the same materials lie on both sides, no other
         difference is as common (a distribution's correlation with itself is greatest at no shift).
+        Of two that are about as common it is the greyer one.
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
@@ -180,7 +192,8 @@ class Pairs:
         weight = self.weight[some]
         starts = apart[:: max(1, len(apart) // STEP_STARTS)]
         votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
-        step = starts[votes.argmax()]
+        hue = (starts - starts.mean(1, keepdim=True)).square().sum(1)
+        step = starts[(votes * 0.5 ** (hue / STEP_HUE**2)).argmax()]
         for _ in range(STEP_ROUNDS):
             near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * STEP_WIDTH**2))
             step = near @ apart / near.sum()
