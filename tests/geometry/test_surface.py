@@ -22,7 +22,7 @@ from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.sampling import Occupancy, march
 from robir.geometry.simplify import decimate, fill_holes, is_closed
 from robir.geometry.stage import hull_of, reconstruct
-from robir.geometry.surface import distance_to_mesh, extract
+from robir.geometry.surface import extract
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 
@@ -131,15 +131,6 @@ def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:
     radius = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     np.testing.assert_allclose(radius, 0.5, atol=2e-3)
     assert ((mesh.normals * mesh.vertices / radius).sum(axis=1) > 0.99).all()
-
-
-def test_distance_to_a_mesh_is_the_distance() -> None:
-    lattice, sdf = sphere_lattice()
-    found = distance_to_mesh(extract(lattice, sdf), lattice).ravel()
-    near = sdf.abs() < 2.5 * lattice.cell
-    np.testing.assert_allclose(found[near], sdf[near], atol=0.004)
-    assert (np.sign(found) == np.sign(sdf.numpy()))[sdf.abs() > 0.01].all()
-    np.testing.assert_allclose(found, sdf, atol=1.5 * lattice.cell)
 
 
 def test_march_finds_the_sphere_where_it_is() -> None:
