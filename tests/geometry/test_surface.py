@@ -22,7 +22,7 @@ from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.sampling import Occupancy, march
 from robir.geometry.simplify import decimate, fill_holes, is_closed
 from robir.geometry.stage import hull_of, reconstruct
-from robir.geometry.surface import extract
+from robir.geometry.surface import extract, plain_mesh
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 
@@ -121,6 +121,14 @@ def test_a_torn_surface_is_noticed_and_closed() -> None:
     torn = replace(mesh, faces=mesh.faces[1:])
     assert not is_closed(torn.faces)
     assert is_closed(fill_holes(torn).faces)
+
+
+def test_sheets_that_touch_in_an_edge_are_not_torn() -> None:
+    # two tetrahedra with one edge in common: four faces meet there, and no hole is to be closed
+    one = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+    faces = np.concatenate([one, np.array([0, 1, 4, 5])[one]])
+    mesh = plain_mesh(np.random.default_rng(0).random((6, 3)), faces)
+    assert fill_holes(mesh) is mesh
 
 
 def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:
