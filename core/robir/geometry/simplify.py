@@ -66,7 +66,7 @@ def fill_holes(mesh: Mesh) -> Mesh:
 
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
-    """Whether no edge of some faces (Nf, 3) has one alone; two sheets may touch in an edge of four."""
+    """Whether no edge of some faces (Nf, 3) has one alone; where sheets touch, it has four."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
 
