@@ -86,9 +86,9 @@ def test_a_bug_stays_a_bug(tmp_path):
 
 def test_a_nan_stops_the_stage_that_made_it(tmp_path):
     def mischief(context):
-        np.savez(context.paths.stage("geometry") / "sdf.npz", sdf=np.array([0.0, np.nan]))
+        np.savez(context.paths.stage("geometry") / "mesh.npz", vertices=np.array([0.0, np.nan]))
 
-    with pytest.raises(QualityError, match=r"geometry.*sdf\.npz:sdf"):
+    with pytest.raises(QualityError, match=r"geometry.*mesh\.npz:vertices"):
         run_with_mischief(tmp_path, mischief)
     assert not JobPaths(tmp_path / "out").manifest("geometry").exists()
 

@@ -30,3 +30,14 @@ def test_no_page_is_mapped_twice() -> None:
         [sys.executable, "-c", _FAULTS_OF_LATER_ROUNDS], capture_output=True, check=True
     )
     assert int(ended.stdout) < 1000
+
+
+@pytest.mark.slow
+def test_what_is_loaded_is_not_looked_through_for_garbage_again() -> None:
+    told = (
+        "import gc; from robir.pipeline.runner import load_stages; load_stages();"
+        "print(gc.get_freeze_count(), len(gc.get_objects()))"
+    )
+    ended = subprocess.run([sys.executable, "-c", told], capture_output=True, check=True)
+    frozen, looked_through = map(int, ended.stdout.split())
+    assert frozen > 100 * looked_through

@@ -69,6 +69,22 @@ def test_normals_keep_the_two_sides_of_a_thin_wall_apart():
     normal = np.float32([[0, 0, 1], [0, 0, -1]])
     surfels = Surfels(position=position, normal=normal, spacing=0.05)
     np.testing.assert_array_equal(surfels.nearest(position[::-1], normal), [0, 1])
+    many = np.repeat(position[::-1], 50, axis=0), np.repeat(normal, 50, axis=0)
+    np.testing.assert_array_equal(surfels.shared_nearest(*many), np.repeat([0, 1], 50))
+
+
+def test_points_that_crowd_share_a_sample_that_is_hardly_further():
+    rng = np.random.default_rng(0)
+    place = np.pad(rng.uniform(-1, 1, (30_000, 2)), ((0, 0), (0, 1))).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (len(place), 1))
+    surfels = Surfels(position=place[:400], normal=up[:400], spacing=0.1)
+    apart = [
+        np.linalg.norm(place - place[found], axis=1)
+        for found in (surfels.nearest(place, up), surfels.shared_nearest(place, up))
+    ]
+    assert (apart[1] - apart[0]).max() < 2 * 0.25 * 0.1 * np.sqrt(2)
+    assert apart[1].mean() < 1.06 * apart[0].mean()
+    assert (apart[1] > apart[0]).mean() > 0.01
 
 
 @pytest.fixture(scope="module")

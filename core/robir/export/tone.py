@@ -5,23 +5,28 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
 
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 from robir.maths import tone
 
 _SAMPLES = 129
 _CUBE_SIZE = 33
-_INK, _ACCENT, _MUTED = "#1d2733", "#c8502d", "#7d8894"
-_STYLES = ("-", "--", "-.", ":")
+_INK, _ACCENT = "#1d2733", "#c8502d"
+_MUTED = ("#7d8894", "#4f81b8", "#6aa06a", "#a58bbd", "#b8a05a")
 _TICKS = {0.25**step: "1" if not step else f"1/{4**step}" for step in range(5, -1, -1)} | {
     4.0: "4",
     16.0: "16",
 }
-"""Plain text: to set powers as mathematics takes most of the time of a plot."""
+_SIZE = (832, 494)
+_LEFT, _TOP, _RIGHT, _BOTTOM = 62.0, 40.0, 816.0, 432.0
+"""The plot's axes and the whole picture, pixels."""
+
+_SCALE = 2
+"""Drawn so much larger and reduced, for smooth lines."""
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
@@ -45,37 +50,48 @@ def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
 
 
 def _plot(table: dict[str, Any]) -> bytes:
-    """The chosen curve over the other candidates as PNG."""
-    figure = Figure(figsize=(6.4, 3.8), dpi=130)
-    # a layout that is solved for draws everything thrice
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.125, top=0.975)
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    samples = table["samples"]
-    axes.plot(
-        samples["linear"], samples["display"], color=_ACCENT, linewidth=2.6, label=table["family"]
-    )
+    """The chosen curve over the other candidates as PNG.
+
+    Pillow draws it: to load matplotlib for five lines takes a second of processor time.
+    """
+    picture = Image.new("RGB", (_SCALE * _SIZE[0], _SCALE * _SIZE[1]), "white")
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(_SCALE * 14)
+
+    def write(x: float, y: float, words: str, anchor: str) -> None:
+        pen.text((_SCALE * x, _SCALE * y), words, fill=_INK, font=font, anchor=anchor)
+
+    def line(points: list[tuple[float, float]], colour: str, width: float) -> None:
+        ends = [(_SCALE * x, _SCALE * y) for x, y in points]
+        pen.line(ends, fill=colour, width=round(_SCALE * width), joint="curve")
+
+    write(_RIGHT, _BOTTOM + 38, "scene radiance, linear (line: 0.18)", "rm")
+    write(_LEFT - 44, _TOP - 20, "display code / 255", "lm")
+    for linear, words in _TICKS.items():
+        x, y = _place(linear, 0.0)
+        line([(x, y), (x, y + 5)], _INK, 1)
+        write(x, y + 17, words, "mm")
+    for fifth in range(6):
+        x, y = _LEFT, _place(1.0, fifth / 5)[1]
+        line([(x - 5, y), (x, y)], _INK, 1)
+        write(x - 10, y, f"{fifth / 5:.1f}", "rm")
+    line([(_LEFT, _TOP), (_LEFT, _BOTTOM), (_RIGHT, _BOTTOM)], _INK, 1)
+    line([_place(0.18, 0.0), _place(0.18, 1.0)], _INK, 0.5)
     others = [c["family"] for c in table["candidates"] if c["family"] != table["family"]]
-    for family, style in zip(others, itertools.cycle(_STYLES)):
-        samples = tone.as_samples(tone.curve_from_name(family), _SAMPLES)
-        axes.plot(
-            samples["linear"],
-            samples["display"],
-            color=_MUTED,
-            linewidth=1.1,
-            linestyle=style,
-            label=family,
-            zorder=1,
-        )
-    axes.axvline(0.18, color=_INK, linewidth=0.6, linestyle=":")
-    axes.set_xscale("log", base=2)
-    axes.set_xticks(list(_TICKS), list(_TICKS.values()))
-    axes.set_xlabel("scene radiance, linear (dotted: 0.18)")
-    axes.set_ylabel("display code / 255")
-    axes.set_ylim(0.0, 1.02)
-    axes.legend(frameon=False, loc="upper left", fontsize=9)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    drawn = [(family, tone.as_samples(tone.curve_from_name(family), _SAMPLES)) for family in others]
+    styles = [(colour, 1.5) for colour, _ in zip(itertools.cycle(_MUTED), others)]
+    rows = [*zip(drawn, styles, strict=True), ((table["family"], table["samples"]), (_ACCENT, 4.0))]
+    for row, ((family, samples), (colour, width)) in enumerate(rows):
+        line([*map(_place, samples["linear"], samples["display"])], colour, width)
+        x, y = _LEFT + 16, _TOP + 14 + 24 * (row + 1) % (24 * len(rows))  # the chosen one on top
+        line([(x, y), (x + 34, y)], colour, width)
+        write(x + 46, y, family, "lm")
     stream = io.BytesIO()
-    figure.savefig(stream, format="png")
+    picture.resize(_SIZE, Image.Resampling.BOX).save(stream, format="png")
     return stream.getvalue()
+
+
+def _place(linear: float, display: float) -> tuple[float, float]:
+    """Where a radiance and its display code, 0 to 1, lie in the plot, pixels."""
+    low, high = math.log2(min(_TICKS)), math.log2(max(_TICKS))
+    along = (math.log2(linear) - low) / (high - low)
+    return _LEFT + 30 + along * (_RIGHT - _LEFT - 60), _BOTTOM - display * (_BOTTOM - _TOP)

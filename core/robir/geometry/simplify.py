@@ -57,7 +57,7 @@ def fill_holes(mesh: Mesh) -> Mesh:
     """Close small holes that decimation may tear."""
     if is_closed(mesh.faces):
         return mesh
-    # Not above: it takes most of a second to load, and hardly any mesh is torn.
+    # Not above: it takes a second to load, and hardly any mesh is torn.
     import trimesh
 
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -66,9 +66,9 @@ def fill_holes(mesh: Mesh) -> Mesh:
 
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
-    """Whether every edge of some faces (Nf, 3) has two of them."""
+    """Whether no edge of some faces (Nf, 3) has one alone; where sheets touch, it has four."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
 
 
 def with_creases(mesh: Mesh, degrees: float = CREASE_DEGREES) -> Mesh:

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The geometry stage: capture in, distance field and unwrapped mesh out."""
+"""The geometry stage: capture in, unwrapped mesh out."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -20,17 +18,16 @@ from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver, carve
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
 from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.simplify import decimate, fill_holes, with_creases
-from robir.geometry.surface import distance_to_mesh, extract
+from robir.geometry.surface import extract
 from robir.geometry.undercut import undercut
 from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
-from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
 REVISION = 14
@@ -51,9 +48,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     mesh, metrics = reconstruct(
         capture, context.config, context.seed, context.device, context.reporter, preview
     )
-    folder = context.paths.stage("geometry")
-    mesh.save(folder / "mesh.npz")
-    save_distance(mesh, max(context.config.level_cells), folder / "sdf.npz")
+    mesh.save(context.paths.stage("geometry") / "mesh.npz")
     context.reporter.progress(1.0, "surface done")
     return metrics
 
@@ -146,21 +141,3 @@ def hull_of(photos: list[Photo], views: int) -> HullCarver:
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, views)]
     return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
-
-
-def save_distance(mesh: Mesh, cells: int, path: Path) -> None:
-    """Write the signed distance to the final mesh as sdf.npz.
-
-    Arrays: `sdf` float16 (N, N, N), unit frame, negative inside, and `bounds` (2, 3), positions
-    of the first and the last node.
-
-    Args:
-        mesh: Closed mesh.
-        cells: N - 1.
-        path: File to replace.
-    """
-    side = 1.05
-    lattice = Lattice.around(np.full(3, -side), np.full(3, side), cells, margin=0)
-    sdf = distance_to_mesh(mesh, lattice).astype(np.float16)
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, sdf=sdf, bounds=np.array([lattice.lower, lattice.upper]))

@@ -21,7 +21,7 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.field import Field
 from robir.geometry.mesh import Mesh
 from robir.geometry.simplify import with_creases
-from robir.geometry.stage import clean_mesh, save_distance
+from robir.geometry.stage import clean_mesh
 from robir.geometry.unwrap import rasterise_atlas, unwrap
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.paper.appearance import Fitter, Model, render_display
@@ -81,7 +81,7 @@ class Job:
 
 
 def run_geometry(job: Job, config: GeometryConfig) -> None:
-    """Fit the field; write it, its mesh and the distance to that.
+    """Fit the field; write it and its mesh.
 
     Args:
         job: What to do.
@@ -94,7 +94,6 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, lambda _: None))
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")
-    save_distance(mesh, max(config.level_cells), folder / "sdf.npz")
     _save_networks(folder / _NETWORKS, field.modules())
 
 

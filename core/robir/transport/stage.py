@@ -14,7 +14,7 @@ from robir.jobs.context import StageContext
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
 
-REVISION = 4
+REVISION = 5
 
 
 def run(context: StageContext[TransportConfig]) -> dict[str, Any]:

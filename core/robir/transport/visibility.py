@@ -86,7 +86,7 @@ def trace_visibility(
         values.append(weight * cosine[local[~free], direction[~free]])
     position = np.concatenate([pair[0] for pair in columns])
     hit_normal = np.concatenate([pair[1] for pair in columns])
-    hit = surfels.nearest(position, hit_normal) if len(position) else np.zeros(0, np.int64)
+    hit = surfels.shared_nearest(position, hit_normal) if len(position) else np.zeros(0, np.int64)
     bounce = csr_matrix(
         (np.concatenate(values).astype(np.float32), (np.concatenate(rows), hit)),
         shape=(num_surfels, num_surfels),
