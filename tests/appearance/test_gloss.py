@@ -19,6 +19,7 @@ from robir.maths.tone import curve_from_name
 
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
+LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)
 STRIP = 0.09
 """Half the width of a strip of metal, unit frame; neighbourhoods reach about twice as far."""
 
@@ -69,6 +70,19 @@ def test_a_strip_of_metal_narrower_than_its_neighbourhoods_is_found():
     # where hardly any light is mirrored nothing tells metal; by place alone half is found
     assert metallic[seen & is_gold].mean() > 0.6
     assert metallic[seen & ~is_gold].mean() < 0.02
+
+
+def test_glossy_paint_that_touches_metal_is_no_part_of_it():
+    # smooth as a bottle's cap: its views differ as much as those of metal
+    light, curve = synthetic.sun_and_uneven_sky(), curve_from_name("filmic")
+    halves = [(lambda at: at[:, 1] > 0.3, LACQUER), (lambda at: at[:, 1] <= 0.3, GOLD)]
+    scene, _ = synthetic.ball(halves, light, curve)
+    problem = make_problem(scene, curve)
+    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    seen = problem.radiance.seen.numpy()
+    is_gold = scene.transport.surfels.position[:, 1] <= 0.3
+    assert metallic[seen & is_gold].mean() > 0.9
+    assert metallic[seen & ~is_gold].mean() < 0.1
 
 
 def test_what_the_textures_subtract_is_what_their_views_show(ball):
@@ -133,7 +147,7 @@ def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
     certain = likely & (np.arange(len(rows)) % one_in == 0)
     found = metal_parts(
         (likely, certain),
-        (transport.surfels.position[rows], transport.surfels.spacing),
+        (transport.surfels.position[rows], np.zeros((len(rows), 3)), transport.surfels.spacing),
         (
             Reflections(problem, light, rows),
             rays,

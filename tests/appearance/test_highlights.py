@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,19 @@ def patch_of(errors, plain, brightest, noise=0.0, count=40, views=50):
     )
 
 
+def patches(highlights):
+    """Patches of 40 samples each, one after the other."""
+    names = ("error", "plain", "count", "seen", "predicted", "noise")
+    joined = {name: np.concatenate([getattr(one, name) for one in highlights]) for name in names}
+    numbers = {
+        name: np.concatenate(
+            [40 * index + getattr(one, name) for index, one in enumerate(highlights)]
+        )
+        for name in ("sample", "other")
+    }
+    return Highlights(**joined, **numbers)
+
+
 def roughness_of(highlights):
     readings = read(highlights, np.zeros(len(highlights.count), np.int64), 1)
     np.testing.assert_array_equal(readings.patch, [0])
@@ -85,6 +100,23 @@ def test_views_away_from_highlights_tell_what_is_no_highlight():
     assert hidden > clear + 0.08
 
 
+def test_samples_that_show_another_surface_do_not_speak_for_the_patch():
+    # a few lie beside an outline: what is bright there is no highlight, and errs everywhere
+    whole = patch_of(IN_PLACE, 0.03, 0.2)
+    astray = np.arange(40) % 6 == 0
+    near, far = astray[whole.sample], astray[whole.other]
+    seen, noise = whole.seen.copy(), whole.noise.copy()
+    seen[near] += 0.4
+    noise[far] = 0.03
+    spoilt = replace(whole, seen=seen, noise=noise, plain=whole.plain + 10 * astray)
+    clean = roughness_of(whole.of(~astray))
+    assert roughness_of(spoilt)[0] == pytest.approx(clean[0], abs=0.01)
+    # samples of every patch are weighed among themselves
+    both = patches([spoilt, whole])
+    found = read(both, np.repeat([0, 1], 40), 2).roughness
+    np.testing.assert_allclose(found, [clean[0], roughness_of(whole)[0]], atol=0.01)
+
+
 def test_few_views_say_little_and_fewer_nothing():
     many = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
     few = roughness_of(patch_of(IN_PLACE, 0.03, 0.2, count=1))[1]
@@ -96,13 +128,7 @@ def test_few_views_say_little_and_fewer_nothing():
 def test_patches_are_read_apart():
     both = [patch_of(IN_PLACE, 0.03, 0.2), patch_of(BESIDE, 0.035, 0.45)]
     alone = [roughness_of(one)[0] for one in both]
-    names = ("error", "plain", "count", "seen", "predicted", "noise")
-    joined = {name: np.concatenate([getattr(one, name) for one in both]) for name in names}
-    numbers = {
-        name: np.concatenate([getattr(both[0], name), 40 + getattr(both[1], name)])
-        for name in ("sample", "other")
-    }
-    whole = Highlights(**joined, **numbers)
+    whole = patches(both)
     patch = np.repeat([2, 0], 40)
     readings = read(whole, patch, 3)
     np.testing.assert_array_equal(readings.patch, [0, 2])

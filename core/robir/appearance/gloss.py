@@ -219,7 +219,9 @@ def estimate_gloss(
     around = neighbourhoods(points[in_solve])
     errors = metal_errors(problem, light, rows, dielectric, around)
     metals = metal_samples(dielectric, errors, around)
-    place = surfels.position[rows], surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
+    hue = (paint - paint.mean(1, keepdims=True))[in_solve][around].mean(1)
+    spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
+    place = surfels.position[rows], hue, spacing
     parts = metal_parts(metals, place, (reflections, rays, shown.linear), errors)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.highlights import LEVELS
+from robir.appearance.pieces import pieces
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import TILTS, Reflections, ViewRays
 from robir.appearance.seen import dense, looked_at
@@ -186,18 +185,19 @@ def metal_samples(
 
 def metal_parts(
     samples: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    place: tuple[Floats, float],
+    place: tuple[Floats, Floats, float],
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
 ) -> MetalParts:
     """Gather metal samples into parts and read what each is made of.
 
-    A part reaches as far as its samples may be metal, but there must be some that metal explains
-    better than paint, and these must be bright enough: views also differ where the mesh is wrong.
+    A part reaches as far as its samples may be metal and are of one hue, but there must be some
+    that metal explains better than paint, and these must be bright enough: views also differ where
+    the mesh is wrong, and where paint is glossy.
 
     Args:
         samples: (U,) bool each, from `metal_samples`.
-        place: Positions (U, 3), unit frame, and their spacing.
+        place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
         errors: (U, METAL_LEVELS) mean display error of each sample as metal.
 
@@ -206,13 +206,10 @@ def metal_parts(
     """
     likely, certain = samples
     rows = np.flatnonzero(likely)
-    position, spacing = place
+    position, hue, spacing = place
     piece, part = np.full(len(likely), -1), np.full(len(likely), -1)
     if len(rows):
-        near = cKDTree(position[rows]).query_pairs(METAL_GAP * spacing, output_type="ndarray")
-        ones = np.ones(len(near))
-        links = coo_matrix((ones, (near[:, 0], near[:, 1])), shape=(len(rows), len(rows)))
-        _, piece[rows] = connected_components(links, directed=False)
+        piece[rows] = pieces(position[rows], hue[rows], METAL_GAP * spacing, LEAST_PART)
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
     whites: dict[float, Tensor] = {}

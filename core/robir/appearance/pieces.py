@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pieces that samples fall into: near each other, and of one hue or of hues that blend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+Reals = NDArray[np.floating[Any]]
+Rows = NDArray[np.int64]
+
+CLEAR_GAP = 4.0
+"""Ashman's distance of two halves' means, in their mean deviations, from which they are two hues.
+Hues spread evenly along a line have 3.5 when cut in the middle, a normal distribution 2.7; a gold
+bottle and its red cap have 8 and a truck's metal and red paint 8.5, other cuts of metal 1 to 4."""
+
+
+def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
+    """Number (N,) of the piece of every sample.
+
+    What touches may be two things: the cap of a bottle, the paint about a bumper. Links from sample
+    to sample lead across any border, for there the hues blend, so the hues of a whole piece are cut
+    in two where they lie in two heaps.
+
+    Args:
+        position: (N, 3).
+        hue: (N, 3) log colour without its mean over the channels, mean of each one's surroundings.
+        gap: Across which samples are near each other.
+        fewest: Samples that either side of a cut must have.
+    """
+    near = cKDTree(position).query_pairs(gap, output_type="ndarray")
+    ones = np.ones(len(near))
+    links = coo_matrix((ones, (near[:, 0], near[:, 1])), shape=(len(position), len(position)))
+    count, touching = connected_components(links, directed=False)
+    waiting = [np.flatnonzero(touching == index) for index in range(count)]
+    number, done = np.zeros(len(position), np.int64), 0
+    while waiting:
+        rows = waiting.pop()
+        is_low = _two_heaps(hue[rows], fewest)
+        if is_low is None:
+            number[rows] = done
+            done += 1
+        else:
+            waiting += [rows[is_low], rows[~is_low]]
+    return number
+
+
+def _two_heaps(hue: Reals, fewest: int) -> NDArray[np.bool_] | None:
+    """Which of hues (N, 3) lie in the lower of two heaps; None if they lie in one.
+
+    The cut that leaves the least variance (Otsu) along the axis of the greatest.
+    """
+    count = len(hue)
+    if count < 2 * fewest:
+        return None
+    centred = hue - hue.mean(0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    order = np.argsort(along)
+    # means are 0 together, so the sum of the lower ones tells how far apart both are
+    size = np.arange(fewest, count - fewest + 1)
+    lower = np.cumsum(along[order])[size - 1]
+    cut = size[int((lower**2 / (size * (count - size))).argmax())]
+    low, high = along[order[:cut]], along[order[cut:]]
+    deviation = np.sqrt(0.5 * (low.var() + high.var()))
+    if high.mean() - low.mean() <= CLEAR_GAP * max(deviation, 1e-9):
+        return None
+    is_low = np.zeros(count, bool)
+    is_low[order[:cut]] = True
+    return is_low
