@@ -135,8 +135,8 @@ def test_metal_may_leave_the_more_the_more_paint_leaves(paint, metal, likely, ce
     np.testing.assert_array_equal(found, np.broadcast_to([[likely], [certain]], (2, 4)))
 
 
-@pytest.mark.parametrize(("one_in", "parts"), [(2, 1), (5, 0)])
-def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
+def parts_with(ball, one_in: int, dim: float) -> int:
+    """Parts of the gold if metal explains one in so many samples better, read dimmed."""
     problem, light, is_gold, _ = ball
     transport = problem.scene.transport
     rows = np.flatnonzero(problem.radiance.seen.numpy())
@@ -145,15 +145,22 @@ def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
     )
     likely = is_gold[rows]
     certain = likely & (np.arange(len(rows)) % one_in == 0)
+    seen = problem.linear[rows][torch.from_numpy(rays.sample), torch.from_numpy(rays.view)]
     found = metal_parts(
         (likely, certain),
         (transport.surfels.position[rows], np.zeros((len(rows), 3)), transport.surfels.spacing),
-        (
-            Reflections(problem, light, rows),
-            rays,
-            problem.linear[rows][torch.from_numpy(rays.sample), torch.from_numpy(rays.view)],
-        ),
+        (Reflections(problem, light, rows), rays, dim * seen),
         np.zeros((len(rows), len(METAL_LEVELS)), np.float32),
     )
-    assert len(found.base) == parts
-    assert (found.part[likely] >= 0).all() == bool(parts)
+    assert (found.part[likely] >= 0).all() == bool(len(found.base))
+    return len(found.base)
+
+
+@pytest.mark.parametrize(("one_in", "parts"), [(2, 1), (5, 0)])
+def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
+    assert parts_with(ball, one_in, 1.0) == parts
+
+
+@pytest.mark.parametrize(("one_in", "parts"), [(1, 1), (2, 0)])
+def test_a_dim_part_is_metal_if_nearly_all_of_it_is_certain(ball, one_in, parts):
+    assert parts_with(ball, one_in, 0.4) == parts
