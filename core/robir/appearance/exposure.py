@@ -209,7 +209,7 @@ def compare_photographs(
     if not are_apart and not falloff.strength:
         return Comparison(frozenset(other))
     exposures = Exposures(
-        observations=observed([view for view in capture.views if view.name not in other]),
+        observations=observed(capture.without(other).views),
         normals=points.normal,
         are_apart=are_apart,
         has_falloff=falloff.strength > 0,

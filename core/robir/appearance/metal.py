@@ -219,25 +219,27 @@ def metal_parts(
     bases, roughness, sizes = [], [], []
     whites: dict[float, Tensor] = {}
     for index in range(piece.max() + 1):
-        inside = certain & (piece == index)
-        if inside.sum() < max(LEAST_PART, LEAST_SHARE * (piece == index).sum()):
+        whole = piece == index
+        inside = certain & whole
+        size, number = whole.sum(), inside.sum()
+        if number < max(LEAST_PART, LEAST_SHARE * size):
             continue
         level = METAL_LEVELS[int(errors[inside].mean(0).argmin())]
         seen = inside[rays.sample]
         if level not in whites:
             whites[level] = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
         base = np.median((linear / whites[level]).numpy()[seen], axis=0)
-        needed = max(METAL_PRIOR, CERTAIN_SHARE * (piece == index).sum())
-        if base.max() >= DARKEST_READING or inside.sum() >= needed:
-            part[piece == index] = len(bases)
+        is_certain = number >= max(METAL_PRIOR, CERTAIN_SHARE * size)
+        if is_certain or base.max() >= DARKEST_READING:
+            part[whole] = len(bases)
             bases.append(base)
             roughness.append(level)
-            sizes.append(inside.sum())
+            sizes.append(number)
     if not bases:
         return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    log, size = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
-    everywhere = 0.5 * ((size * log).sum(0) / size.sum() + np.log(LIKELY_METAL))
-    weight = size / (size + METAL_PRIOR)
+    log, count = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
+    everywhere = 0.5 * ((count * log).sum(0) / count.sum() + np.log(LIKELY_METAL))
+    weight = count / (count + METAL_PRIOR)
     base = np.exp(weight * log + (1 - weight) * everywhere)
     base *= np.maximum(1.0, DARKEST_METAL / base.max(axis=1, keepdims=True))
     return MetalParts(part, base.astype(np.float32), np.array(roughness, np.float32))

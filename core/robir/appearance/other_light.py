@@ -43,8 +43,7 @@ def unlike(log: Array, points: Array) -> NDArray[np.bool_]:
     Returns:
         (V,); True for photographs that are much brighter or darker, and not by one factor.
     """
-    gain, left = _compared(log, points)
-    return (np.abs(gain) > LEAST_STEPS * np.log(2)) & (left > LEAST_LEFT * np.abs(gain))
+    return _is_unlike(*_compared(log, points))
 
 
 def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
@@ -58,11 +57,16 @@ def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
         (V,), all False where the rest do not agree or are too few; and (P, 3) log radiance.
     """
     points = np.nanmedian(log - gains, axis=1) + np.median(gains, axis=0)
-    odd = unlike(log, points)
-    _, left = _compared(log, points)
+    gain, left = _compared(log, points)
+    odd = _is_unlike(gain, left)
     if odd.mean() > MOST_VIEWS or not np.nanmedian(left[~odd]) < MOST_LEFT:
         odd = np.zeros_like(odd)
     return odd, points
+
+
+def _is_unlike(gain: Array, left: Array) -> NDArray[np.bool_]:
+    """Which photographs (V,) are much brighter or darker, and not by one factor."""
+    return (np.abs(gain) > LEAST_STEPS * np.log(2)) & (left > LEAST_LEFT * np.abs(gain))
 
 
 def _compared(log: Array, points: Array) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
-from robir.capture.refusal import MAX_FILES
+from robir.capture.refusal import describe, warning
 from robir.capture.store import load_capture
 from robir.geometry.mesh import Mesh
 from robir.geometry.unwrap import rasterise_atlas
@@ -121,11 +121,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _told(other: frozenset[str], capture: Capture) -> str:
     """The warning about photographs under another light."""
     names = [view.name for view in capture.views if view.name in other]
-    shown = ", ".join(names[:MAX_FILES]) + (", ..." if len(names) > MAX_FILES else "")
-    return (
-        f"{len(names)} of {len(capture.views)} photographs show the object in another light than "
-        f"the rest ({shown}); the surface is fitted to them, albedo and light are not. Let nothing "
-        "stand between lamps and object, and change no light, while photographing."
+    return describe(
+        warning(
+            "other-light",
+            f"{len(names)} of {len(capture.views)} photographs show the object in another light "
+            "than the rest; the surface is fitted to them, albedo and light are not",
+            "Let nothing stand between lamps and object, and change no light, while photographing.",
+            *names,
+        )
     )
 
 
