@@ -267,6 +267,13 @@ def test_one_sun_is_found_where_there_is_one(problem):
     assert light.history[1] < 0.7 * light.history[0]
 
 
+def test_a_sun_too_faint_for_the_scan_is_known_from_its_shadow():
+    problem = problem_under(synthetic.boxes_on_a_floor(3000), 0.08, SKY, 0.0)
+    assert scan(sun_problem_of(problem), 1000, 1)[0].gain < 0
+    light = find_suns(problem, AppearanceConfig(num_sharp_lobes=1), 0)
+    assert [degrees(axis, synthetic.SUN) < 3 for axis in light.axes] == [True]
+
+
 @pytest.mark.parametrize(("sky", "away"), [(SKY, 1.0), (0.6, 1.5)])
 def test_the_sun_is_found_beside_what_mirrors_a_sky(stage, sky, away):
     """Boxes as bright towards the sun as away from it, or less, as metal is, on plain ground."""

@@ -99,6 +99,7 @@ def specular_towards(
     levels = gloss.roughness[sample]
     for roughness in np.unique(levels):
         chosen = np.flatnonzero(levels == roughness)
+        chosen = chosen[np.argsort(sample[chosen], kind="stable")]
         rows, local = np.unique(sample[chosen], return_inverse=True)
         normal = problem.scene.transport.surfels.normal[sample[chosen]]
         rays = as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)

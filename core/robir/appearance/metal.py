@@ -144,9 +144,8 @@ def _least_errors(
     best = torch.full((len(rows), len(METAL_LEVELS)), float("inf"))
     tilted = [reflections.tilted(rays, tilt) for tilt in tilts]
     for index, level in enumerate(METAL_LEVELS):
-        about = reflections.blurred(level)
         for tilt, mirrored in zip(tilts, tilted, strict=True):
-            sky = reflections.from_sky(mirrored, level, about)
+            sky = reflections.from_sky(mirrored, level)
             white = sky + reflections.from_suns(rays, level, tilt)
             ratio = dense(seen.linear / white[:, 1].clamp(min=1e-5), rays, shape)
             base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values

@@ -7,6 +7,8 @@ reflectance; a sun is evaluated with the GGX lobe itself.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +48,7 @@ class ViewRays:
     """Observations of some samples as a flat list.
 
     Attributes:
-        sample: (M,) index into the rows.
+        sample: (M,) index into the rows, ascending.
         view: (M,) view index.
         view_dir: (M, 3) unit, towards the camera.
         cosine: (M,) normal times view direction.
@@ -97,7 +99,7 @@ def as_rays(
     """Rays from samples towards cameras.
 
     Args:
-        sample: (M,) sample numbers.
+        sample: (M,) sample numbers, ascending.
         view: (M,) view numbers.
         view_dir: (M, 3) unit, away from the surface.
         normal: (M, 3) unit.
@@ -130,6 +132,35 @@ def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
     return F0 * scale + bias
 
 
+def _product_at(
+    tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
+) -> list[Tensor]:
+    """Some entries (M,) of the products of tables (U, D) and a kernel (D, D).
+
+    A sample has some 15 views and there are hundreds of directions: the whole products take six
+    times as long.
+
+    Args:
+        tables: With a row a sample.
+        kernel: Symmetric.
+        place: Row, ascending, and column of each entry.
+    """
+    row, column = place
+    starts = np.searchsorted(row, np.arange(len(tables[0]) + 1))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        wanted = torch.sparse_csr_tensor(
+            torch.from_numpy(starts),
+            column,
+            torch.zeros(len(row)),
+            size=(len(tables[0]), len(kernel)),
+            check_invariants=False,
+        )
+    return [
+        torch.sparse.sampled_addmm(wanted, table, kernel, beta=0.0).values() for table in tables
+    ]
+
+
 class Reflections:
     """Light that reaches samples from around any mirror direction."""
 
@@ -160,35 +191,15 @@ class Reflections:
         """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
         return self.from_sky(rays, roughness) + self.from_suns(rays, roughness)
 
-    def blurred(self, roughness: float) -> list[Tensor]:
-        """What soft lobes and bounces send from about every direction, as wide as a highlight.
-
-        Returns:
-            Tables (U, D) of three channels, and of how much of that lies above the surface.
-        """
+    def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
+        """The part (M, 2, 3) that soft lobes and bounces send."""
         # Width of the GGX lobe about the mirror direction at a typical slant.
         alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
         sharpness = float(1 / (2 * alpha**2 * 0.75))
         kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
-        return [values @ kernel for values in (*self._incident, self._above)]
-
-    def from_sky(
-        self, rays: ViewRays, roughness: float, about: list[Tensor] | None = None
-    ) -> Tensor:
-        """The part (M, 2, 3) that soft lobes and bounces send.
-
-        Args:
-            rays: Observations.
-            roughness: Of the surface.
-            about: From `blurred` at this roughness, where it is needed more than once.
-        """
-        *channels, above = self.blurred(roughness) if about is None else about
-        # one flat look-up: pairs of indices cost three times as much
-        place = torch.from_numpy(rays.sample) * above.shape[1] + rays.mirror
-        mass = above.view(-1).index_select(0, place).clamp(min=1e-6)
-        blurred = torch.stack(
-            [values.view(-1).index_select(0, place) / mass for values in channels], 1
-        )
+        tables = (*self._incident, self._above)
+        *channels, mass = _product_at(tables, kernel, (rays.sample, rays.mirror))
+        blurred = torch.stack(channels, 1) / mass.clamp(min=1e-6)[:, None]
         scale, bias = microfacet.environment_brdf(
             rays.cosine, torch.full_like(rays.cosine, roughness)
         )

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from robir.appearance.pair_loss import PairWeights
@@ -138,7 +139,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     kernel = np.exp((directions @ directions.T - 1) / (0.5 * spacing) ** 2)
     kernel[kernel < 0.02] = 0
     kernel /= kernel.sum(1, keepdims=True)
-    transfer = kernel @ (bits * cosine)
+    transfer = csr_matrix(kernel) @ (bits * cosine)
     lit = (transfer > LIT).mean(1)
     least_lit = LEAST_LIT * float(lit.max())
     indices = np.flatnonzero(lit > least_lit)

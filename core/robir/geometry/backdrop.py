@@ -188,8 +188,9 @@ def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) ->
 
 def near_ground(plane: SupportPlane, lattice: Lattice, sdf: Tensor) -> Tensor:
     """Nodes (N,) bool that are solid or nearly so and not below the plane."""
-    height = torch.from_numpy(plane.local(lattice.nodes().double().numpy())[:, 2])
-    return (sdf < 2.0 * lattice.cell) & (height > -lattice.cell)
+    near = sdf < 2.0 * lattice.cell
+    height = plane.local(lattice.nodes()[near].double().numpy())[:, 2]
+    return near.masked_scatter(near, torch.from_numpy(height > -lattice.cell))
 
 
 def freed(

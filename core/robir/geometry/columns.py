@@ -54,7 +54,7 @@ class Columns:
             above = value
         return top.reshape(self.shape)
 
-    def sample(self, values: Array, points: Array) -> Array:
-        """Values of the columns (bilinear) at points (P, 3) of the unit frame."""
-        at = (self.plane.local(points)[:, :2] - self.low) / self.spacing
+    def sample(self, values: Array, local: Array) -> Array:
+        """Values of the columns (bilinear) at points (P, 3) of the plane's frame."""
+        at = (local[:, :2] - self.low) / self.spacing
         return map_coordinates(values, at.T, order=1, mode="nearest")

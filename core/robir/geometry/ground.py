@@ -138,12 +138,12 @@ class Ground:
             The new signed distances (N,).
         """
         columns = self.columns
-        points = lattice.nodes().numpy().astype(np.float64)
+        local = columns.plane.local(lattice.nodes().numpy().astype(np.float64))
         reach, below = (
-            columns.sample(_depth_inside(area) * columns.spacing, points)
+            columns.sample(_depth_inside(area) * columns.spacing, local)
             for area in (ground, binary_fill_holes(ground))
         )
-        height = columns.plane.local(points)[:, 2]
+        height = local[:, 2]
         before = sdf.detach().cpu().numpy()
         searched = np.minimum(height, HIGHEST - height)
         cut = np.maximum(before, np.minimum(searched, reach))

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,21 +141,22 @@ def taken(values: Tensor, index: Tensor) -> Tensor:
 
 
 class _Interpolate(torch.autograd.Function):
-    """Weighted sum of rows; on the CPU a sparse product, which beats torch's scatter tenfold."""
+    """Weighted sum of rows; back by a sparse product, which beats torch's scatter tenfold."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
-        starts = np.arange(0, index.numel() + 1, index.shape[1], dtype=np.int32)
-        matrix = scipy.sparse.csr_matrix(
-            (weight.numpy().ravel(), index.numpy().ravel(), starts),
-            shape=(len(index), len(rows)),
-        )
-        ctx.matrix = matrix
-        return torch.from_numpy(matrix @ rows.detach().numpy())
+        ctx.count = len(rows)
+        ctx.save_for_backward(index, weight)
+        return embedding_bag(index, rows, per_sample_weights=weight, mode="sum")
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
-        return torch.from_numpy(ctx.matrix.T @ gradients[0].contiguous().numpy()), None, None
+        index, weight = ctx.saved_tensors
+        starts = np.arange(0, index.numel() + 1, index.shape[1], dtype=np.int32)
+        matrix = scipy.sparse.csr_matrix(
+            (weight.numpy().ravel(), index.numpy().ravel(), starts), shape=(len(index), ctx.count)
+        )
+        return torch.from_numpy(matrix.T @ gradients[0].contiguous().numpy()), None, None
 
 
 def interpolate(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:

@@ -115,13 +115,13 @@ class RaySampler:
             self._next = 0
         chosen = self._order[self._next : self._next + count]
         self._next += count
-        view = self._views[chosen].long()
-        lens = self._lenses[view]
+        view = self._views[chosen].int()
+        lens = self._lenses.index_select(0, view)
         image = self._pixels[chosen].float() + 0.5
         x = (image[:, 0] - lens[:, 2]) / lens[:, 0]
         y = -(image[:, 1] - lens[:, 3]) / lens[:, 1]
         local = torch.stack([x, y, -torch.ones_like(x)], dim=1)
-        pose = self._poses[view]
+        pose = self._poses.index_select(0, view)
         directions = torch.einsum("rij,rj->ri", pose[:, :3, :3], local)
         directions = torch.nn.functional.normalize(directions, dim=1)
         target = self._targets[chosen].float() / 255.0

@@ -30,7 +30,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 14
+REVISION = 15
 """Raised whenever the same input gives another result."""
 
 

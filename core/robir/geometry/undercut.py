@@ -83,11 +83,13 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
 
 def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:
     """Solid nodes (N,) above the ground in the topmost layer of columns of heights `top`."""
-    local = columns.plane.local(lattice.nodes().double().numpy())
+    solid = (sdf < 0).numpy()
+    local = columns.plane.local(lattice.nodes()[sdf < 0].double().numpy())
     at = np.round((local[:, :2] - columns.low) / columns.spacing).astype(int)
     at = np.clip(at, 0, np.array(columns.shape) - 1)
     depth = top[at[:, 0], at[:, 1]] - local[:, 2]
-    return (sdf.numpy() < 0) & (local[:, 2] > 0.5 * lattice.cell) & (depth < LAYER * lattice.cell)
+    solid[solid] = (local[:, 2] > 0.5 * lattice.cell) & (depth < LAYER * lattice.cell)
+    return solid
 
 
 def _foot_colours(

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What samples reflect of sky and surroundings, against sums written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from appearance import synthetic
+
+from robir.appearance.gloss import Gloss, specular_towards
+from robir.appearance.light import lobes_of
+from robir.appearance.problem import make_problem
+from robir.appearance.reflections import Reflections, as_rays, view_rays
+from robir.maths import microfacet
+from robir.maths.tone import curve_from_name
+
+SUN, SKY = 2.4, 0.12
+
+
+@pytest.fixture(scope="module")
+def problem():
+    curve = curve_from_name("filmic")
+    return make_problem(synthetic.scene_of(synthetic.boxes_on_a_floor(), SUN, SKY, curve), curve)
+
+
+@pytest.fixture(scope="module")
+def light():
+    return synthetic.sun_and_uneven_sky()
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.5])
+def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughness):
+    transport = problem.scene.transport
+    visibility, surfels = transport.visibility, transport.surfels
+    rows = np.arange(3, len(surfels), 40)
+    rays = view_rays(surfels, transport.observations, rows, visibility.directions)
+    reflected = Reflections(problem, light, rows).from_sky(rays, roughness)[:, 1].numpy()
+
+    directions = visibility.directions.astype(np.float64)
+    soft = lobes_of(light.amplitudes, light.axes[:0], light.sharpness[:0])
+    spread = np.exp(float(soft.sharpness[0]) * (directions @ soft.axis.double().numpy().T - 1))
+    sky = spread @ soft.amplitude[: synthetic.NUM_SOFT].double().numpy()
+    sharpness = min(200.0, 1 / (1.5 * roughness**4))
+    scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
+    for ray in range(0, len(reflected), 7):
+        row = rows[rays.sample[ray]]
+        cosine = (directions @ surfels.normal[row]).clip(0)
+        above, seen = cosine > 0, visibility.unpacked()[row]
+        hidden = above & ~seen
+        around = max(0.05, (hidden * cosine).sum() * 4 * np.pi / len(directions))
+        bounced = problem.indirect[row].double().numpy() / around
+        arriving = seen[:, None] * sky + hidden[:, None] * bounced
+        weight = np.exp(sharpness * (directions @ directions[rays.mirror[ray]] - 1))
+        expected = (weight @ arriving) / (weight @ above) * float(scale[ray] + bias[ray])
+        np.testing.assert_allclose(reflected[ray], expected, rtol=2e-4)
+
+
+def test_reflections_come_back_in_the_order_they_are_asked_in(problem, light):
+    transport = problem.scene.transport
+    count, rng = len(transport.surfels), np.random.default_rng(0)
+    flat, colour = np.zeros(count, np.float32), np.zeros((count, 3), np.float32)
+    gloss = Gloss(
+        roughness=flat + np.float32(0.4),
+        metallic=flat,
+        metal=colour,
+        floor=colour,
+        kept=flat[:, None],
+        has_highlights=True,
+        table=(),
+        choices=(),
+    )
+    sample = rng.integers(0, count, 60)
+    towards = transport.surfels.normal[sample] + rng.normal(0, 0.3, (60, 3)).astype(np.float32)
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    together = specular_towards(problem, light, gloss, sample, towards)
+    for one in range(60):
+        alone = specular_towards(problem, light, gloss, sample[[one]], towards[[one]])
+        for many, single in zip(together, alone, strict=True):
+            np.testing.assert_allclose(many[[one]], single, rtol=1e-4)
+
+
+def test_rays_without_samples_reflect_nothing(problem, light):
+    none = np.zeros(0, np.int64)
+    nowhere = np.zeros((0, 3), np.float32)
+    rays = as_rays(none, none, nowhere, nowhere, problem.scene.transport.visibility.directions)
+    assert Reflections(problem, light, np.arange(5)).from_sky(rays, 0.3).shape == (0, 2, 3)
