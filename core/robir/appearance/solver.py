@@ -252,6 +252,9 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     more: alike but for the step that all pairs of one material show, or a light too weak in the sun
     would confirm itself where bright fields in the shade pass for dark ones in the sun.
 
+    Shadows on the ground tell the sky overhead. Of the light that comes in low from behind, sides
+    turned from the sun tell most, and their lit neighbours of one material what it must add up to.
+
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
@@ -266,16 +269,19 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         hue = log_hue(light.amplitudes.irradiance(transfer), transfer.indirect)
         light = light.tinted(light.told - hue)
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
-    alike = [
-        pairs.weighted(
-            pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, pairs.common_step(log_albedo))
-        )
-        for pairs in sunlight.across_shadows()
-    ]
+
+    def alike(parts: list[Pairs]) -> Pairs:
+        """Those of one material, of all suns."""
+        likeness = [
+            p.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, p.common_step(log_albedo))
+            for p in parts
+        ]
+        return Pairs.joined([p.weighted(own) for p, own in zip(parts, likeness, strict=True)])
+
     amplitudes, loss = solve_amplitudes(
         radiance,
         transfer,
-        (problem.scene.pairs, Pairs.joined(alike)),
+        (problem.scene.pairs, alike(sunlight.across_shadows()), alike(sunlight.turned_away())),
         Priors(
             told=light.told,
             parsimony=config.parsimony_weight,
