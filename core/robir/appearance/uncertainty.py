@@ -23,10 +23,10 @@ from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float32]
 
-FLOOR = 0.04
-SPREAD = 4.87
-CHANGED = 2.69
-FEW = 0.21
+FLOOR = 0.025
+SPREAD = 3.02
+CHANGED = 1.67
+FEW = 0.13
 DISTANCE = 10.0
 """Per unit frame. Assumed, not calibrated: test views hardly show what no training view does."""
 
