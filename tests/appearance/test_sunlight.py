@@ -37,10 +37,12 @@ def test_what_grazes_a_sun_or_lies_at_its_shadows_edge_is_not_sure(problem):
 
 def test_sides_turned_from_a_sun_are_paired_with_lit_ones(problem):
     axis = synthetic.SUN[None] / np.linalg.norm(synthetic.SUN)
-    (pairs,) = Sunlight.of(problem, axis).turned_away()
     surfels, rows = problem.scene.transport.surfels, problem.scene.rows
+    chosen = np.arange(len(rows)) % 5 > 0
+    (pairs,) = Sunlight.of(problem, axis).turned_away(chosen)
     cosine = (surfels.normal[rows] @ axis.T)[:, 0]
     assert len(pairs.first) > 500
+    assert chosen[pairs.first].all() and chosen[pairs.second].all()
     assert (cosine[pairs.first] < -GRAZING_COSINE).all()
     assert (cosine[pairs.second] > GRAZING_COSINE).all()
     # the sun's own rays reach the second ones, whole
@@ -57,5 +59,6 @@ def test_where_hardly_anything_is_sure_all_counts(problem):
 
 def test_without_suns_all_is_sure_and_no_shadow_has_sides(problem):
     sunlight = Sunlight.of(problem, np.zeros((0, 3), np.float32))
-    assert sunlight.across_shadows() == sunlight.turned_away() == []
+    every = np.ones(len(problem.scene.rows), bool)
+    assert sunlight.across_shadows() == sunlight.turned_away(every) == []
     assert torch.equal(sunlight.is_sure(), torch.ones(len(problem.scene.rows), dtype=torch.bool))

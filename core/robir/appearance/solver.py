@@ -243,7 +243,12 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
     return replace(transfer, sure=sunlight.is_sure()), sunlight
 
 
-def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
+def refit(
+    problem: Problem,
+    light: Light,
+    config: AppearanceConfig,
+    paint: NDArray[np.bool_] | None = None,
+) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
@@ -254,11 +259,13 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
 
     Shadows on the ground tell the sky overhead. Of the light that comes in low from behind, sides
     turned from the sun tell most, and their lit neighbours of one material what it must add up to.
+    Metal would tell wrongly: what it mirrors passes for shade.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
         config: Sizes.
+        paint: (S,) samples that are known for no metal; until then such sides are not compared.
 
     Returns:
         The light.
@@ -278,10 +285,13 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         ]
         return Pairs.joined([p.weighted(own) for p, own in zip(parts, likeness, strict=True)])
 
+    parts = [problem.scene.pairs, alike(sunlight.across_shadows())]
+    if paint is not None:
+        parts.append(alike(sunlight.turned_away(paint[problem.scene.rows])))
     amplitudes, loss = solve_amplitudes(
         radiance,
         transfer,
-        (problem.scene.pairs, alike(sunlight.across_shadows()), alike(sunlight.turned_away())),
+        tuple(parts),
         Priors(
             told=light.told,
             parsimony=config.parsimony_weight,

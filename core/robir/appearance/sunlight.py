@@ -63,10 +63,11 @@ class Sunlight:
         columns = zip(lit.T, dark.T, strict=True)
         return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
 
-    def turned_away(self) -> list[Pairs]:
-        """Pairs of samples turned from each sun with near ones that it lights."""
-        lit = (self.cosine > GRAZING_COSINE) & (self.share > 0.97)
-        columns = zip(lit.T, (self.cosine < -GRAZING_COSINE).T, strict=True)
+    def turned_away(self, chosen: NDArray[np.bool_]) -> list[Pairs]:
+        """Pairs of samples turned from each sun with near ones that it lights, of some (U,)."""
+        lit = chosen[:, None] & (self.cosine > GRAZING_COSINE) & (self.share > 0.97)
+        dark = chosen[:, None] & (self.cosine < -GRAZING_COSINE)
+        columns = zip(lit.T, dark.T, strict=True)
         normal = TURNED_NORMAL * self.normal
         return [shadow_pairs(self.position, normal, *sides) for sides in columns]
 
