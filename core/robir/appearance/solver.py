@@ -279,27 +279,20 @@ def refit(
 
     def alike(parts: list[Pairs]) -> Pairs:
         """Those of one material, of all suns."""
-        likeness = [
-            p.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, p.common_step(log_albedo))
-            for p in parts
-        ]
-        return Pairs.joined([p.weighted(own) for p, own in zip(parts, likeness, strict=True)])
+        weighted = []
+        for part in parts:
+            step = part.common_step(log_albedo)
+            likeness = part.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, step)
+            weighted.append(part.weighted(likeness))
+        return Pairs.joined(weighted)
 
     parts = [problem.scene.pairs, alike(sunlight.across_shadows())]
     if paint is not None:
         parts.append(alike(sunlight.turned_away(paint[problem.scene.rows])))
+    steps, parsimony = config.iterations // 2, config.parsimony_weight
+    priors = Priors(told=light.told, parsimony=parsimony, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
     amplitudes, loss = solve_amplitudes(
-        radiance,
-        transfer,
-        tuple(parts),
-        Priors(
-            told=light.told,
-            parsimony=config.parsimony_weight,
-            smooth=EVEN_SKY,
-            shadow=SHADOW_WEIGHT,
-        ),
-        config.iterations // 2,
-        start=light.amplitudes,
+        radiance, transfer, tuple(parts), priors, steps, start=light.amplitudes
     )
     return replace(light, amplitudes=amplitudes, loss=loss)
 
