@@ -96,10 +96,10 @@ def specular_towards(
     result = np.zeros((2, len(sample), 3), np.float32)
     kept = np.ones((len(sample), 1), np.float32)
     directions = problem.scene.transport.visibility.directions
-    levels = gloss.roughness[sample]
+    order = np.argsort(sample, kind="stable")
+    levels = gloss.roughness[sample[order]]
     for roughness in np.unique(levels):
-        chosen = np.flatnonzero(levels == roughness)
-        chosen = chosen[np.argsort(sample[chosen], kind="stable")]
+        chosen = order[levels == roughness]
         rows, local = np.unique(sample[chosen], return_inverse=True)
         normal = problem.scene.transport.surfels.normal[sample[chosen]]
         rays = as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)

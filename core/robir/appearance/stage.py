@@ -42,8 +42,8 @@ TEXTURE_VIEWS = 48
 
 MOST_PAINT = 0.95
 """Share of paint above which sides turned from a sun are compared. Where there is more metal some
-passes for paint, and its shade asks for a wrong light: a bottle, a quarter of it metal, fell from
-24.7 to 15.7 dB. Of a truck and of chessmen 2 % are metal."""
+passes for paint, and its shade asks for a wrong light: a bottle on its ground, 23 % of both metal,
+fell from 24.7 to 15.7 dB. Of a truck and of chessmen 2 % are metal."""
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:

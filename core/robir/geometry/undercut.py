@@ -83,8 +83,8 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
 
 def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:
     """Solid nodes (N,) above the ground in the topmost layer of columns of heights `top`."""
-    solid = (sdf < 0).numpy()
-    local = columns.plane.local(lattice.nodes()[sdf < 0].double().numpy())
+    solid = sdf.numpy() < 0
+    local = columns.plane.local(lattice.nodes().numpy()[solid].astype(np.float64))
     at = np.round((local[:, :2] - columns.low) / columns.spacing).astype(int)
     at = np.clip(at, 0, np.array(columns.shape) - 1)
     depth = top[at[:, 0], at[:, 1]] - local[:, 2]
