@@ -146,3 +146,19 @@ def test_lobe_transfer_is_the_integral_of_lobe_visibility_and_cosine(sharpness, 
     assert result[0] == pytest.approx(expected, abs=0.004)
     open_sky = lobe_transfer(None, position, np.float32(normal), rays, 0.0)
     assert open_sky[0] == pytest.approx((lobe * cosine).sum() / lobe.sum(), abs=0.002)
+
+
+@pytest.mark.parametrize("elevation", [15.0, 40.0, 75.0])
+def test_shadows_lie_where_they_do_however_high_rays_start(elevation):
+    height, width = 0.3, 0.4
+    tangent = np.tan(np.radians(elevation))
+    plate = mesh_of(FLOOR, patch((-width, -1, height), (width, 0, 0), (0, 2, 0)))
+    tracer = EmbreeTracer(plate.vertices, plate.faces)
+    x = np.linspace(-3, 2, 5001)
+    position = np.stack([x, 0 * x, 0 * x], axis=1).astype(np.float32)
+    sun = np.float32([[1 / np.hypot(1, tangent), 0, tangent / np.hypot(1, tangent)]])
+    received = lobe_transfer(tracer, position, np.repeat(UP, len(x), 0), sun, 0.05)
+    # the plate's edges, moved away from the sun
+    shadow = (x > -width - height / tangent) & (x < -height / tangent)
+    assert shadow.sum() > 390
+    assert ((received == 0) != shadow).sum() <= 2

@@ -47,8 +47,13 @@ ALIKE_ALBEDO = 1.0
 """Difference of their log albedo at which they hardly count: more than a shadow in the wrong place
 makes, less than there is between the fields of a board."""
 
-POLISH_PARTNERS = 8
-"""Pairs per sample and distance; with two, their choice moved suns by a degree."""
+POLISH_PARTNERS = 4
+"""Pairs per sample and distance when a sun is polished, by all samples that two views see: by those
+of the solve alone suns lay .2 degrees farther off (mean of seven captures), and hung on chance."""
+
+LEVEL_COSINE = 0.95
+"""Cosine between the normals of those pairs. Nearly all of them lie on one level surface, where
+nothing but a shadow changes with the sun's direction."""
 
 ALIKE_HUE, ALIKE_BRIGHTNESS = 0.1, 0.35
 """Differences of log albedo, in hue and in brightness, beyond the step common to all pairs across a
@@ -134,8 +139,8 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     for index in range(config.num_sharp_lobes):
         rng = np.random.default_rng(seed + index)
         base = None if index == 0 else _direct(problem, light)
-        coarse = _sun_problem(problem, base, SCAN_SURFELS, rng)
-        fine = _sun_problem(problem, base, config.num_solve_surfels, rng)
+        coarse = _sub_sampled(problem, base, SCAN_SURFELS, rng)
+        fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
         candidates = _promising(scan(coarse, config.num_scan_directions, 3), is_first=index == 0)
         spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
         refined = [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates]
@@ -310,12 +315,12 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         The final light.
     """
     axes, sharpness = light.axes.copy(), light.sharpness.copy()
+    seen = np.flatnonzero(problem.radiance.seen)
     for index in range(len(axes)):
         others = np.arange(len(axes)) != index
         base = _direct(problem, light, others)
-        rng = np.random.default_rng(seed + index)
-        fine = _sun_problem(problem, base, len(problem.scene.rows), rng)
-        fine = replace(fine, pairs=_polishing_pairs(problem, light, rng))
+        pairs = _polishing_pairs(problem, light, seen, np.random.default_rng(seed + index))
+        fine = SunProblem.of(problem, base, seen, pairs)
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
@@ -333,11 +338,13 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
     return replace(final, history=light.history)
 
 
-def _polishing_pairs(problem: Problem, light: Light, rng: np.random.Generator) -> Pairs:
-    """Many pairs of samples that face alike, those alike under the light so far counting more."""
-    scene, rows = problem.scene, problem.scene.rows
-    pairs = neighbour_pairs(scene.transport.surfels, rows, PAIR_REACHES, POLISH_PARTNERS, rng)
-    pairs = pairs.facing_alike(scene.transport.surfels.normal[rows], ALIKE_COSINE)
+def _polishing_pairs(
+    problem: Problem, light: Light, rows: NDArray[np.int64], rng: np.random.Generator
+) -> Pairs:
+    """Pairs of samples `rows` (U,) on level ground, those alike under the light counting more."""
+    surfels = problem.scene.transport.surfels
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, POLISH_PARTNERS, rng)
+    pairs = pairs.facing_alike(surfels.normal[rows], LEVEL_COSINE)
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
     apart = ((log_albedo[pairs.first] - log_albedo[pairs.second]) ** 2).mean(1)
     return pairs.weighted(torch.exp(-0.5 * apart / ALIKE_ALBEDO**2))
@@ -372,25 +379,14 @@ def _direct(problem: Problem, light: Light, others: NDArray[np.bool_] | None = N
     return problem.scene.soft @ light.amplitudes.soft + sharp @ strength
 
 
-def _sun_problem(
+def _sub_sampled(
     problem: Problem, base: Tensor | None, count: int, rng: np.random.Generator
 ) -> SunProblem:
-    """Sub-sample for the scan; the base is a grey sky unless a light is known."""
-    scene = problem.scene
-    surfels = scene.transport.surfels
-    rows = scene.rows
+    """So many samples, under a light that is known (S, 3) or under a grey sky."""
+    scene, surfels = problem.scene, problem.scene.transport.surfels
+    rows, per_reach = scene.rows, 2
     if count < len(rows):
-        rows = np.sort(rng.choice(rows, count, replace=False))
-    per_reach = 1 if count < len(scene.rows) else 2
+        rows, per_reach = np.sort(rng.choice(rows, count, replace=False)), 1
     pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, per_reach, rng)
     sky = scene.soft.sum(1)[:, None].expand(-1, 3) if base is None else base
-    return SunProblem(
-        position=surfels.position[rows],
-        normal=surfels.normal[rows],
-        radiance=problem.rows_radiance(rows),
-        base=sky[rows],
-        indirect=problem.indirect[rows],
-        pairs=pairs.facing_alike(surfels.normal[rows], ALIKE_COSINE),
-        tracer=scene.tracer,
-        offset=scene.offset,
-    )
+    return SunProblem.of(problem, sky, rows, pairs.facing_alike(surfels.normal[rows], ALIKE_COSINE))

@@ -27,6 +27,10 @@ Floats = NDArray[np.float32]
 
 CHUNK = 400_000
 
+GRAZING = 0.1
+"""Cosine below which rays to a sun no longer start the whole offset above the surface: their start
+would move along them by more than ten times as much."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visibility:
@@ -129,6 +133,38 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
     return np.concatenate([along + aside, along - aside]).astype(np.float32)
 
 
+def lit_from(
+    tracer: AbstractTracer | None,
+    position: Floats,
+    normal: Floats,
+    direction: Floats,
+    offset: float,
+) -> tuple[NDArray[np.int64], Floats]:
+    """Points that a direction lights.
+
+    Each ray starts farther along itself. Starting straight above its point it would see every
+    shadow nearer to what casts it, as under a higher sun: suns that were found by their shadows on
+    the ground came out too low, by 2.5 degrees where hot dogs cast them.
+
+    Args:
+        tracer: Tracer of the mesh, or None where nothing blocks.
+        position: (N, 3).
+        normal: (N, 3), unit.
+        direction: (3,), unit, towards the light.
+        offset: Distance that rays start above the surface.
+
+    Returns:
+        Their numbers (L,) and the cosine (L,) between normal and direction, > 0.
+    """
+    cosine = normal @ direction
+    lit = np.flatnonzero(cosine > 0)
+    if tracer is not None and len(lit):
+        along = offset / np.maximum(cosine[lit], GRAZING)
+        rays = np.broadcast_to(direction, (len(lit), 3))
+        lit = lit[~tracer.is_blocked(position[lit] + along[:, None] * rays, rays)]
+    return lit, cosine[lit]
+
+
 def lobe_transfer(
     tracer: AbstractTracer | None,
     position: Floats,
@@ -149,12 +185,7 @@ def lobe_transfer(
         (N,) in [0, 1]: irradiance for a lobe of unit energy.
     """
     total = np.zeros(len(position), np.float32)
-    origin = position + offset * normal
     for direction in directions:
-        cosine = normal @ direction
-        lit = np.flatnonzero(cosine > 0)
-        if tracer is not None and len(lit):
-            rays = np.broadcast_to(direction, (len(lit), 3))
-            lit = lit[~tracer.is_blocked(origin[lit], rays)]
-        total[lit] += cosine[lit]
+        lit, cosine = lit_from(tracer, position, normal, direction, offset)
+        total[lit] += cosine
     return total / len(directions)

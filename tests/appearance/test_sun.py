@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search for a sun's direction, on boxes whose sun is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.problem import make_problem
+from robir.appearance.solver import ALIKE_COSINE, polish
+from robir.appearance.sun import (
+    RIVALS,
+    SAME_LIGHT,
+    SunCandidate,
+    SunProblem,
+    lowest_point,
+    refine,
+    scan,
+)
+from robir.maths.tone import curve_from_name
+
+SUN, SKY = 2.4, 0.12
+
+
+@pytest.fixture(scope="module")
+def problem():
+    curve = curve_from_name("filmic")
+    return make_problem(synthetic.scene_of(synthetic.boxes_on_a_floor(), SUN, SKY, curve), curve)
+
+
+@pytest.fixture(scope="module")
+def scanned(problem):
+    scene = problem.scene
+    pairs = scene.pairs.facing_alike(scene.transport.surfels.normal[scene.rows], ALIKE_COSINE)
+    sky = scene.soft.sum(1)[:, None].expand(-1, 3)
+    return SunProblem.of(problem, sky, scene.rows, pairs)
+
+
+def degrees(first, second) -> float:
+    return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
+
+
+def test_every_direction_is_the_rival_of_one_light_at_most(scanned):
+    candidates = scan(scanned, 1000, 20)
+    assert len(candidates) > 5 and 3 < len(candidates[0].rivals) <= RIVALS
+    for candidate in candidates:
+        same = candidate.rivals @ candidate.axis
+        assert (same > np.cos(SAME_LIGHT)).all() and (same < 0.9999).all()
+    every = np.concatenate([np.stack([c.axis, *c.rivals]) for c in candidates])
+    assert len(np.unique(every, axis=0)) == len(every)
+
+
+def test_a_rival_that_more_samples_prefer_is_the_sun(scanned):
+    low = synthetic.SUN - np.float32([0, 0, 0.3])
+    low /= np.linalg.norm(low)
+    near = synthetic.SUN + np.float32([0.05, 0, 0])
+    rivals = np.stack([near / np.linalg.norm(near), np.float32([0, 0, 1])])
+    astray = SunCandidate(axis=low, loss=0.0, gain=0.0)
+    assert degrees(low, synthetic.SUN) > 12
+    assert degrees(refine(scanned, astray, 0.06, 4).axis, synthetic.SUN) > 4
+    found = refine(scanned, replace(astray, rivals=rivals), 0.06, 4)
+    assert degrees(found.axis, synthetic.SUN) < 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_leaps_of_the_loss_do_not_move_its_lowest_point(seed):
+    rng = np.random.default_rng(seed)
+    tried = synthetic.SUN + 0.01 * rng.normal(size=(60, 3))
+    tried = np.float32(tried / np.linalg.norm(tried, axis=1, keepdims=True))
+    away = np.arccos(np.clip(tried @ synthetic.SUN, -1, 1))
+    losses = 0.5 + 30 * away**2
+    lowest = tried[losses.argmin()]
+    assert degrees(lowest_point(lowest, tried, losses), synthetic.SUN) < 0.01
+    leaping = losses + rng.uniform(0, 0.004, 60)
+    lowest = tried[leaping.argmin()]
+    assert degrees(lowest_point(lowest, tried, leaping), synthetic.SUN) < 0.15
+
+
+def test_without_a_lowest_point_the_best_trial_stays():
+    tried = synthetic.SUN + 0.01 * np.random.default_rng(0).normal(size=(60, 3))
+    tried = np.float32(tried / np.linalg.norm(tried, axis=1, keepdims=True))
+    losses = -np.square(tried[:, 0] - synthetic.SUN[0]).astype(float)
+    np.testing.assert_array_equal(lowest_point(tried[3], tried, losses), tried[3])
+    # a slope without end is followed a little
+    followed = lowest_point(synthetic.SUN, tried, tried[:, 0] + 1e-3 * tried[:, 2] ** 2)
+    assert degrees(followed, synthetic.SUN) < 0.65
+
+
+def test_a_sun_is_polished_by_all_samples():
+    stage, curve = synthetic.boxes_on_a_floor(), curve_from_name("filmic")
+    some = make_problem(synthetic.scene_of(stage, SUN, SKY, curve, num_rows=200), curve)
+    aside = synthetic.SUN + np.float32([0.03, 0.0, -0.02])
+    start = replace(synthetic.true_light(SUN, SKY), axes=aside[None] / np.linalg.norm(aside))
+    found = polish(some, start, AppearanceConfig(iterations=20), 0).axes[0]
+    assert degrees(found, synthetic.SUN) < 0.6
