@@ -162,3 +162,13 @@ def test_shadows_lie_where_they_do_however_high_rays_start(elevation):
     shadow = (x > -width - height / tangent) & (x < -height / tangent)
     assert shadow.sum() > 390
     assert ((received == 0) != shadow).sum() <= 2
+
+
+def test_a_wall_beside_a_point_blocks_a_sun_however_high_rays_start():
+    wall = patch((0.01, -1, 0), (0, 0, 0.5), (0, 2, 0))
+    mesh = mesh_of(FLOOR, wall)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    position = np.float32([[0, 0, 0], [0.005, 0, 0], [0.015, 0, 0]])
+    sun = np.float32([[0.8, 0, 0.6]])
+    received = lobe_transfer(tracer, position, np.repeat(UP, 3, 0), sun, 0.05)
+    np.testing.assert_allclose(received, [0, 0, 0.6], atol=1e-6)

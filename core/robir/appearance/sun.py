@@ -23,7 +23,7 @@ from robir.appearance.problem import Problem
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.tracer import AbstractTracer
-from robir.transport.visibility import lit_from, lobe_directions, lobe_transfer
+from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
 
@@ -216,11 +216,13 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
 def _trace_directions(problem: SunProblem, directions: Floats) -> Floats:
     """Visibility (D, U) as 0 or 1 for every direction."""
     bits = np.zeros((len(directions), len(problem.position)), np.float32)
+    origin = problem.position + problem.offset * problem.normal
     for index, direction in enumerate(directions):
-        lit, _ = lit_from(
-            problem.tracer, problem.position, problem.normal, direction, problem.offset
-        )
-        bits[index, lit] = 1
+        facing = np.flatnonzero(problem.normal @ direction > 0)
+        if problem.tracer is not None and len(facing):
+            rays = np.broadcast_to(direction, (len(facing), 3))
+            facing = facing[~problem.tracer.is_blocked(origin[facing], rays)]
+        bits[index, facing] = 1
     return bits
 
 
