@@ -238,7 +238,8 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) 
     Returns:
         The best direction found.
     """
-    heads, tried = _best_starts(problem, start, reach), []
+    best, heads = start, _best_starts(problem, start, reach)
+    tried: list[SunCandidate] = []
     for index in range(rounds):
         radius = reach * 0.6**index
         sharpness = 2 / max(radius / 3, 0.01) ** 2
@@ -253,7 +254,8 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) 
         ]
         judged = _judged(problem, trials, sharpness)
         best = min(judged, key=lambda candidate: candidate.loss)
-        heads, tried = [best.axis], [*tried, *judged]
+        heads = [best.axis]
+        tried += judged
     axes = np.stack([candidate.axis for candidate in tried])
     losses = np.array([candidate.loss for candidate in tried])
     lowest = lowest_point(best.axis, axes, losses)
