@@ -49,7 +49,7 @@ makes, less than there is between the fields of a board."""
 
 POLISH_PARTNERS = 4
 """Pairs per sample and distance when a sun is polished, by all samples that two views see: by those
-of the solve alone suns lay .2 degrees farther off (mean of seven captures), and hung on chance."""
+of the solve alone suns lay .15 degrees farther off (mean of seven captures), and hung on chance."""
 
 LEVEL_COSINE = 0.95
 """Cosine between the normals of those pairs. Nearly all of them lie on one level surface, where
