@@ -18,6 +18,7 @@ from blender_scenes.request import (
     SceneRequest,
     fingerprint,
 )
+from blender_scenes.variation import VariationError, parse
 from blender_scenes.view_transform import VIEW_TRANSFORMS
 from blender_scenes.wheel import wheel_version
 
@@ -47,6 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
             test_views=options.test_views,
             samples=options.samples,
             seed=options.seed,
+            variation=parse(options.vary),
         )
         tone = ToneMapping(options.view_transform, options.exposure)
         if _already_there(options.out, request, tone):
@@ -57,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
             )
             write_capture(options.out, folder, tone)
             _say(f"{rendered} views rendered now, the others taken from {folder}")
-    except SceneError as error:
+    except (SceneError, VariationError) as error:
         _say(f"error: {error}")
         return USAGE_ERROR
     except OSError as error:
@@ -106,6 +108,15 @@ def _parser() -> argparse.ArgumentParser:
         help="decides layout, colours, cameras and light direction (0)",
     )
     add("--preset", choices=PRESETS, help="high_illumination: the lamp gives 90 %% of the light")
+    add(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="one departure from the scene, may be given more than once: sun_share, sun_size "
+        "(degrees), suns, roughness, metallic, albedo (white, black), texture_scale, bounces, rods "
+        "(radius)",
+    )
     add(
         "--cache",
         type=Path,

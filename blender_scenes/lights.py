@@ -31,21 +31,41 @@ LAMP_ELEVATION_DEGREES = (36.0, 58.0)
 LOWEST_SUN = float(np.radians(3.0))
 
 
+SECOND_SUN = (2.0 / 3.0, 1.0 / 3.0)
+"""How two lamps share the light of one."""
+
+SECOND_TURN = float(np.radians(120.0))
+"""Azimuth of the second lamp beyond the first's, at the same height."""
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A distant lamp.
+
+    Attributes:
+        direction: (3,) unit, world frame, towards the lamp.
+        irradiance_rgb: (3,) of a surface that faces it.
+    """
+
+    direction: np.ndarray
+    irradiance_rgb: np.ndarray
+
+
 @dataclass(frozen=True)
 class LightRig:
     """The light of a scene, in the units of the render.
 
     Attributes:
-        environment: (H, 2H, 3) lat-long radiance, without the lamp.
+        environment: (H, 2H, 3) lat-long radiance, without the lamps.
         sun_direction: (3,) unit, world frame, towards the sun.
         sun_irradiance_rgb: (3,) of a surface that faces the sun, by the lamp or the map's spot.
-        has_lamp: whether the sun is a lamp rather than a part of the map.
+        lamps: the sun, and a second one where asked for; none where the sun is a part of the map.
     """
 
     environment: np.ndarray
     sun_direction: np.ndarray
     sun_irradiance_rgb: np.ndarray
-    has_lamp: bool
+    lamps: tuple[Lamp, ...] = ()
 
 
 def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
@@ -66,7 +86,9 @@ def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
         raise SceneError(f"{file}: the upper half of this map is black; choose another --hdri")
     environment = np.roll(environment, int(rng.integers(environment.shape[1])), axis=1)
     if has_lamp:
-        direction, sun = _lamp(irradiance(environment, UP), SUN_SHARE[request.preset], rng)
+        share = request.variation.sun_share
+        share = SUN_SHARE[request.preset] if share is None else share
+        direction, sun = _lamp(irradiance(environment, UP), share, rng)
         beside = sun
     else:
         direction, sun = sun_spot(environment)
@@ -81,7 +103,21 @@ def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
     horizontal = (irradiance(environment, UP) + beside * direction[2]) @ LUMINANCE
     facing = (irradiance(environment, direction) + beside) @ LUMINANCE
     scale = 2.0 * np.pi * min(GREY_TARGET / horizontal, FACING_LIMIT / facing)
-    return LightRig((environment * scale).astype(np.float32), direction, sun * scale, has_lamp)
+    lamps = _lamps(direction, beside * scale, request.variation.suns)
+    strongest = lamps[0].irradiance_rgb if lamps else sun * scale
+    return LightRig((environment * scale).astype(np.float32), direction, strongest, lamps)
+
+
+def _lamps(direction: np.ndarray, irradiance_rgb: np.ndarray, count: int) -> tuple[Lamp, ...]:
+    """The lamps that share an irradiance (3,), the strongest first; none where it is nothing."""
+    if not irradiance_rgb.any():
+        return ()
+    if count == 1:
+        return (Lamp(direction, irradiance_rgb),)
+    cosine, sine = np.cos(SECOND_TURN), np.sin(SECOND_TURN)
+    turned = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ direction
+    first, second = SECOND_SUN
+    return (Lamp(direction, first * irradiance_rgb), Lamp(turned, second * irradiance_rgb))
 
 
 def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -100,12 +136,13 @@ def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.n
     return direction, tint * (sky @ LUMINANCE) * share / (1.0 - share) / direction[2]
 
 
-def add_lights(rig: LightRig, environment_file: Path) -> None:
+def add_lights(rig: LightRig, environment_file: Path, sun_angle: float = SUN_ANGLE) -> None:
     """Puts the rig into the open Blender scene.
 
     Args:
         rig: the light.
         environment_file: `rig.environment` as an EXR file.
+        sun_angle: full angle of the lamps' discs in radians.
     """
     world = bpy.data.worlds.new("environment")
     bpy.context.scene.world = world
@@ -118,15 +155,15 @@ def add_lights(rig: LightRig, environment_file: Path) -> None:
     world.node_tree.links.new(node.outputs["Color"], background.inputs["Color"])
     world.cycles.sampling_method = "MANUAL"
     world.cycles.sample_map_resolution = rig.environment.shape[1]
-    if rig.has_lamp:
-        strength = float(rig.sun_irradiance_rgb.max())
-        lamp = bpy.data.lights.new("sun", "SUN")
-        lamp.angle = SUN_ANGLE
-        lamp.energy = strength
-        lamp.color = (rig.sun_irradiance_rgb / strength).tolist()
-        sun = bpy.data.objects.new("sun", lamp)
+    for lamp in rig.lamps:
+        strength = float(lamp.irradiance_rgb.max())
+        light = bpy.data.lights.new("sun", "SUN")
+        light.angle = sun_angle
+        light.energy = strength
+        light.color = (lamp.irradiance_rgb / strength).tolist()
+        sun = bpy.data.objects.new("sun", light)
         sun.rotation_mode = "QUATERNION"
-        sun.rotation_quaternion = _towards(rig.sun_direction)
+        sun.rotation_quaternion = _towards(lamp.direction)
         bpy.context.scene.collection.objects.link(sun)
 
 

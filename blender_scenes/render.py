@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import bpy
@@ -13,7 +14,7 @@ import numpy as np
 import trimesh
 
 from blender_scenes import format as capture_format
-from blender_scenes import lights, objects, passes, rig
+from blender_scenes import lights, objects, passes, repaint, rig
 from blender_scenes.request import SceneRequest, random_stream
 from blender_scenes.wheel import wheel_version
 
@@ -31,6 +32,7 @@ def build_scene(request: SceneRequest, environment_file: Path) -> lights.LightRi
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = importlib.import_module(f"blender_scenes.scenes.{request.scene}")
     scene.build(request, random_stream(request, "layout"))
+    repaint.repaint(request.variation)
     objects.add_ground(request.ground, random_stream(request, "ground"))
     used = {
         s.material for o in bpy.context.scene.objects if o.type == "MESH" for s in o.material_slots
@@ -39,7 +41,9 @@ def build_scene(request: SceneRequest, environment_file: Path) -> lights.LightRi
         objects.add_truth_outputs(material)
     light = lights.light_rig(request, random_stream(request, "light"))
     capture_format.write_environment(environment_file, light.environment)
-    lights.add_lights(light, environment_file)
+    size = request.variation.sun_size
+    sun_angle = lights.SUN_ANGLE if size is None else float(np.radians(size))
+    lights.add_lights(light, environment_file, sun_angle)
     bpy.context.view_layer.update()
     return light
 
@@ -103,6 +107,7 @@ def _description(
         "light": request.light,
         "preset": request.preset,
         "seed": request.seed,
+        "variation": asdict(request.variation),
         "resolution": request.resolution,
         "samples": request.samples,
         "views": request.views,
@@ -113,7 +118,7 @@ def _description(
         "blender": wheel_version(),
         "sun_direction": light.sun_direction.tolist(),
         "sun_irradiance_rgb": light.sun_irradiance_rgb.tolist(),
-        "sun_is_lamp": light.has_lamp,
+        "sun_is_lamp": bool(light.lamps),
         "scene_centre": centre.tolist(),
         "scene_radius": float(np.linalg.norm(mesh.vertices - centre, axis=1).max()),
     }

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_scenes.variation import AS_BUILT, Variation
+
 SCENES = ("truck", "chessboard", "still_life", "hotdog", "asset")
 GROUNDS = ("checker", "plain", "none")
 LIGHTS = ("lamp", "hdri-sun")
@@ -41,6 +43,7 @@ class SceneRequest:
         test_views: number of test views, at other positions.
         samples: Cycles samples per pixel, denoised afterwards.
         seed: decides layout, colours, cameras and light direction.
+        variation: what differs from the scene as its file builds it.
     """
 
     scene: str
@@ -54,6 +57,7 @@ class SceneRequest:
     test_views: int = 8
     samples: int = 64
     seed: int = 0
+    variation: Variation = AS_BUILT
 
     def __post_init__(self) -> None:
         """Refuses contradictions and impossible values, in words."""
@@ -77,6 +81,7 @@ class SceneRequest:
             raise SceneError(
                 "preset 'high_illumination' strengthens the lamp; use it with --light lamp"
             )
+        self._refuse_lamps()
         if self.asset is not None and self.asset.suffix.lower() not in (".obj", ".gltf", ".glb"):
             raise SceneError(
                 f"--asset {self.asset}: unknown kind {self.asset.suffix!r}; use .obj, .gltf or .glb"
@@ -98,6 +103,17 @@ class SceneRequest:
             if getattr(self, name) < low:
                 option = "--" + name.replace("_", "-")
                 raise SceneError(f"{option} is {getattr(self, name)}; it must be at least {low}")
+
+    def _refuse_lamps(self) -> None:
+        """Refuses variations of a lamp that is not there, or that the preset decides."""
+        if self.variation.is_of_lamp and self.light != "lamp":
+            raise SceneError(
+                "--vary sun_share, sun_size and suns are of the lamp; use --light lamp"
+            )
+        if self.preset is not None and self.variation.sun_share is not None:
+            raise SceneError(
+                f"preset {self.preset!r} decides the share of the lamp; leave out --vary sun_share"
+            )
 
 
 def random_stream(request: SceneRequest, part: str) -> np.random.Generator:
