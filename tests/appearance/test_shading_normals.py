@@ -59,7 +59,9 @@ def values_of(read: np.ndarray, albedo: np.ndarray, unknown: float = 0.05) -> Te
 @pytest.fixture(scope="module")
 def ball():
     """A grey ball whose mesh has bumpy normals: problem, mesh, true normals, atlas, values."""
-    matte = synthetic.Material(base=np.float32([0.5, 0.4, 0.3]), roughness=0.5, specular=0.0)
+    matte = synthetic.Material(
+        base=np.array([0.5, 0.4, 0.3], np.float32), roughness=0.5, specular=0.0
+    )
     curve = curve_from_name("standard")
     scene, _ = synthetic.ball([(lambda at: at[:, 0] < 9, matte)], LIGHT, curve)
     solid = trimesh.creation.icosphere(subdivisions=3, radius=0.8)
