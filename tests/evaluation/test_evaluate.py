@@ -125,3 +125,15 @@ def test_what_is_missing_is_said(truth, tmp_path):
     paths.manifest("appearance").unlink()
     with pytest.raises(StorageError, match="--resume"):
         evaluate(paths, truth)
+
+
+def test_shading_normals_are_judged_where_the_appearance_stage_has_turned_some(truth, tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    normals = sphere_run.sphere_mesh().normals
+    aside = np.cross(normals, [0.3, 0.5, 0.8])
+    turned = normals + np.tan(np.radians(7.0)) * aside / np.linalg.norm(aside, axis=1)[:, None]
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    np.savez(paths.stage("appearance") / "normals.npz", normals=turned.astype(np.float32))
+    scores = evaluate(paths, truth)
+    assert scores["normals"]["mean_degrees"] == pytest.approx(7.0, abs=0.3)
+    assert scores["chamfer"]["chamfer"] < 0.01

@@ -20,6 +20,7 @@ from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views
+from robir.appearance.shading_normals import shading_normals
 from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
@@ -98,13 +99,16 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     fitted = capture.without(other)
-    inside, values = _bake(problem, light, gloss, (mesh, tracer), fitted, config.texture_size)
+    inside, values, normals = _bake(
+        problem, light, gloss, (mesh, tracer), fitted, config.texture_size
+    )
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
-    surface = (mesh, tracer, lookup, values)
+    surface = (replace(mesh, normals=normals), tracer, lookup, values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
+    _write_normals(folder, normals)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains, other)
@@ -174,15 +178,17 @@ def _bake(
     surface: tuple[Mesh, AbstractTracer],
     capture: Capture,
     size: int,
-) -> tuple[np.ndarray, TexelAlbedo]:
-    """Values of every texel of the atlas."""
+) -> tuple[np.ndarray, TexelAlbedo, np.ndarray]:
+    """Values of every texel of the atlas, and normals of the vertices to render them with."""
     mesh, tracer = surface
     face, barycentric = rasterise_atlas(mesh, size)
     inside = face >= 0
-    position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
+    atlas = (face[inside], barycentric[inside].astype(np.float32))
+    position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
     views = spread_views(capture.train, TEXTURE_VIEWS)
-    return inside, texel_albedo(problem, light, texels, views, gloss, tracer)
+    values = texel_albedo(problem, light, texels, views, gloss, tracer)
+    return inside, values, shading_normals(problem, light, mesh, atlas, values)
 
 
 def _held_out(
@@ -239,6 +245,12 @@ def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo, gloss
             inside=inside,
             specular=np.float32(gloss.has_highlights),
         )
+
+
+def _write_normals(folder: Path, normals: np.ndarray) -> None:
+    """Store the normals (V, 3) that the mesh is to be rendered with."""
+    with replacing(folder / "normals.npz") as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, normals=normals)
 
 
 def _write_light(folder: Path, light: Light) -> None:

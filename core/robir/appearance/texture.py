@@ -94,6 +94,8 @@ class TexelAlbedo:
         coverage: (N,) int, views that show the texel.
         disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
             dim light: a sign of a wrong mesh, wrong poses or uneven exposure.
+        read: (N, 3) float32, albedo as the photographs have it, before it was evened.
+        unknown: (N,) float32, one standard deviation of its logarithm.
         uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
         roughness: (N,) float32.
         metallic: (N,) float32, 0 or 1.
@@ -102,6 +104,8 @@ class TexelAlbedo:
     albedo: Floats
     coverage: NDArray[np.int64]
     disagreement: Floats
+    read: Floats
+    unknown: Floats
     uncertainty: Floats
     roughness: Floats
     metallic: Floats
@@ -185,8 +189,7 @@ def texel_albedo(
     irradiance = soft + narrow @ sun
     below = np.maximum(total - floor, 0.1 * total)
     exitant = np.pi * below / kept
-    dim = 0.02 * irradiance.mean(0)
-    albedo = exitant / np.sqrt(irradiance**2 + dim**2)
+    albedo = exitant / np.hypot(irradiance, 0.02 * irradiance.mean(0))
     albedo[metallic] = blend(torch.from_numpy(gloss.metal))[metallic]
     coverage = (seen.weight > 0).sum(1)
     certain = coverage >= 2
@@ -213,6 +216,8 @@ def texel_albedo(
         albedo=smooth.astype(np.float32),
         coverage=coverage,
         disagreement=disagreement.astype(np.float32),
+        read=albedo.astype(np.float32),
+        unknown=unknown.astype(np.float32),
         uncertainty=standard_error(spread, changed, coverage, distance),
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),

@@ -45,10 +45,15 @@ class Layers:
 
 
 def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
-    """The reconstructed mesh in the capture's own frame and unit."""
+    """The reconstructed mesh in the capture's own frame and unit, with its shading normals."""
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     vertices = mesh.vertices * bounds.radius + bounds.centre
-    return replace(mesh, vertices=vertices.astype(np.float32))
+    mesh = replace(mesh, vertices=vertices.astype(np.float32))
+    shading = paths.stage("appearance") / "normals.npz"
+    if not shading.is_file():  # not every method corrects them
+        return mesh
+    with np.load(shading, allow_pickle=False) as arrays:
+        return replace(mesh, normals=arrays["normals"])
 
 
 def stored_mesh(paths: JobPaths) -> Mesh:
