@@ -135,8 +135,11 @@ def test_metal_may_leave_the_more_the_more_paint_leaves(paint, metal, likely, ce
     np.testing.assert_array_equal(found, np.broadcast_to([[likely], [certain]], (2, 4)))
 
 
-def parts_with(ball, one_in: int, dim: float) -> int:
-    """Parts of the gold if metal explains one in so many samples better, read dimmed."""
+def parts_with(ball, one_in: int, dim: float, left: float = 0.0) -> int:
+    """Parts of the gold if metal explains one in so many samples better, read dimmed.
+
+    `left` is the display error that metal leaves.
+    """
     problem, light, is_gold, _ = ball
     transport = problem.scene.transport
     rows = np.flatnonzero(problem.radiance.seen.numpy())
@@ -150,7 +153,7 @@ def parts_with(ball, one_in: int, dim: float) -> int:
         (likely, certain),
         (transport.surfels.position[rows], np.zeros((len(rows), 3)), transport.surfels.spacing),
         (Reflections(problem, light, rows), rays, dim * seen),
-        np.zeros((len(rows), len(METAL_LEVELS)), np.float32),
+        np.full((len(rows), len(METAL_LEVELS)), left, np.float32),
     )
     assert (found.part[likely] >= 0).all() == bool(len(found.base))
     return len(found.base)
@@ -164,3 +167,10 @@ def test_a_part_that_metal_hardly_explains_is_no_metal(ball, one_in, parts):
 @pytest.mark.parametrize(("one_in", "parts"), [(1, 1), (2, 0)])
 def test_a_dim_part_is_metal_if_nearly_all_of_it_is_certain(ball, one_in, parts):
     assert parts_with(ball, one_in, 0.4) == parts
+
+
+@pytest.mark.parametrize(
+    ("dim", "left", "parts"), [(0.4, 0.036, 1), (0.4, 0.063, 0), (1.0, 0.063, 1)]
+)
+def test_a_dim_part_is_metal_only_if_that_explains_it_well(ball, dim, left, parts):
+    assert parts_with(ball, 1, dim, left) == parts
