@@ -13,9 +13,6 @@ from blender_scenes.environment import LUMINANCE, UP, irradiance, sun_spot, with
 from blender_scenes.request import SceneError, SceneRequest
 from blender_scenes.wheel import data_folder
 
-SUN_ANGLE = float(np.radians(0.53))
-"""Full angle of the sun's disc as seen from the earth, radians."""
-
 GREY_TARGET = 0.52
 """Linear radiance of a horizontal 0.5 grey in full light."""
 
@@ -136,7 +133,7 @@ def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.n
     return direction, tint * (sky @ LUMINANCE) * share / (1.0 - share) / direction[2]
 
 
-def add_lights(rig: LightRig, environment_file: Path, sun_angle: float = SUN_ANGLE) -> None:
+def add_lights(rig: LightRig, environment_file: Path, sun_angle: float) -> None:
     """Puts the rig into the open Blender scene.
 
     Args:

@@ -28,8 +28,7 @@ def configure(request: SceneRequest) -> None:
     scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
-    bounces = request.variation.bounces
-    scene.cycles.max_bounces = 12 if bounces is None else bounces
+    scene.cycles.max_bounces = request.variation.bounces
     scene.cycles.diffuse_bounces = 4
     scene.cycles.use_denoising = True
     scene.cycles.denoiser = "OPENIMAGEDENOISE"

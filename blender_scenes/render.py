@@ -41,9 +41,7 @@ def build_scene(request: SceneRequest, environment_file: Path) -> lights.LightRi
         objects.add_truth_outputs(material)
     light = lights.light_rig(request, random_stream(request, "light"))
     capture_format.write_environment(environment_file, light.environment)
-    size = request.variation.sun_size
-    sun_angle = lights.SUN_ANGLE if size is None else float(np.radians(size))
-    lights.add_lights(light, environment_file, sun_angle)
+    lights.add_lights(light, environment_file, float(np.radians(request.variation.sun_size)))
     bpy.context.view_layer.update()
     return light
 

@@ -35,7 +35,7 @@ class Variation:
 
     Attributes:
         sun_share: share of the lamp in the irradiance of a horizontal surface; 0: no lamp.
-        sun_size: full angle of the lamp's disc in degrees.
+        sun_size: full angle of the lamp's disc in degrees; of old the sun's, seen from the earth.
         suns: number of lamps; the second gives half of the first's light, a third of a turn aside.
         roughness: of every material, 0.05..1.
         metallic: of every material, 0..1.
@@ -46,13 +46,13 @@ class Variation:
     """
 
     sun_share: float | None = None
-    sun_size: float | None = None
+    sun_size: float = 0.53
     suns: int = 1
     roughness: float | None = None
     metallic: float | None = None
     albedo: str | None = None
     texture_scale: float = 1.0
-    bounces: int | None = None
+    bounces: int = 12
     rods: float | None = None
 
     def __post_init__(self) -> None:
@@ -68,7 +68,8 @@ class Variation:
     @property
     def is_of_lamp(self) -> bool:
         """Whether anything about the lamp is varied."""
-        return self.suns != 1 or self.sun_share is not None or self.sun_size is not None
+        lamp = (self.sun_share, self.sun_size, self.suns)
+        return lamp != (Variation.sun_share, Variation.sun_size, Variation.suns)
 
 
 AS_BUILT = Variation()

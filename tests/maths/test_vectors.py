@@ -3,6 +3,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -38,6 +39,14 @@ def test_frames_are_orthonormal_and_right_handed():
     frame = torch.stack([tangent, bitangent, normal], dim=-1)
     assert torch.allclose(frame.mT @ frame, torch.eye(3, dtype=torch.float64).expand(204, 3, 3))
     assert torch.allclose(torch.linalg.cross(tangent, bitangent), normal)
+
+
+def test_tangents_complete_one_direction_to_a_right_handed_frame():
+    for axis in [*random_directions(50).numpy(), *np.eye(3), *-np.eye(3)]:
+        tangent, bitangent = vectors.tangents(axis)
+        frame = np.stack([tangent, bitangent, axis])
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(np.cross(tangent, bitangent), axis, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 64, 512])

@@ -106,6 +106,12 @@ def soft_lobes(count: int) -> tuple[Tensor, float]:
     return fibonacci_sphere(count).float(), max(1.0, SOFT_SHARPNESS_PER_LOBE * count)
 
 
+def sky_radiance(directions: Tensor, amplitudes: Tensor) -> Tensor:
+    """Radiance (D, ...) of the soft lobes of amplitudes (K, ...) from directions (D, 3)."""
+    axes, sharpness = soft_lobes(len(amplitudes))
+    return torch.exp(sharpness * (directions @ axes.T - 1)) @ amplitudes
+
+
 def soft_transfer(
     visibility: Visibility, normal: NDArray[np.float32], rows: NDArray[np.int64], count: int
 ) -> Tensor:

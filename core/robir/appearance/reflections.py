@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light import soft_lobes
+from robir.appearance.light import sky_radiance
 from robir.appearance.problem import Problem
 from robir.appearance.solver import Light
 from robir.maths import microfacet
@@ -168,8 +168,7 @@ class Reflections:
         scene = problem.scene
         visibility = scene.transport.visibility
         directions = torch.from_numpy(visibility.directions)
-        axes, sharpness = soft_lobes(len(light.amplitudes.soft))
-        sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
+        sky = sky_radiance(directions, light.amplitudes.soft)
         normal = torch.from_numpy(scene.transport.surfels.normal[rows])
         bits = np.unpackbits(visibility.bits[rows], axis=1, count=len(directions))
         seen = torch.from_numpy(bits.astype(np.float32))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
-from robir.appearance.light import soft_lobes
+from robir.appearance.light import sky_radiance
 from robir.appearance.problem import SUN_SAMPLES, Problem
 from robir.appearance.solver import Light
 from robir.appearance.texture import Blend, TexelAlbedo, Texels
@@ -113,17 +113,14 @@ def _sky_vector(problem: Problem, light: Light) -> torch.Tensor:
     Its product with a normal is the irradiance as long as the same directions are above it.
     """
     visibility = problem.scene.transport.visibility
-    normal = torch.from_numpy(problem.scene.transport.surfels.normal)
     directions = torch.from_numpy(visibility.directions)
-    axes, sharpness = soft_lobes(problem.scene.soft.shape[1])
-    radiance = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft.mean(1)
+    radiance = sky_radiance(directions, light.amplitudes.soft.mean(1))
     arriving = radiance[:, None] * directions * (4 * np.pi / len(directions))
     parts = []
-    for start in range(0, len(normal), 4096):
-        chosen = slice(start, start + 4096)
-        bits = np.unpackbits(visibility.bits[chosen], axis=1, count=len(directions))
-        above = normal[chosen] @ directions.T > 0
-        parts.append((torch.from_numpy(bits).float() * above) @ arriving)
+    for start in range(0, len(visibility.bits), 4096):
+        some = visibility.bits[start : start + 4096]
+        bits = np.unpackbits(some, axis=1, count=len(directions))  # none below the horizon
+        parts.append(torch.from_numpy(bits).float() @ arriving)
     return torch.cat(parts)
 
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import Problem
 from robir.appearance.statistics import Pairs, Radiance
-from robir.maths.vectors import fibonacci_sphere
+from robir.maths.vectors import fibonacci_sphere, tangents
 from robir.transport.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
@@ -308,7 +308,7 @@ def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Flo
         (3,) unit, at most half of SMOOTHED from the best; that itself where the losses do not curve
         upwards.
     """
-    across = np.stack(_tangents(best))
+    across = np.stack(tangents(best))
     near = axes @ best > np.cos(SMOOTHED)
     x, y = across @ axes[near].T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
@@ -322,17 +322,9 @@ def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Flo
     return (axis / np.linalg.norm(axis)).astype(np.float32)
 
 
-def _tangents(axis: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two directions (3,) at right angles to an axis and to each other."""
-    helper = np.eye(3)[np.abs(axis).argmin()]
-    tangent = np.cross(axis, helper)
-    tangent /= np.linalg.norm(tangent)
-    return tangent, np.cross(axis, tangent)
-
-
 def _ring(axis: Floats, radius: float, count: int, turn: float) -> list[Floats]:
     """Directions on a circle about an axis."""
-    tangent, bitangent = _tangents(axis)
+    tangent, bitangent = tangents(axis)
     angles = turn + np.arange(count) * 2 * np.pi / count
     ring = np.cos(radius) * axis + np.sin(radius) * (
         np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent

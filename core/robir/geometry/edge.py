@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.maths.vectors import tangents
+
 Array = NDArray[np.float64]
 
 KNOTS = 36
@@ -110,13 +112,12 @@ class _System:
     """
 
     def __init__(self, rays: OutlineRays, middle: Array, normal: Array) -> None:
-        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-        first /= np.linalg.norm(first)
+        first, second = tangents(normal)
         rising = rays.outward @ normal
         falling = np.maximum(-(rays.directions @ normal), 0.5 * LEAST_FALL)
         reach = ((rays.origins - middle) @ normal) / falling
         spot = rays.origins + reach[:, None] * rays.directions - middle
-        along, aside = spot @ first, spot @ np.cross(normal, first)
+        along, aside = spot @ first, spot @ second
         self._radius = np.maximum(np.hypot(along, aside), 1e-9)
         across = (rays.outward * spot).sum(1) / self._radius
         self.usable = across > ALONG * np.sqrt(np.maximum(1.0 - rising**2, 0.0))

@@ -25,6 +25,7 @@ from robir.capture.camera import Camera
 from robir.geometry.edge import OutlineRays, level
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
+from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
 
@@ -214,9 +215,7 @@ def _refit(points: Array, normal: Array, width: float) -> tuple[Array, float]:
 
 def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
     """The plane with the convex outline of its rim points."""
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(normal, first), normal])
+    axes = np.stack([*tangents(normal), normal])
     flat = rim @ axes[:2].T
     try:
         outline = flat[ConvexHull(flat).vertices]

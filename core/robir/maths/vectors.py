@@ -65,6 +65,13 @@ def orthonormal_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
     return tangent, bitangent
 
 
+def tangents(axis: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Tangent and bitangent (3,) of one unit direction (3,), right-handed, by its least part."""
+    tangent = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    tangent /= np.linalg.norm(tangent)
+    return tangent, np.cross(axis, tangent)
+
+
 def fibonacci_sphere(
     count: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> Tensor:

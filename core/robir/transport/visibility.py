@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from robir.geometry.mesh import Mesh
+from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
 from robir.transport.tracer import AbstractTracer
 
@@ -124,10 +125,7 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
     cosine = 1 + np.log1p(-u * -np.expm1(-2 * sharpness)) / sharpness
     sine = np.sqrt(np.maximum(0, 1 - cosine**2))
     azimuth = np.arange(count // 2) * np.pi * (3 - np.sqrt(5))
-    helper = np.eye(3)[np.abs(axis).argmin()]
-    tangent = np.cross(axis, helper)
-    tangent /= np.linalg.norm(tangent)
-    bitangent = np.cross(axis, tangent)
+    tangent, bitangent = tangents(axis)
     around = np.cos(azimuth)[:, None] * tangent + np.sin(azimuth)[:, None] * bitangent
     aside, along = sine[:, None] * around, cosine[:, None] * np.asarray(axis)
     return np.concatenate([along + aside, along - aside]).astype(np.float32)
