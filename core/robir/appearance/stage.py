@@ -27,7 +27,7 @@ from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
-from robir.capture.store import load_capture
+from robir.capture.store import load_turned
 from robir.geometry.mesh import Mesh
 from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
@@ -70,7 +70,7 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
-    capture = load_capture(context.paths.stage("capture")).normalised()
+    capture = load_turned(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
     tracer = make_tracer(mesh.vertices, mesh.faces, context.device)

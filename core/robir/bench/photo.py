@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture
+from robir.capture.store import load_turned
 from robir.config import RunConfig
 from robir.evaluation.layers import view_layers
 from robir.evaluation.metrics import linear_from_srgb, srgb_from_linear
@@ -42,7 +42,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     Returns:
         Scores of the re-rendered held-out views, as `mean_scores` gives them.
     """
-    capture = load_capture(paths.stage("capture")).normalised()
+    capture = load_turned(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     face, barycentric = rasterise_atlas(mesh, config.appearance.texture_size)
     inside = face >= 0

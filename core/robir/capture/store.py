@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, Finding, View
 from robir.errors import StorageError
-from robir.jobs.paths import read_json, replacing, write_json
+from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
@@ -77,6 +78,49 @@ def load_capture(folder: Path) -> Capture:
             f"The capture stage's files in {folder} cannot be read ({fault}). "
             "Run the capture stage again."
         ) from fault
+
+
+def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
+    """Write the poses that later stages shall take instead of the given ones.
+
+    Args:
+        paths: The result folder.
+        cameras: Every view's camera by its name; turned about its own centre, so that orientation
+            is all that counts.
+    """
+    turned = {name: camera.camera_to_world[:3, :3].tolist() for name, camera in cameras.items()}
+    write_json(paths.turned_cameras, turned)
+
+
+def load_turned(paths: JobPaths) -> Capture:
+    """The stored capture with the cameras that the geometry stage turned, where it did.
+
+    Args:
+        paths: The result folder.
+
+    Returns:
+        The capture in its own frame.
+
+    Raises:
+        StorageError: If a file is missing or damaged.
+    """
+    capture = load_capture(paths.stage("capture"))
+    if not paths.turned_cameras.exists():
+        return capture
+    try:
+        turned = read_json(paths.turned_cameras)
+        views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
+    except (OSError, ValueError, KeyError, TypeError) as fault:
+        raise StorageError(
+            f"{paths.turned_cameras} cannot be read ({fault}). Run the geometry stage again."
+        ) from fault
+    return replace(capture, views=views)
+
+
+def _oriented(view: View, rotation: list[list[float]]) -> View:
+    pose = view.camera.camera_to_world.copy()
+    pose[:3, :3] = rotation
+    return replace(view, camera=replace(view.camera, camera_to_world=pose))
 
 
 def view_path(folder: Path, name: str) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from robir.capture.store import load_capture
+from robir.capture.store import load_turned
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
 from robir.jobs.paths import JobPaths, replacing
@@ -100,7 +100,7 @@ def truth_sheet(
 def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
     """Our own re-renders of held-out views by camera pose."""
     held_out = paths.stage("appearance") / "held_out.npz"
-    capture = load_capture(paths.stage("capture"))
+    capture = load_turned(paths)
     with np.load(held_out, allow_pickle=False) as arrays:
         return {
             _pose_key(view.camera.camera_to_world): arrays[view.name][..., :3]

@@ -22,6 +22,7 @@ class GeometryConfig:
         features: Colour features of a node of the field.
         face_budget: Most triangles of the final mesh.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
+        refine_poses: Whether given cameras are turned where the photographs ask for it.
     """
 
     image_side: int = 200
@@ -33,6 +34,7 @@ class GeometryConfig:
     features: int = 8
     face_budget: int = 8000
     unwrap_seconds: float = 40.0
+    refine_poses: bool = True
 
     def __post_init__(self) -> None:
         """Refuse values the stage cannot work with."""

@@ -93,12 +93,16 @@ class RaySampler:
         self._pixels = torch.from_numpy(np.concatenate(pixels))
         self._targets = torch.from_numpy(np.concatenate(targets))
         cameras = [photo.camera for photo in photos]
-        self._poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
+        self.follow(cameras)
         self._lenses = torch.tensor([[c.fx, c.fy, c.cx, c.cy] for c in cameras]).float()
         self._device = device
         self._generator = generator
         self._order = torch.randperm(len(self._views), generator=generator)
         self._next = 0
+
+    def follow(self, cameras: list[Camera]) -> None:
+        """Take the poses of other cameras, one a photograph."""
+        self._poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Draw rays.

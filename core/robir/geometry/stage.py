@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture
+from robir.capture.store import load_capture, save_turned
 from robir.errors import CaptureError
 from robir.geometry.backdrop import Backdrop
 from robir.geometry.clean import largest_pieces, restore_missing
@@ -23,6 +24,7 @@ from robir.geometry.hull import HullCarver, carve
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
+from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.simplify import decimate, fill_holes, with_creases
@@ -32,7 +34,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 16
+REVISION = 17
 """Raised whenever the same input gives another result."""
 
 LEAST_PIXELS = 0.8
@@ -50,12 +52,44 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     """
     capture = load_capture(context.paths.stage("capture")).normalised()
     preview = Preview(capture, context.paths.preview, context.device, context.reporter)
-    mesh, metrics = reconstruct(
-        capture, context.config, context.seed, context.device, context.reporter, preview
-    )
+    trial = PoseTrial(capture, context.seed, context.device)
+    total = sum(context.config.level_steps)
+
+    def watch(share: float, render: Renderer, sampler: RaySampler) -> None:
+        preview.show(render)
+        if context.config.refine_poses:
+            trial.look(round(share * total), render, sampler)
+
+    while True:
+        try:
+            mesh, metrics = reconstruct(
+                trial.capture, context.config, context.seed, context.device, context.reporter, watch
+            )
+            break
+        except CamerasChangedError:
+            context.reporter.progress(0.0, "beginning anew with cameras that fit better")
     mesh.save(context.paths.stage("geometry") / "mesh.npz")
+    if trial.turns.any():
+        metrics |= _tell(context, trial)
     context.reporter.progress(1.0, "surface done")
     return metrics
+
+
+def _tell(context: StageContext[GeometryConfig], trial: PoseTrial) -> dict[str, float | str]:
+    """Store the cameras that were turned, tell the user, and give figures for the manifest."""
+    angles = np.degrees(np.linalg.norm(trial.turns, axis=1))
+    names = [view.name for view in trial.capture.views]
+    save_turned(context.paths, {view.name: view.camera for view in trial.capture.views})
+    context.reporter.warn(
+        f"The photographs contradict the given cameras, which were turned by "
+        f"{np.median(angles):.2f} degrees in the median, at most by {angles.max():.2f} "
+        f"({names[int(angles.argmax())]}). The result stands in the given cameras' frame; their "
+        "files are as they were. Good cameras from the start give a better result."
+    )
+    return {
+        "turned_degrees_median": round(float(np.median(angles)), 4),
+        "turned_degrees_largest": round(float(angles.max()), 4),
+    }
 
 
 def reconstruct(
@@ -64,7 +98,7 @@ def reconstruct(
     seed: int,
     device: str,
     reporter: Reporter,
-    preview: Preview | None = None,
+    watch: Callable[[float, Renderer, RaySampler], None] | None = None,
 ) -> tuple[Mesh, dict[str, float | str]]:
     """Surface of a capture whose bounding sphere is the unit sphere.
 
@@ -74,7 +108,8 @@ def reconstruct(
         seed: Seed of every random choice.
         device: Torch device.
         reporter: Progress and warnings.
-        preview: Shows the surface as it grows, or None.
+        watch: Called every few steps of the fit with the share of it that is done, what renders
+            its field, and the source of its rays, or None.
 
     Returns:
         The unwrapped mesh in the unit frame, and metrics.
@@ -96,8 +131,8 @@ def reconstruct(
 
     def progress(share: float, render: Renderer) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
-        if preview is not None:
-            preview.show(render)
+        if watch is not None:
+            watch(share, render, sampler)
 
     plane = detect(photos, lattice, hull, generator)
     backdrop = None

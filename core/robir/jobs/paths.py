@@ -99,6 +99,11 @@ class JobPaths:
         return self.stage(name) / "stage.json"
 
     @property
+    def turned_cameras(self) -> Path:
+        """Poses of the views where the geometry stage found the given ones wrong; else absent."""
+        return self.stage("geometry") / "cameras.json"
+
+    @property
     def export(self) -> Path:
         """What the user takes away."""
         return self.root / "export"
