@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -29,6 +31,17 @@ def light():
     return synthetic.sun_and_uneven_sky()
 
 
+def surfaces_about(problem, row, otherwise):
+    """Radiance (D, 3) that a sample sees of others; `otherwise` (3,) where it meets none."""
+    transport = problem.scene.transport
+    directions, position = transport.visibility.directions, transport.surfels.position
+    met: list[list[np.ndarray]] = [[] for _ in directions]
+    for other in transport.visibility.bounce[[row]].indices:
+        towards = position[other] - position[row]
+        met[int((directions @ towards).argmax())].append(problem.exitant[other].double().numpy())
+    return np.array([np.mean(each, axis=0) if each else otherwise for each in met])
+
+
 @pytest.mark.parametrize("roughness", [0.2, 0.5])
 def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughness):
     transport = problem.scene.transport
@@ -50,7 +63,8 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
         hidden = above & ~seen
         around = max(0.05, (hidden * cosine).sum() * 4 * np.pi / len(directions))
         bounced = problem.indirect[row].double().numpy() / around
-        arriving = seen[:, None] * sky + hidden[:, None] * bounced
+        surfaces = surfaces_about(problem, row, bounced)
+        arriving = seen[:, None] * sky + hidden[:, None] * surfaces
         weight = np.exp(sharpness * (directions @ directions[rays.mirror[ray]] - 1))
         expected = (weight @ arriving) / (weight @ above) * float(scale[ray] + bias[ray])
         np.testing.assert_allclose(reflected[ray], expected, rtol=2e-4)
@@ -85,3 +99,27 @@ def test_rays_without_samples_reflect_nothing(problem, light):
     nowhere = np.zeros((0, 3), np.float32)
     rays = as_rays(none, none, nowhere, nowhere, problem.scene.transport.visibility.directions)
     assert Reflections(problem, light, np.arange(5)).from_sky(rays, 0.3).shape == (0, 2, 3)
+
+
+def test_a_polished_floor_mirrors_the_one_box_that_is_bright(problem, light):
+    transport = problem.scene.transport
+    position, directions = transport.surfels.position, transport.visibility.directions
+    bounce = transport.visibility.bounce
+    other = int(np.bincount(bounce.indices).argmax())
+    row = int(bounce[:, [other]].tocoo().row[0])
+    exitant = torch.full_like(problem.exitant, 0.01)
+    exitant[other] = 5.0
+    towards = position[other] - position[row]
+    column = int((directions @ towards).argmax())
+    bright = Reflections(replace(problem, exitant=exitant), light, np.array([row]))
+    normal = transport.surfels.normal[[row]].astype(np.float32)
+
+    def mirrored(direction):
+        view = 2 * (normal[0] @ direction) * normal[0] - direction
+        rays = as_rays(np.zeros(1, np.int64), np.zeros(1, np.int64), view[None], normal, directions)
+        return float(bright.from_sky(rays, 0.12)[0, 1, 0])
+
+    met = bounce[[row]].indices
+    away = min((position[met] - position[row]), key=lambda step: float(step @ towards))
+    opposite = directions[int((directions @ away).argmax())]
+    assert mirrored(directions[column]) > 5 * mirrored(opposite)

@@ -146,6 +146,7 @@ class Problem:
         gains: How each photograph was exposed, under this curve.
         linear: (S, V, 3) radiance of every observation, at the common exposure.
         radiance: (S) diffuse radiance of all samples.
+        exitant: (S, 3) radiance that leaves all samples, of the hidden ones as it is judged.
         indirect: (S, 3) irradiance of all samples from other surfaces.
     """
 
@@ -154,6 +155,7 @@ class Problem:
     gains: Gains
     linear: Tensor
     radiance: Radiance
+    exitant: Tensor
     indirect: Tensor
 
     def without_highlights(self, diffuse: Tensor) -> Problem:
@@ -192,7 +194,13 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     exitant = with_hidden(scene, total)
     indirect = scene.bounced(exitant)
     return Problem(
-        scene=scene, curve=curve, gains=gains, linear=linear, radiance=total, indirect=indirect
+        scene=scene,
+        curve=curve,
+        gains=gains,
+        linear=linear,
+        radiance=total,
+        exitant=exitant,
+        indirect=indirect,
     )
 
 

@@ -161,6 +161,38 @@ def _product_at(
     ]
 
 
+def _radiance_of_surfaces(
+    problem: Problem, rows: NDArray[np.int64]
+) -> tuple[tuple[Tensor, ...], Tensor]:
+    """Radiance that samples (U,) see of each other in every direction.
+
+    A polished board mirrors the piece that stands on it. With the mean over all blocked directions
+    instead, its dark fields in the shade differed from view to view as no paint may, and passed for
+    the gold of that piece: their albedo was read twice too bright.
+
+    Returns:
+        Of each channel (U, D), and where a surface is known to be seen, (U, D).
+    """
+    transport = problem.scene.transport
+    directions, position = transport.visibility.directions, transport.surfels.position
+    met = transport.visibility.bounce[rows].tocoo()
+    towards = position[met.col] - position[rows[met.row]]
+    starts = range(0, len(towards), CHUNK)
+    # lengths do not change which direction is the nearest
+    nearest = [(towards[start : start + CHUNK] @ directions.T).argmax(1) for start in starts]
+    column = np.concatenate([np.zeros(0, np.int64), *nearest])
+    shape = (len(rows), len(directions))
+    place = torch.from_numpy(met.row.astype(np.int64) * len(directions) + column)
+
+    def summed(values: Tensor) -> Tensor:
+        return torch.zeros(shape[0] * shape[1]).index_add_(0, place, values).reshape(shape)
+
+    count = summed(torch.ones(len(place)))
+    exitant = problem.exitant[met.col]
+    sums = (summed(exitant[:, channel]) for channel in range(3))
+    return tuple(total / count.clamp(min=1) for total in sums), count > 0
+
+
 class Reflections:
     """Light that reaches samples from around any mirror direction."""
 
@@ -175,11 +207,14 @@ class Reflections:
         cosine = (normal @ directions.T).clamp(min=0)
         blocked = (cosine > 0).float() - seen
         around = (blocked * cosine).sum(1) * (4 * np.pi / len(directions))
-        # Light from blocked directions: the mean radiance that the bounce carries.
+        # Where no ray tells the surface: the mean radiance that the bounce carries.
         bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
+        surfaces, is_hit = _radiance_of_surfaces(problem, rows)
         self._directions = directions
         self._incident = [
-            seen * sky[:, channel] + blocked * bounced[:, channel, None] for channel in range(3)
+            seen * sky[:, channel]
+            + blocked * torch.where(is_hit, surfaces[channel], bounced[:, channel, None])
+            for channel in range(3)
         ]
         self._above = (cosine > 0).float()
         self._normal = normal
