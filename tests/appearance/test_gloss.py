@@ -174,3 +174,32 @@ def test_a_dim_part_is_metal_if_nearly_all_of_it_is_certain(ball, one_in, parts)
 )
 def test_a_dim_part_is_metal_only_if_that_explains_it_well(ball, dim, left, parts):
     assert parts_with(ball, 1, dim, left) == parts
+
+
+@pytest.mark.parametrize(
+    ("size", "hue", "kept"), [(10, 1.1, False), (10, 0.4, True), (50, 1.1, True)]
+)
+def test_a_bit_of_another_hue_than_the_metal_is_paint(ball, size, hue, kept):
+    problem, light, is_gold, _ = ball
+    transport = problem.scene.transport
+    rows = np.flatnonzero(problem.radiance.seen.numpy())
+    rays = view_rays(
+        transport.surfels, transport.observations, rows, transport.visibility.directions
+    )
+    reflections = Reflections(problem, light, rows)
+    gold, rest = np.flatnonzero(is_gold[rows]), np.flatnonzero(~is_gold[rows])
+    metal = np.isin(np.arange(len(rows)), np.concatenate([gold, rest[:size]]))
+    # far from the gold; what is seen is a metal of either hue
+    position = transport.surfels.position[rows].copy()
+    position[rest] += 99.0
+    tint = np.where(np.isin(rays.sample, gold)[:, None], 0.0, [hue, -0.5 * hue, -0.5 * hue])
+    white = reflections.radiance(rays, METAL_LEVELS[0])[:, 1]
+    found = metal_parts(
+        (metal, metal),
+        (position, np.zeros((len(rows), 3)), 9.0),
+        (reflections, rays, white * torch.from_numpy(0.5 * np.exp(tint))),
+        np.full((len(rows), len(METAL_LEVELS)), 0.0, np.float32),
+    )
+    assert (found.part[gold] == 0).all()
+    assert len(found.base) == 1 + kept
+    np.testing.assert_array_equal(found.part[rest[:size]], int(kept) if kept else -1)

@@ -148,12 +148,9 @@ def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
     highlights, patch = highlights.of(steady), patch[steady]
     count = np.bincount(patch, highlights.count, num_patches)
     known = np.flatnonzero(count >= FEWEST_VIEWS)
-    fit = -STEEPNESS * np.log(_costs(highlights, patch, known, count) + UNSEEN_CODES)
+    fit = fit_of(*_costs(highlights, patch, known, count))
     peaks = -0.5 * (_peak_ratios(highlights, patch, known) / PEAK_ERROR) ** 2
-    levels = [*LEVELS, 1.0]
-    believed = count[known] / (count[known] + HALF_BELIEVED)
-    log = np.array([np.interp(GRID, levels, row) for row in fit + peaks]).reshape(-1, len(GRID))
-    log *= believed[:, None]
+    log = (fit + _on_grid(peaks)) * (count[known] / (count[known] + HALF_BELIEVED))[:, None]
     likely = np.exp(log - log.max(1, keepdims=True))
     likely /= likely.sum(1, keepdims=True)
     mean = likely @ GRID
@@ -183,8 +180,27 @@ def _steady(highlights: Highlights, patch: Rows) -> NDArray[np.bool_]:
     return rank < np.ceil(STEADY_SHARE * members)[patch]
 
 
-def _costs(highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any]) -> Reals:
-    """Codes (R, L + 1) that a near view differs by at every level and at roughness 1.
+def fit_of(codes: Reals, plain: Reals) -> Reals:
+    """Log likelihood (R, GRID) of roughnesses.
+
+    Args:
+        codes: (R, L) that a near view differs by at every level.
+        plain: (R,) without any highlight.
+    """
+    rough = codes[:, -1] + (1 - BEYOND) * np.maximum(plain - codes[:, -1], 0)
+    return _on_grid(-STEEPNESS * np.log(np.c_[codes, rough] + UNSEEN_CODES))
+
+
+def _on_grid(values: Reals) -> Reals:
+    """Values (R, GRID) between those (R, L + 1) at every level and at roughness 1."""
+    levels = [*LEVELS, 1.0]
+    return np.array([np.interp(GRID, levels, row) for row in values]).reshape(-1, len(GRID))
+
+
+def _costs(
+    highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any]
+) -> tuple[Reals, Reals]:
+    """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight.
 
     A narrow highlight in the wrong place is worse than none. That speaks against the place, so it
     costs no more than none would.
@@ -193,8 +209,7 @@ def _costs(highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any]
     sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
     *errors, plain = 255 * sums / count[known]
     levels = [np.minimum(each, plain) if i < NARROW else each for i, each in enumerate(errors)]
-    last = levels[-1] + (1 - BEYOND) * np.maximum(plain - levels[-1], 0)
-    return np.array([*levels, last]).T
+    return np.array(levels).T, plain
 
 
 def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:

@@ -145,15 +145,27 @@ def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
     return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
 
 
-def log_hue(irradiance: Tensor, indirect: Tensor) -> Tensor:
-    """Log hue (3,), its mean zero, of what sky and suns send to samples together.
+def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
+    """Log (3,) of the mean irradiance that sky and suns send; less its mean, the light's hue.
 
     Args:
         irradiance: (U, 3) from everything.
         indirect: (U, 3) of it from surfaces.
     """
-    sent = (irradiance - indirect).mean(0).log()
-    return sent - sent.mean()
+    return (irradiance - indirect).mean(0).log()
+
+
+def missing(sent: Tensor, told: Tensor | None, level: float | None) -> Tensor:
+    """Log factors (3,) that a light is short of what highlights tell of it as a whole.
+
+    Args:
+        sent: Its `log_sent` (3,).
+        told: Log hue (3,), its mean zero, if it is told.
+        level: Mean over the channels, if it is told.
+    """
+    mean = sent.mean()
+    hue = torch.zeros_like(sent) if told is None else told - (sent - mean)
+    return hue if level is None else hue + (level - mean)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,10 +177,11 @@ class Priors:
         bounds: Weight of staying within a physical range.
         hue: Weight of the lights sharing one hue.
         told: Log hue (3,) of the mean irradiance from the lights by highlights, if they tell any.
+        level: Mean over the channels of its log by highlights, if they tell it.
         neutral: Weight of the light as a whole being grey. Surfaces that do not shine do not tell
             its hue from that of all albedos, and under a tint bounced light is judged wrongly.
-        witness: Weight of the light as a whole having the hue that is told. On six rendered scenes
-            under two lights each highlights were .04 off in log units (root of the mean square), a
+        witness: Weight of the light as a whole being as told. On six rendered scenes under two
+            lights each hues by highlights were .04 off in log units (root of the mean square), a
             grey light .09; the weights go as the inverse squares.
         lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
             light is clipped, nothing else holds it.
@@ -186,6 +199,7 @@ class Priors:
     bounds: float = 1.0
     hue: float = 0.03
     told: Tensor | None = None
+    level: float | None = None
     neutral: float = 0.3
     witness: float = 1.5
     lamp: float = 0.3
@@ -250,10 +264,9 @@ def solve_amplitudes(
         if num_sharp:
             beyond = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
             loss = loss + priors.lamp * beyond.clamp(min=0).sum(1).mean()
-        tint = log_hue(irradiance, transfer.indirect)
-        loss = loss + priors.neutral * (tint**2).sum()
-        if priors.told is not None:
-            loss = loss + priors.witness * ((tint - priors.told) ** 2).sum()
+        sent = log_sent(irradiance, transfer.indirect)
+        loss = loss + priors.neutral * ((sent - sent.mean()) ** 2).sum()
+        loss = loss + priors.witness * (missing(sent, priors.told, priors.level) ** 2).sum()
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:
@@ -281,10 +294,12 @@ def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
 def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors) -> Tensor:
     """Penalty for albedos that no common material has; it fixes the overall scale.
 
-    The mean of log albedo is drawn towards that of common scenes, as long as the brightest
-    materials stay physical. These are looked for where it is sure how much sun arrives: under a low
-    sun a wall that the mesh turns out of it by a few degrees has an albedo of two. Only the lowest
-    of the brightest few per cent counts: above it lie highlights.
+    The mean of log albedo is drawn towards that of common scenes where no highlight tells how
+    bright the light is, as long as the brightest materials stay common ones; where one tells, as
+    long as they reflect no more than they receive: held to the limit of common ones as well, a
+    white cow lost a tenth of its red. These are looked for where it is sure how much sun arrives:
+    under a low sun a wall that the mesh turns out of it by a few degrees has an albedo of two. Only
+    the lowest of the brightest few per cent counts: above it lie highlights.
 
     Args:
         log_albedo: (U, 3).
@@ -297,6 +312,8 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
     rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
+    if priors.level is not None:
+        return 2 * brightest.clamp(min=0)
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()

@@ -4,9 +4,6 @@
 Photographs of diffuse surfaces know light and albedo by their product alone: blue light on white
 paint is white light on blue paint. A highlight on paint has the colour of the light, whatever the
 paint (the dichromatic model: Shafer 1985, "Using color to separate reflection components").
-
-How strongly highlights shine would tell the strength of the light too, for F0 is known. But it also
-tells their roughness, and what is left is worth less than the mean albedo of common scenes.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.gloss import Gloss, low_mean
-from robir.appearance.light import log_hue
+from robir.appearance.light import log_sent
 from robir.appearance.problem import Problem
 from robir.appearance.seen import looked_at
 from robir.appearance.solver import Light
@@ -56,7 +53,8 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
     # sums, not medians: the brightest hold least of what the surface itself scatters
     off = torch.from_numpy(np.log(shown[clear].sum(0).clip(1e-9) / predicted[clear].sum(0))).float()
     rows = problem.scene.rows
-    return log_hue(light.irradiance(problem, rows), problem.indirect[rows]) + off - off.mean()
+    told = log_sent(light.irradiance(problem, rows), problem.indirect[rows]) + off
+    return told - told.mean()
 
 
 def _highlights(problem: Problem, light: Light, gloss: Gloss) -> tuple[Floats, Floats, Floats]:

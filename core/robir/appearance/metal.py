@@ -75,6 +75,11 @@ LEAST_PART, LEAST_SHARE = 8, 1 / 3
 the mesh is too wrong to tell, and what it reflected would be worse than paint: the torn sides of a
 truck shone white."""
 
+OTHER_HUE = 0.7
+"""Difference in log hue from all metal of the scene from which a part of less than METAL_PRIOR
+samples is paint: a bit of a bottle's glossy red cap, 1.1 from its gold, whose own bits are .4 from
+it at most."""
+
 LIKELY_METAL = 0.6
 """Base colour towards which a part without any evidence tends."""
 
@@ -242,8 +247,18 @@ def metal_parts(
     if not bases:
         return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
     log, count = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
+    kept = _alike(log, count)
+    part = np.where(part >= 0, np.where(kept, np.cumsum(kept) - 1, -1)[part], -1)
+    log, count = log[kept], count[kept]
     everywhere = 0.5 * ((count * log).sum(0) / count.sum() + np.log(LIKELY_METAL))
     weight = count / (count + METAL_PRIOR)
     base = np.exp(weight * log + (1 - weight) * everywhere)
     base *= np.maximum(1.0, DARKEST_METAL / base.max(axis=1, keepdims=True))
-    return MetalParts(part, base.astype(np.float32), np.array(roughness, np.float32))
+    return MetalParts(part, base.astype(np.float32), np.array(roughness, np.float32)[kept])
+
+
+def _alike(log: Floats, count: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which (P,) of parts of these log colours (P, 3) and sizes (P, 1) are no odd bits."""
+    hue = log - log.mean(1, keepdims=True)
+    apart = np.linalg.norm(hue - (count * hue).sum(0) / count.sum(), axis=1)
+    return (apart < OTHER_HUE) | (count[:, 0] >= METAL_PRIOR)

@@ -15,7 +15,11 @@ from robir.appearance.plain_lead import PLAIN_MARGIN
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
 
-GREY, BY_HIGHLIGHTS = "grey as a whole", "as of the highlights"
+GREY, BY_MEAN, BY_HIGHLIGHTS = (
+    "grey as a whole",
+    "by the mean albedo of common scenes",
+    "as of the highlights",
+)
 
 
 def light_choices(
@@ -64,6 +68,13 @@ def light_choices(
             alternatives=(BY_HIGHLIGHTS if light.told is None else GREY,),
             why="highlights on paint have the colour of the light; where too few show, nothing "
             "tells it from the colour of all albedos",
+        ),
+        Choice(
+            choice="brightness of the light",
+            chosen=BY_MEAN if light.level is None else BY_HIGHLIGHTS,
+            alternatives=(BY_HIGHLIGHTS if light.level is None else BY_MEAN,),
+            why="paint returns 4% of a light as a highlight, however bright it is itself; where "
+            "these do not tell, the mean albedo is taken to be that of common scenes",
         ),
         Choice(
             choice="metal",

@@ -15,8 +15,9 @@ from robir.appearance.light import (
     Amplitudes,
     Priors,
     Transfer,
-    log_hue,
     log_ratio,
+    log_sent,
+    missing,
     solve_amplitudes,
 )
 from robir.appearance.pair_loss import PairWeights
@@ -90,6 +91,7 @@ class Light:
         loss: Mean absolute difference of log albedo between neighbours.
         history: The same of neighbours that face alike with 0, 1, ... sharp lobes, for the report.
         told: Log hue (3,) of what sky and suns send, by highlights, if they tell any.
+        level: Mean over the channels of its log, by highlights, if they tell it.
     """
 
     axes: Floats
@@ -98,15 +100,16 @@ class Light:
     loss: float
     history: tuple[float, ...]
     told: Tensor | None = None
+    level: float | None = None
 
     def irradiance(self, problem: Problem, rows: NDArray[np.int64]) -> Tensor:
         """What some samples receive, (len(rows), 3), from suns, sky and other surfaces."""
         sharp = problem.scene.sharp_transfer(self.axes, self.sharpness, rows)
         return self.amplitudes.irradiance(problem.transfer(sharp, rows))
 
-    def tinted(self, log_hue: Tensor) -> Light:
-        """Every lobe exp(log_hue) (3,) as bright."""
-        strengths, factor = self.amplitudes, log_hue.exp()
+    def tinted(self, log_factor: Tensor) -> Light:
+        """Every lobe exp(log_factor) (3,) as bright."""
+        strengths, factor = self.amplitudes, log_factor.exp()
         tinted = Amplitudes(soft=strengths.soft * factor, sharp=strengths.sharp * factor)
         return replace(self, amplitudes=tinted)
 
@@ -277,9 +280,8 @@ def refit(
     """
     radiance = problem.rows_radiance(problem.scene.rows)
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)
-    if light.told is not None:
-        hue = log_hue(light.amplitudes.irradiance(transfer), transfer.indirect)
-        light = light.tinted(light.told - hue)
+    sent = log_sent(light.amplitudes.irradiance(transfer), transfer.indirect)
+    light = light.tinted(missing(sent, light.told, light.level))
     log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
 
     def alike(parts: list[Pairs]) -> Pairs:
@@ -295,7 +297,8 @@ def refit(
     if paint is not None:
         parts.append(alike(sunlight.turned_away(paint[problem.scene.rows])))
     steps, parsimony = config.iterations // 2, config.parsimony_weight
-    priors = Priors(told=light.told, parsimony=parsimony, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
+    priors = Priors(parsimony=parsimony, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
+    priors = replace(priors, told=light.told, level=light.level)
     amplitudes, loss = solve_amplitudes(
         radiance, transfer, tuple(parts), priors, steps, start=light.amplitudes
     )

@@ -16,6 +16,7 @@ from robir.appearance.exposure import Gains, compare_photographs
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.light_hue import hue_by_highlights
+from robir.appearance.light_level import level_by_highlights
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.reasons import camera_choices, light_choices
@@ -160,10 +161,14 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     # only to be judged anew under the next light: half of the samples will do
     gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed, step=2)
     problem = sized.problem.without_highlights(diffuse)
-    told = replace(light, told=hue_by_highlights(sized.problem, light, gloss))
+    light = replace(
+        light,
+        told=hue_by_highlights(sized.problem, light, gloss),
+        level=level_by_highlights(sized.problem, light, gloss, seed),
+    )
     paint = gloss.metallic < 0.5
     compared = paint if paint.mean() > MOST_PAINT else None
-    final = refit(problem, told, config, compared)
+    final = refit(problem, light, config, compared)
     if compared is not None:
         # pairs that look alike are other ones once most of the missing light is there
         final = refit(problem, final, config, compared)
