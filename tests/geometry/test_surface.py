@@ -21,7 +21,7 @@ from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.sampling import Occupancy, march
 from robir.geometry.simplify import decimate, fill_holes, is_closed
-from robir.geometry.stage import LEAST_PIXELS, hull_of, reconstruct, useful_cells
+from robir.geometry.stage import hull_of, reconstruct
 from robir.geometry.surface import extract, plain_mesh
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
@@ -251,24 +251,3 @@ def test_small_fit_is_accurate_and_repeats_exactly() -> None:
     second, _ = reconstruct(capture, config, 3, "cpu", Silent())
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.uvs, second.uvs)
-
-
-@pytest.mark.parametrize(("side", "fewer"), [(64, True), (256, False)])
-def test_cells_are_no_finer_than_photographs_can_tell(side: int, fewer: bool) -> None:
-    sphere = ball(0.5, (0.0, 0.0, 0.0))
-    photos = [reduce_view(v, side) for v in capture_of(sphere, views=6, side=side).views]
-    lattice, _ = carve(hull_of(photos, 6), 48)
-    asked = (24, 36, 48)
-    given = useful_cells(asked, photos, lattice)
-    cell = (float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell) / given[-1]
-    ends = np.array([[-0.5 * cell, 0.0, 0.0], [0.5 * cell, 0.0, 0.0]])
-    widest = 0.0
-    for photo in photos:
-        one, two = photo.camera.project(ends)[0]
-        widest = max(widest, float(np.linalg.norm(one - two)))
-    if fewer:
-        assert widest == pytest.approx(LEAST_PIXELS, rel=0.05)
-        assert given[0] / given[-1] == pytest.approx(asked[0] / asked[-1], rel=0.05)
-    else:
-        assert widest > LEAST_PIXELS
-        assert given == asked

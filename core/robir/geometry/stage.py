@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver, carve
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.plane import detect
 from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
@@ -34,11 +33,8 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 17
+REVISION = 18
 """Raised whenever the same input gives another result."""
-
-LEAST_PIXELS = 0.8
-"""Least width of a cell, in pixels of the photographs that the fit sees."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -127,7 +123,6 @@ def reconstruct(
     lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
     generator = torch.Generator().manual_seed(seed)
     sampler = RaySampler(photos, device, generator)
-    config = replace(config, level_cells=useful_cells(config.level_cells, photos, lattice))
 
     def progress(share: float, render: Renderer) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
@@ -169,29 +164,6 @@ def reconstruct(
         "ground": "none" if backdrop is None else "flattened",
     }
     return mesh, metrics
-
-
-def useful_cells(
-    level_cells: tuple[int, ...], photos: list[Photo], lattice: Lattice
-) -> tuple[int, ...]:
-    """Cells of the levels, fewer where the photographs are too coarse for them.
-
-    What a pixel cannot tell apart the fit tells apart by accident: cells of half a pixel gave a
-    toy of 60 pixels pits all over, and normals 2 degrees worse.
-
-    Args:
-        level_cells: Cells along the object's longest side, coarse to fine.
-        photos: Photographs as the fit sees them, unit frame.
-        lattice: Of the visual hull.
-
-    Returns:
-        The same if a cell of the last level is at least LEAST_PIXELS wide where the object is; or
-        else all of them reduced by one factor until it is.
-    """
-    pixel = np.median([np.linalg.norm(p.camera.position) / p.camera.fx for p in photos])
-    longest = float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell
-    factor = min(1.0, longest / (LEAST_PIXELS * float(pixel) * level_cells[-1]))
-    return tuple(max(16, round(factor * cells)) for cells in level_cells)
 
 
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
