@@ -76,6 +76,11 @@ class Gloss:
     table: tuple[dict[str, float], ...]
     choices: tuple[Choice, ...]
 
+    @property
+    def is_paint(self) -> NDArray[np.bool_]:
+        """(S,) bool, what is no metal."""
+        return self.metallic < 0.5
+
 
 def specular_towards(
     problem: Problem, light: Light, gloss: Gloss, sample: NDArray[np.int64], view_dir: Floats

@@ -59,7 +59,7 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
 
 def _highlights(problem: Problem, light: Light, gloss: Gloss) -> tuple[Floats, Floats, Floats]:
     """Highlights (M, 3) of paint that are not clipped, as predicted (M, 3), and what is below."""
-    chosen = problem.radiance.seen.numpy() & (gloss.metallic < 0.5)
+    chosen = problem.radiance.seen.numpy() & gloss.is_paint
     rows = problem.scene.rows[::STEP]
     rows = rows[chosen[rows]]
     reflections, rays, seen, valid = looked_at(problem, light, rows)

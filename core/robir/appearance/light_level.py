@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from robir.appearance.gloss import SHARPEST_SKY, Gloss, clusters, diffuse_below, low_mean
 from robir.appearance.highlights import FEWEST_VIEWS, HALF_BELIEVED, LEVELS, fit_of
@@ -64,7 +65,7 @@ def level_by_highlights(problem: Problem, light: Light, gloss: Gloss, seed: int)
     """
     if not gloss.has_highlights or not len(light.axes):
         return None
-    chosen = problem.radiance.seen.numpy() & (gloss.metallic < 0.5)
+    chosen = problem.radiance.seen.numpy() & gloss.is_paint
     every = problem.scene.rows
     rows = every[:: -(-len(every) // MOST_SAMPLES)]
     rows = rows[chosen[rows]]
@@ -109,14 +110,13 @@ def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Re
 
 
 def _evidence(errors: Reals, count: Reals, patch: NDArray[np.int64]) -> Reals:
-    """Log likelihood (FACTORS,) of the factors, over all roughnesses of each patch (U,)."""
+    """Log likelihood (FACTORS,), up to a constant, over all roughnesses of each patch (U,)."""
     views = np.bincount(patch, count)
     total = np.zeros(len(errors))
     for known in np.flatnonzero(views >= FEWEST_VIEWS):
         codes = 255 * errors[:, :, patch == known].sum(2) / views[known]
         log = fit_of(codes[:, :-1], codes[:, -1]) * views[known] / (views[known] + HALF_BELIEVED)
-        most = log.max(1)
-        total += most + np.log(np.exp(log - most[:, None]).mean(1))
+        total += logsumexp(log, axis=1)
     return total
 
 

@@ -166,8 +166,7 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
         told=hue_by_highlights(sized.problem, light, gloss),
         level=level_by_highlights(sized.problem, light, gloss, seed),
     )
-    paint = gloss.metallic < 0.5
-    compared = paint if paint.mean() > MOST_PAINT else None
+    compared = gloss.is_paint if gloss.is_paint.mean() > MOST_PAINT else None
     final = refit(problem, light, config, compared)
     if compared is not None:
         # pairs that look alike are other ones once most of the missing light is there

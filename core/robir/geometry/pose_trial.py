@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -70,14 +71,19 @@ class PoseTrial:
         self.capture = capture
         self.turns: Array = np.zeros((len(capture.views), 3))
         self._given = capture
+        self._seed = seed
         self._device = device
         self._is_trained = np.array([view.split == "train" for view in capture.views])
-        self._alignment = Alignment(capture.views, seed)
         self._misfit = np.inf
         self._before = self.turns
         self._rounds = 0
         self._state: Literal["trial", "moving", "polish", "given"] = "trial"
         self._due: float = TRIAL_STEP
+
+    @cached_property
+    def _alignment(self) -> Alignment:
+        # not at the start: where nothing is tried, no photograph need be reduced and sampled for it
+        return Alignment(self._given.views, self._seed)
 
     def look(self, step: int, render: Renderer, sampler: RaySampler) -> None:
         """Try, turn or leave the cameras.
