@@ -32,7 +32,6 @@ from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
 from robir.geometry.pixel_rays import PIXEL_STEP, PixelRays, Solid, pixels_of
-from robir.geometry.plane import SupportPlane
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
@@ -186,17 +185,17 @@ def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) ->
     return masks
 
 
-def near_ground(plane: SupportPlane, lattice: Lattice, sdf: Tensor) -> Tensor:
-    """Nodes (N,) bool that are solid or nearly so and not below the plane."""
+def near_ground(ground: Ground, lattice: Lattice, sdf: Tensor) -> Tensor:
+    """Nodes (N,) bool that are solid or nearly so and not below the ground."""
     near = sdf < 2.0 * lattice.cell
-    height = plane.local(lattice.nodes()[near].double().numpy())[:, 2]
+    height = ground.above(lattice.nodes()[near].double().numpy())
     return near.masked_scatter(near, torch.from_numpy(height > -lattice.cell))
 
 
 def freed(
     field: tuple[Lattice, Tensor],
     where: Tensor,
-    plane: SupportPlane,
+    ground: Ground,
     photos: list[Photo],
     masks: list[Mask],
 ) -> Tensor:
@@ -205,7 +204,7 @@ def freed(
     Args:
         field: Lattice and signed distances (N,), on the CPU.
         where: (N,) bool, nodes that may be freed.
-        plane: The ground's plane; what lies below it stays.
+        ground: The ground; what lies below it stays.
         photos: Photographs.
         masks: Pixels of the photographs that show ground.
 
@@ -214,7 +213,7 @@ def freed(
     """
     lattice, sdf = field
     points = lattice.nodes()[where]
-    height = plane.local(points.double().numpy())[:, 2]
+    height = ground.above(points.double().numpy())
     silhouettes = [
         (~binary_opening(mask, np.ones((3, 3), bool))).astype(np.float32) for mask in masks
     ]
@@ -292,7 +291,7 @@ class Backdrop:
         Returns:
             The new signed distances (N,).
         """
-        near = near_ground(self.ground.columns.plane, lattice, sdf)
+        near = near_ground(self.ground, lattice, sdf)
         kept = torch.zeros_like(near)
         for _ in range(ROUNDS):
             masks = self.shown()
@@ -315,8 +314,7 @@ class Backdrop:
 
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
-        plane = self.ground.columns.plane
-        return freed((lattice, sdf), where, plane, self.photos, masks)
+        return freed((lattice, sdf), where, self.ground, self.photos, masks)
 
     def _doubted(
         self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]

@@ -32,7 +32,11 @@ must not be asked by photographs that see the rim; but lumps do not speak for ea
 
 
 def feet_agree(
-    columns: Columns, wanted: NDArray[np.bool_], tops: Array, photos: list[Photo]
+    columns: Columns,
+    wanted: NDArray[np.bool_],
+    tops: Array,
+    photos: list[Photo],
+    level: Array,
 ) -> NDArray[np.bool_]:
     """Whether the photographs agree on the colour at the feet of columns.
 
@@ -45,14 +49,15 @@ def feet_agree(
         wanted: Columns to judge, the columns' shape.
         tops: Height of the present surface over each column.
         photos: Photographs.
+        level: Height of each column's foot above the plane.
 
     Returns:
         The columns' shape; False where not wanted.
     """
-    foot = deviations(columns, wanted, np.zeros_like(tops), tops, photos)
+    foot = deviations(columns, wanted, level, tops, photos)
     agree = foot < AGREEMENT
     # a surface at the foot, or none at all, has nothing over it
-    raised = agree & np.isfinite(tops) & (tops != 0)
+    raised = agree & np.isfinite(tops) & (tops != level)
     if not raised.any():
         return agree
     surface = deviations(columns, raised, tops, tops, photos)

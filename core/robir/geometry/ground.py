@@ -15,6 +15,7 @@ from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
 from robir.geometry.plane import SupportPlane, project_outline, within
 from robir.geometry.rays import Photo
+from robir.geometry.terraces import terraces
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,7 @@ class Ground:
         columns: Columns over the plane.
         tops: Height of the hull over each column, -inf where it has none.
         start: Columns that are bare ground for certain.
+        level: Height of the ground over each column, 0 until `find_terraces`.
     """
 
     def __init__(
@@ -75,8 +77,24 @@ class Ground:
         self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
         inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
-        agree = feet_agree(self.columns, self._bare, np.where(self._bare, 0.0, top), photos)
+        self.level = np.zeros(self.columns.shape)
+        tops = np.where(self._bare, 0.0, top)
+        agree = feet_agree(self.columns, self._bare, tops, photos, self.level)
         self.start = self._spread(self._bare & agree)
+
+    def find_terraces(self, top: Array, settled: NDArray[np.bool_]) -> None:
+        """Learn where the ground lies higher or lower than its plane.
+
+        Args:
+            top: Height of the present surface over each column.
+            settled: Columns that are ground.
+        """
+        self.level = terraces(self.columns, settled, top, self._photos)
+
+    def above(self, points: Array) -> Array:
+        """Height of points (P, 3) of the unit frame above the ground."""
+        local = self.columns.plane.local(points)
+        return local[:, 2] - self.columns.sample(self.level, local)
 
     def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Ground that spreads from the rim over passable columns, specks it encloses included."""
@@ -106,8 +124,8 @@ class Ground:
             The columns' shape.
         """
         low = self.columns.inside & (top < STANDING)
-        flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
-        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
+        flat = low & (np.abs(top - self.level) < 0.8 * self.columns.spacing)
+        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos, self.level)
         return self._spread((self.start & known & low) | flat | agree)
 
     def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:
@@ -124,7 +142,7 @@ class Ground:
         return bool(np.median(top[settled]) > -DEEPEST * cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
-        """Cut away what stands above the plane over ground columns, and fill pits below it.
+        """Cut away what stands above the ground over its columns, and fill pits below it.
 
         What hangs over them higher than columns are searched stays. Below things that ground
         encloses there is ground too: pits are dug beside the feet of what hangs over them.
@@ -138,12 +156,13 @@ class Ground:
             The new signed distances (N,).
         """
         columns = self.columns
-        local = columns.plane.local(lattice.nodes().numpy().astype(np.float64))
+        nodes = lattice.nodes().numpy().astype(np.float64)
+        local = columns.plane.local(nodes)
         reach, below = (
             columns.sample(_depth_inside(area) * columns.spacing, local)
             for area in (ground, binary_fill_holes(ground))
         )
-        height = local[:, 2]
+        height = self.above(nodes)
         before = sdf.detach().cpu().numpy()
         searched = np.minimum(height, HIGHEST - height)
         cut = np.maximum(before, np.minimum(searched, reach))

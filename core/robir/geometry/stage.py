@@ -33,7 +33,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 18
+REVISION = 19
 """Raised whenever the same input gives another result."""
 
 
@@ -146,6 +146,8 @@ def reconstruct(
             ground = backdrop.ground
             top = ground.heights(field.lattice, sdf)
             settled = ground.settled(top, backdrop.known)
+            if not ground.level.any():
+                ground.find_terraces(top, settled)
             if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
                 sdf.copy_(undercut(backdrop, settled, field.lattice, sdf))

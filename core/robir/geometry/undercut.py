@@ -35,6 +35,7 @@ from robir.geometry.backdrop import (
     near_ground,
 )
 from robir.geometry.columns import Columns
+from robir.geometry.ground import Ground
 from robir.geometry.lattice import Lattice
 from robir.geometry.pixel_rays import Solid, pixels_of
 from robir.geometry.rays import Photo
@@ -67,9 +68,9 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
     ground, photos, rays = backdrop.ground, backdrop.photos, backdrop.rays
     columns, before = ground.columns, sdf.detach().cpu()
     top = ground.heights(lattice, before)
-    layer = Solid(lattice, torch.from_numpy(_topmost(columns, lattice, before, top)))
+    layer = Solid(lattice, torch.from_numpy(_topmost(ground, lattice, before, top)))
     open_pixels = [own.unblocked(layer, np.flatnonzero(own.meets)) for own in rays]
-    colours = _foot_colours(columns, photos, open_pixels)
+    colours = _foot_colours(ground, photos, open_pixels)
     picture = _continued(bare, columns, _agreed(colours))
     picture[~ground.joined(np.isfinite(picture[..., 0]))] = np.nan
     masks = ground_pixels(picture, photos, rays)
@@ -77,30 +78,32 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
         free = np.zeros(mask.size, bool)
         free[pixels] = True
         mask &= free.reshape(mask.shape)
-    near = near_ground(columns.plane, lattice, before)
-    return freed((lattice, before), near, columns.plane, photos, masks).to(sdf.device)
+    near = near_ground(ground, lattice, before)
+    return freed((lattice, before), near, ground, photos, masks).to(sdf.device)
 
 
-def _topmost(columns: Columns, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:
+def _topmost(ground: Ground, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:
     """Solid nodes (N,) above the ground in the topmost layer of columns of heights `top`."""
     solid = sdf.numpy() < 0
-    local = columns.plane.local(lattice.nodes().numpy()[solid].astype(np.float64))
+    columns, points = ground.columns, lattice.nodes().numpy()[solid].astype(np.float64)
+    local = columns.plane.local(points)
     at = np.round((local[:, :2] - columns.low) / columns.spacing).astype(int)
     at = np.clip(at, 0, np.array(columns.shape) - 1)
     depth = top[at[:, 0], at[:, 1]] - local[:, 2]
-    solid[solid] = (local[:, 2] > 0.5 * lattice.cell) & (depth < LAYER * lattice.cell)
+    solid[solid] = (ground.above(points) > 0.5 * lattice.cell) & (depth < LAYER * lattice.cell)
     return solid
 
 
 def _foot_colours(
-    columns: Columns, photos: list[Photo], open_pixels: list[NDArray[np.int64]]
+    ground: Ground, photos: list[Photo], open_pixels: list[NDArray[np.int64]]
 ) -> Array:
     """Display colours (V, K, 3) of the pixels that show each foot; NaN where none is open.
 
     Feet are looked up in pixels, not pixels added to feet: seen at a grazing angle a pixel shows
     several feet, and one that is met by no pixel's middle would miss the photograph.
     """
-    feet = columns.plane.world(np.column_stack([columns.feet, np.zeros(len(columns.feet))]))
+    columns = ground.columns
+    feet = columns.plane.world(np.column_stack([columns.feet, ground.level.ravel()]))
     colours = np.full((len(photos), len(feet), 3), np.nan)
     for found, photo, pixels in zip(colours, photos, open_pixels, strict=True):
         is_open = np.zeros(photo.coverage.size, bool)
