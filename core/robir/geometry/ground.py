@@ -83,13 +83,14 @@ class Ground:
         self.start = self._spread(self._bare & agree)
 
     def find_terraces(self, top: Array, settled: NDArray[np.bool_]) -> None:
-        """Learn where the ground lies higher or lower than its plane.
+        """Learn where the ground lies higher or lower than its plane; once found, that stays.
 
         Args:
             top: Height of the present surface over each column.
             settled: Columns that are ground.
         """
-        self.level = terraces(self.columns, settled, top, self._photos)
+        if not self.level.any():
+            self.level = terraces(self.columns, settled, top, self._photos)
 
     def above(self, points: Array) -> Array:
         """Height of points (P, 3) of the unit frame above the ground."""

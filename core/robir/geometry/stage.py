@@ -146,8 +146,7 @@ def reconstruct(
             ground = backdrop.ground
             top = ground.heights(field.lattice, sdf)
             settled = ground.settled(top, backdrop.known)
-            if not ground.level.any():
-                ground.find_terraces(top, settled)
+            ground.find_terraces(top, settled)
             if ground.is_flat(field.lattice.cell, top, settled):
                 sdf.copy_(ground.flatten(field.lattice, sdf, settled))
                 sdf.copy_(undercut(backdrop, settled, field.lattice, sdf))
