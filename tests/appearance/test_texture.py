@@ -149,6 +149,22 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     assert np.abs(left[middle]).max() < 0.3
 
 
+def test_the_edge_of_a_shadow_keeps_its_hue_beside_paler_paint():
+    steps = np.arange(-0.5, 0.5, 0.006)
+    x, y = (grid.ravel().astype(np.float32) for grid in np.meshgrid(steps, steps))
+    points = with_normals(
+        np.stack([x, y, 0 * x], axis=1), np.tile(np.float32([0, 0, 1]), (len(x), 1))
+    )
+    mat, tray = np.float32([0.58, 0.38, 0.19]), np.float32([0.47, 0.38, 0.4])
+    paint = np.where(x[:, None] < 0, mat, tray)
+    edge = (x < 0) & (x > -0.25)
+    result = evened(paint, np.where(edge, 0.3, 0.05).astype(np.float32), points)
+    hue = result / result.mean(1, keepdims=True)
+    inner = (x < -0.06) & (x > -0.12)
+    # with a HUE_DOUBT of 1 and an ALIKE_HUE of .2 it was .63: the tray's
+    assert np.abs(np.log(hue[inner] / (mat / mat.mean()))).max() < 0.3
+
+
 @pytest.mark.parametrize(("doubt", "share_left"), [(0.8, 0.25), (0.05, 0.75)])
 def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left):
     rng = np.random.default_rng(4)

@@ -22,8 +22,13 @@ EVEN_REACH, EVEN_COUNT, EVEN_STEPS = 0.4, 128, 3
 """How far the surroundings reach that a texel is compared with, unit frame, how many of their
 texels, and how often."""
 
-ALIKE, ALIKE_HUE = 0.35, 0.2
+ALIKE, ALIKE_HUE = 0.35, 0.17
 """Difference of log albedo, in brightness and in hue, within which texels may be one material."""
+
+HUE_DOUBT = 0.5
+"""Standard deviation of a texel's hue against that of its brightness: how much sun arrives, which
+nobody knows at a shadow's edge, changes the one more than the other. With 1 a tan mat became as
+pale as the tray beside it there."""
 
 NODE_STEP = 4
 """Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
@@ -78,7 +83,9 @@ def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
     before = smooth = np.log(albedo[nodes].T.astype(np.float32))
     doubt = unknown[nodes].astype(np.float32)
     certainty = 1 / (0.03 + doubt) ** 2
-    wider = np.stack([doubt, np.minimum(doubt, ALIKE_HUE)])  # not everything resembles the unknown
+    wider = np.stack(
+        [doubt, np.minimum(HUE_DOUBT * doubt, ALIKE_HUE)]
+    )  # not everything resembles the unknown
     width = 1 / (2 * (np.array([[ALIKE], [ALIKE_HUE]], np.float32) ** 2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
     starts = range(0, len(nodes), CHUNK)

@@ -38,7 +38,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 49
+REVISION = 50
 
 TEXTURE_VIEWS = 48
 
