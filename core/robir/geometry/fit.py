@@ -142,7 +142,7 @@ def fit(
     config: GeometryConfig,
     generator: torch.Generator,
     progress: Callable[[float, Renderer], None],
-    settle: Callable[[Field], None],
+    settle: Callable[[Field, ColourNetwork], None],
 ) -> Field:
     """Fit a field to the rays of a capture.
 
@@ -198,5 +198,5 @@ def fit(
                 with torch.no_grad():
                     smooth(field.sdf, level, done / total)
                     field.soften()
-        settle(field)
+        settle(field, network)
     return field

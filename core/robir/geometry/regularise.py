@@ -17,6 +17,17 @@ def _padded(grid: Tensor) -> Tensor:
     return torch.nn.functional.pad(grid[None, None], (1, 1, 1, 1, 1, 1), mode="replicate")[0, 0]
 
 
+def neighbour_mean(grid: Tensor) -> Tensor:
+    """Means over the six neighbours of every node (X, Y, Z); beyond the border its nodes go on."""
+    wide = _padded(grid)
+    total = wide[2:, 1:-1, 1:-1] + wide[:-2, 1:-1, 1:-1]
+    total += wide[1:-1, 2:, 1:-1]
+    total += wide[1:-1, :-2, 1:-1]
+    total += wide[1:-1, 1:-1, 2:]
+    total += wide[1:-1, 1:-1, :-2]
+    return total.div_(6.0)
+
+
 def laplacian_step(sdf: Tensor, lattice: Lattice, amount: float) -> None:
     """Move every node towards the mean of its six neighbours, in place.
 
@@ -26,13 +37,7 @@ def laplacian_step(sdf: Tensor, lattice: Lattice, amount: float) -> None:
         amount: Share of the way, below 1; less than 0 leads away from it.
     """
     grid = sdf.view(lattice.shape)
-    wide = _padded(grid)
-    total = wide[2:, 1:-1, 1:-1] + wide[:-2, 1:-1, 1:-1]
-    total += wide[1:-1, 2:, 1:-1]
-    total += wide[1:-1, :-2, 1:-1]
-    total += wide[1:-1, 1:-1, 2:]
-    total += wide[1:-1, 1:-1, :-2]
-    grid.lerp_(total.div_(6.0), amount)
+    grid.lerp_(neighbour_mean(grid), amount)
 
 
 def smoothed(values: Tensor, lattice: Lattice, passes: int) -> Tensor:

@@ -15,13 +15,14 @@ from robir.geometry.backdrop import Backdrop
 from robir.geometry.clean import largest_pieces, restore_missing
 from robir.geometry.config import GeometryConfig
 from robir.geometry.facets import flattened
-from robir.geometry.field import Field
+from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver, carve
 from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
+from robir.geometry.mirroring import Mirroring
 from robir.geometry.plane import detect
 from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.preview import Preview, Renderer
@@ -33,7 +34,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 19
+REVISION = 20
 """Raised whenever the same input gives another result."""
 
 
@@ -136,12 +137,14 @@ def reconstruct(
         backdrop = Backdrop(ground, photos)
         hull = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
     start = hull if backdrop is None else backdrop.clear(lattice, hull)
+    mirroring = Mirroring([photo.camera for photo in photos], (lattice, start))
 
-    def settle(field: Field) -> None:
+    def settle(field: Field, network: ColourNetwork) -> None:
         nonlocal backdrop
         sdf = field.sdf.detach()
         allowed = resample(hull, lattice, field.lattice).to(sdf.device)
         sdf.copy_(restore_missing(field, allowed, sampler))
+        sdf.copy_(mirroring.filled(field, network))
         if backdrop is not None:
             ground = backdrop.ground
             top = ground.heights(field.lattice, sdf)
@@ -158,13 +161,17 @@ def reconstruct(
     mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
-    metrics: dict[str, float | str] = {
+    return mesh, _figures(mesh, field, has_ground=backdrop is not None)
+
+
+def _figures(mesh: Mesh, field: Field, *, has_ground: bool) -> dict[str, float | str]:
+    """Of a mesh and the field that it was extracted from, for the stage's manifest."""
+    return {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "none" if backdrop is None else "flattened",
+        "ground": "flattened" if has_ground else "none",
     }
-    return mesh, metrics
 
 
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
