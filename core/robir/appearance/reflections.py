@@ -217,6 +217,7 @@ class Reflections:
             for channel in range(3)
         ]
         self._above = (cosine > 0).float()
+        self._seen = seen
         self._normal = normal
         self._light = light
         self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
@@ -227,11 +228,8 @@ class Reflections:
 
     def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
         """The part (M, 2, 3) that soft lobes and bounces send."""
-        # Width of the GGX lobe about the mirror direction at a typical slant.
-        alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
-        sharpness = float(1 / (2 * alpha**2 * 0.75))
-        kernel = torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
         tables = (*self._incident, self._above)
+        kernel = self._kernel(roughness)
         *channels, mass = _product_at(tables, kernel, (rays.sample, rays.mirror))
         blurred = torch.stack(channels, 1) / mass.clamp(min=1e-6)[:, None]
         scale, bias = microfacet.environment_brdf(
@@ -240,6 +238,38 @@ class Reflections:
         return torch.stack(
             [blurred * (F0 * scale + bias)[:, None], blurred * (scale + bias)[:, None]], 1
         )
+
+    def _kernel(self, roughness: float) -> Tensor:
+        """How much directions count about each mirror direction, (D, D)."""
+        # Width of the GGX lobe about the mirror direction at a typical slant.
+        alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
+        sharpness = float(1 / (2 * alpha**2 * 0.75))
+        return torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
+
+    def from_lobes(self, rays: ViewRays, roughness: float, count: int) -> Tensor:
+        """What soft lobes of amplitude 1 send, per unit of a metal's base colour.
+
+        Args:
+            rays: Observations.
+            roughness: Of the surface.
+            count: Number K of the lobes.
+
+        Returns:
+            (M, K); with the lobes' amplitudes, `from_sky` but for what surfaces send.
+        """
+        kernel = self._kernel(roughness)
+        lobes = sky_radiance(self._directions, torch.eye(count))
+        sample = torch.from_numpy(rays.sample)
+        parts = []
+        for start in range(0, len(sample), CHUNK):
+            some = sample[start : start + CHUNK]
+            around = kernel[rays.mirror[start : start + CHUNK]]
+            mass = (around * self._above[some]).sum(1, keepdim=True)
+            parts.append((around * self._seen[some]) @ lobes / mass.clamp(min=1e-6))
+        scale, bias = microfacet.environment_brdf(
+            rays.cosine, torch.full_like(rays.cosine, roughness)
+        )
+        return torch.cat(parts) * (scale + bias)[:, None]
 
     def near_highlight(self, rays: ViewRays) -> Tensor:
         """Numbers (N,) of the observations near the mirror direction of a sun that is seen."""

@@ -17,6 +17,7 @@ from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
 from robir.appearance.light_hue import hue_by_highlights
 from robir.appearance.light_level import level_by_highlights
+from robir.appearance.mirrored_sky import sky_by_metal
 from robir.appearance.model_size import SizedModel, smallest_model
 from robir.appearance.problem import Problem, make_scene
 from robir.appearance.reasons import camera_choices, light_choices
@@ -38,7 +39,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 50
+REVISION = 51
 
 TEXTURE_VIEWS = 48
 
@@ -172,6 +173,10 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
         # pairs that look alike are other ones once most of the missing light is there
         final = refit(problem, final, config, compared)
     gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
+    mirrored = sky_by_metal(sized.problem, final, gloss)
+    if mirrored is not None:
+        final = mirrored
+        gloss, diffuse = estimate_gloss(sized.problem, final, config.num_materials, seed)
     return sized.problem.without_highlights(diffuse), final, gloss
 
 
