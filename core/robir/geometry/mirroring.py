@@ -137,7 +137,9 @@ class Mirroring:
         lattice = field.lattice
         change = change_with_view(field, network, self._cameras)
         share = ((change - DULL) / (MIRRORING - DULL)).clamp_(0.0, 1.0)
-        if share[field.sdf.detach().abs() < NEAR * lattice.cell].mean() > MOST_MIRRORING:
+        # off the surface a single spot may speak for a region: alone that is no metal
+        mirroring = float(share[field.sdf.detach().abs() < NEAR * lattice.cell].mean())
+        if not 0.0 < mirroring <= MOST_MIRRORING:
             return torch.zeros_like(share)
         grid = share.view(lattice.shape)[None]
         return max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
