@@ -96,6 +96,17 @@ def test_partners_of_a_shadow_are_not_all_at_its_edge(floor):
     assert len(np.unique(second)) > 0.2 * lit.sum()
 
 
+def test_partners_of_a_shadow_lie_as_far_from_its_edge_where_samples_are_dense():
+    rng = np.random.default_rng(0)
+    away = []
+    for count in (5000, 15000):
+        position = np.c_[rng.uniform(-1, 1, (count, 2)), np.zeros(count)].astype(np.float32)
+        normal = np.tile(np.float32([0, 0, 1]), (count, 1))
+        lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
+        away.append(position[shadow_pairs(position, normal, lit, dark).second.numpy(), 0].mean())
+    assert away[1] == pytest.approx(away[0], rel=0.1)
+
+
 def test_a_sun_without_a_shadow_has_no_pairs(floor):
     everywhere = np.ones(2000, bool)
     pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere)

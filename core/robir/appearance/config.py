@@ -23,7 +23,8 @@ class AppearanceConfig:
         num_soft_lobes: Fixed soft lobes that stand for the sky.
         num_sharp_lobes: Sharp lobes (suns, lamps) that may be found at most.
         num_scan_directions: Directions of the whole sphere scanned for suns.
-        num_solve_surfels: Surface samples that take part in the light solve.
+        num_solve_surfels: Surface samples by which suns and the tone curve are found; the light's
+            strengths and the gloss are found by all that two photographs show.
         iterations: Adam steps of the last light solve; trial solves take a third.
         parsimony_weight: Weight of "few distinct albedos" once the suns stand.
         num_materials: Patches of like albedo and place that share one roughness.

@@ -33,6 +33,9 @@ PAIR_REACHES = (0.05, 0.12, 0.25)
 PARTNERS = 6
 """Partners of a sample at each of these distances; with half as many the light hangs on chance."""
 
+EVERY_PARTNERS = 3
+"""The same where every sample takes part; 6 give the same light at twice the cost."""
+
 SKY_SHARE = 0.3
 """Radiance of a surface in the shade, open to the whole sky, over the median of what is seen."""
 
@@ -162,6 +165,19 @@ class Problem:
         """The problem once the radiance (S, V, 3) without its specular part is known."""
         observations = self.scene.transport.observations
         return replace(self, radiance=diffuse_radiance(observations, diffuse))
+
+    def by_every_sample(self, rng: np.random.Generator) -> Problem:
+        """The problem in which every sample takes part that two views see.
+
+        By five thousand of twelve an avocado's light hung on which: its albedo came to 25.1 to
+        27.2 dB by three draws.
+
+        Args:
+            rng: Source of the neighbours.
+        """
+        rows, surfels = np.flatnonzero(self.radiance.seen), self.scene.transport.surfels
+        pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, EVERY_PARTNERS, rng)
+        return replace(self, scene=replace(self.scene, rows=rows, pairs=pairs))
 
     def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
         """Radiance of some samples."""

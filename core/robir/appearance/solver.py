@@ -60,6 +60,11 @@ ALIKE_HUE, ALIKE_BRIGHTNESS = 0.1, 0.35
 """Differences of log albedo, in hue and in brightness, beyond the step common to all pairs across a
 shadow, at which two samples hardly are one material. The fields of a board are .8 apart."""
 
+NEIGHBOUR_HUE = 0.2
+"""Difference of log albedo in hue at which neighbours hardly are one paint, once a light is known.
+Sky and sun differ in hue as well, and the sky is not known well. From .1 to .4 all gives about the
+same."""
+
 SHADOW_WEIGHT = 1.0
 """Weight of equal albedo across shadows once a light tells which pairs are one material."""
 
@@ -215,7 +220,6 @@ def fit(
     axes: Floats,
     sharpness: Floats,
     iterations: int,
-    parsimony: float = 0.0,
     start: Amplitudes | None = None,
 ) -> Light:
     """Strengths of all lobes for fixed suns.
@@ -225,7 +229,6 @@ def fit(
         axes: (J, 3) of the sharp lobes.
         sharpness: (J,).
         iterations: Adam steps.
-        parsimony: Weight of few distinct albedos.
         start: Where to begin.
 
     Returns:
@@ -236,7 +239,7 @@ def fit(
         problem.rows_radiance(problem.scene.rows),
         transfer,
         (problem.scene.pairs, Pairs.joined(sunlight.across_shadows())),
-        Priors(parsimony=parsimony, smooth=EVEN_SKY) if parsimony else Priors(),
+        Priors(),
         iterations,
         start=start,
     )
@@ -264,6 +267,10 @@ def refit(
     such pairs are of two materials. Those alike under the light that is known count, and count
     more: alike but for the step that all pairs of one material show, or a light too weak in the sun
     would confirm itself where bright fields in the shade pass for dark ones in the sun.
+
+    Neighbours of another hue are another paint, and say nothing of its brightness: by all of them
+    the sky that an avocado's flat flesh faces was as bright as made that yellow as dark as the skin
+    and the ground about it.
 
     Shadows on the ground tell the sky overhead. Of the light that comes in low from behind, sides
     turned from the sun tell most, and their lit neighbours of one material what it must add up to.
@@ -293,20 +300,26 @@ def refit(
             weighted.append(part.weighted(likeness))
         return Pairs.joined(weighted)
 
-    parts = [problem.scene.pairs, alike(sunlight.across_shadows())]
+    neighbours = problem.scene.pairs
+    likeness = neighbours.likeness(log_albedo, NEIGHBOUR_HUE, np.inf)
+    parts = [neighbours.weighted(likeness), alike(sunlight.across_shadows())]
     if paint is not None:
         parts.append(alike(sunlight.turned_away(paint[problem.scene.rows])))
-    steps, parsimony = config.iterations // 2, config.parsimony_weight
-    priors = Priors(parsimony=parsimony, smooth=EVEN_SKY, shadow=SHADOW_WEIGHT)
-    priors = replace(priors, told=light.told, level=light.level)
+    priors = Priors(
+        parsimony=config.parsimony_weight,
+        smooth=EVEN_SKY,
+        shadow=SHADOW_WEIGHT,
+        told=light.told,
+        level=light.level,
+    )
     amplitudes, loss = solve_amplitudes(
-        radiance, transfer, tuple(parts), priors, steps, start=light.amplitudes
+        radiance, transfer, tuple(parts), priors, config.iterations // 2, start=light.amplitudes
     )
     return replace(light, amplitudes=amplitudes, loss=loss)
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
-    """Directions and sizes of the suns with the whole light known, then the final strengths.
+    """Directions and sizes of the suns with the whole light known, then the strengths for these.
 
     Args:
         problem: Scene under a tone curve.
@@ -315,7 +328,7 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         seed: Of the sub-samples.
 
     Returns:
-        The final light.
+        The light, for `refit`.
     """
     axes, sharpness = light.axes.copy(), light.sharpness.copy()
     seen = np.flatnonzero(problem.radiance.seen)
@@ -327,18 +340,9 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
         axes[index] = refine(fine, start, 0.03, 4).axis
         sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
-    first = fit(problem, axes, sharpness, config.iterations // 2, start=light.amplitudes)
-    if config.parsimony_weight == 0:
-        return replace(first, history=light.history)
-    final = fit(
-        problem,
-        axes,
-        sharpness,
-        config.iterations,
-        parsimony=config.parsimony_weight,
-        start=first.amplitudes,
-    )
-    return replace(final, history=light.history)
+    steps = config.iterations // 2
+    polished = fit(problem, axes, sharpness, steps, start=light.amplitudes)
+    return replace(polished, history=light.history)
 
 
 def _polishing_pairs(

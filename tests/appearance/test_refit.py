@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strengths found anew: what neighbours tell of them, and by which samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.problem import make_problem
+from robir.appearance.solver import refit
+from robir.maths.tone import curve_from_name
+
+SUN, SKY = 2.4, 0.12
+"""Irradiance of the sun at normal incidence and amplitude of each soft lobe."""
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return synthetic.boxes_on_a_floor()
+
+
+def test_paint_of_another_hue_does_not_brighten_the_sky_before_it(stage):
+    """Sides that face away from the sun are yellow, everything else is dark."""
+    side = stage.surfels.normal[:, 0] < -0.9
+    albedo = np.where(side[:, None], np.float32([0.8, 0.75, 0.1]), np.float32([0.1, 0.12, 0.1]))
+    curve = curve_from_name("filmic")
+    scene = synthetic.scene_of(replace(stage, albedo=albedo), SUN, SKY, curve)
+    problem, true = make_problem(scene, curve), synthetic.true_light(SUN, SKY)
+    rows = scene.rows[side[scene.rows]]
+    found = refit(problem, true, AppearanceConfig(iterations=240))
+    before, after = (light.irradiance(problem, rows).log().mean() for light in (true, found))
+    # .07 by neighbours of all hues
+    assert float(after - before) == pytest.approx(0, abs=0.03)
+
+
+def test_by_every_sample_all_that_two_views_see_take_part(stage):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), num_rows=600)
+    scene.transport.observations.weight[:50, 1:] = 0
+    some = make_problem(scene, curve_from_name("filmic"))
+    every = some.by_every_sample(np.random.default_rng(0))
+    np.testing.assert_array_equal(every.scene.rows, np.arange(50, len(stage.surfels)))
+    position = stage.surfels.position[every.scene.rows]
+    apart = position[every.scene.pairs.first] - position[every.scene.pairs.second]
+    assert np.linalg.norm(apart, axis=1).max() < 0.5
+    assert len(some.scene.rows) == 600
