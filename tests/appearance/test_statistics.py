@@ -162,6 +162,17 @@ def test_of_steps_about_as_common_the_greyer_is_the_lights(coloured, found):
     torch.testing.assert_close(step, steps[found], rtol=0, atol=0.02)
 
 
+def test_a_pair_is_unclipped_where_no_channel_of_either_end_is_clipped():
+    clipped = torch.zeros(4, 3, dtype=torch.bool)
+    clipped[2, 1] = True
+    pairs = Pairs(
+        first=torch.tensor([0, 2, 1]),
+        second=torch.tensor([1, 0, 2]),
+        weight=torch.full((3,), 1 / 3),
+    )
+    assert pairs.unclipped(clipped).tolist() == [True, False, False]
+
+
 def test_joined_lists_of_pairs_count_by_their_length():
     ends = torch.arange(4)
     long = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))

@@ -295,7 +295,7 @@ def refit(
         """Those of one material, of all suns."""
         weighted = []
         for part in parts:
-            step = part.common_step(log_albedo)
+            step = part.of(part.unclipped(radiance.clipped)).common_step(log_albedo)
             likeness = part.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, step)
             weighted.append(part.weighted(likeness))
         return Pairs.joined(weighted)
