@@ -163,24 +163,24 @@ def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Probl
     thorough = replace(config, iterations=2 * config.iterations)
     light = refit(whole, light, thorough)
     # only to be judged anew under the next light: half of the samples will do
-    gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed, step=2)
+    gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed, step=2)
     problem = whole.without_highlights(diffuse)
     light = replace(
         light,
-        told=hue_by_highlights(sized.problem, light, gloss),
-        level=level_by_highlights(sized.problem, light, gloss, seed),
+        told=hue_by_highlights(whole, light, gloss),
+        level=level_by_highlights(whole, light, gloss, seed),
     )
     compared = gloss.is_paint if gloss.is_paint.mean() > MOST_PAINT else None
     light = refit(problem, light, thorough, compared)
     if compared is not None:
         # pairs that look alike are other ones once most of the missing light is there
         light = refit(problem, light, thorough, compared)
-    gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
-    mirrored = sky_by_metal(sized.problem, light, gloss)
+    gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed)
+    mirrored = sky_by_metal(whole, light, gloss)
     if mirrored is not None:
         light = mirrored
-        gloss, diffuse = estimate_gloss(sized.problem, light, config.num_materials, seed)
-    return sized.problem.without_highlights(diffuse), light, gloss
+        gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed)
+    return whole.without_highlights(diffuse), light, gloss
 
 
 def _bake(
