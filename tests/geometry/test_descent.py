@@ -124,7 +124,7 @@ def test_the_fit_shows_the_network_the_surface_as_it_is_by_then() -> None:
     ball = lattice.nodes().norm(dim=1) - 0.8
     config = GeometryConfig(level_cells=(16,), level_steps=(20,), rays=256)
     generator = torch.Generator().manual_seed(0)
-    field = fit(_Empty(), (lattice, ball), config, generator, lambda *_: None, lambda _: None)
+    field = fit(_Empty(), (lattice, ball), config, generator, lambda *_: None, lambda *_: None)
     points = torch.randn(50, 3, generator=generator) * 0.4
     shown, start = field.gradient(points), Field(lattice, ball, 4).gradient(points)
     field.soften()

@@ -152,7 +152,8 @@ def fit(
         config: Levels, steps, rays.
         generator: Source of the samples' jitter and of the network's weights, on the CPU.
         progress: Called after every few steps with the share done and what renders the field.
-        settle: Called at the end of every level, may change the field's distances in place.
+        settle: Called with field and network at the end of every level, may change the field's
+            distances in place.
 
     Returns:
         The field of the finest level.
