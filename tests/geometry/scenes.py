@@ -7,10 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
+from robir.geometry.ground import Ground
+from robir.geometry.hull import carve
+from robir.geometry.lattice import Lattice
+from robir.geometry.plane import detect
+from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.stage import hull_of
 
 
 def camera_at(azimuth: float, elevation: float, side: int, distance: float = 3.2) -> Camera:
@@ -83,6 +90,18 @@ def capture_of(
         )
     bounds = Bounds(centre=np.zeros(3), radius=1.0, origin="made")
     return Capture(source=Path("made"), format="made", views=tuple(out), bounds=bounds)
+
+
+def ground_of(
+    scene: trimesh.Trimesh, paint: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Ground, list[Photo], Lattice, torch.Tensor]:
+    """Ground of a scene as the masks show it, photographs, lattice, and their hull (N,) on it."""
+    capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
+    photos = [reduce_view(view, 128) for view in capture.views]
+    lattice, hull = carve(hull_of(photos, 48), 64)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    assert plane is not None
+    return Ground(plane, photos, lattice, hull), photos, lattice, hull
 
 
 def disc(radius: float = 0.9, top: float = -0.3) -> trimesh.Trimesh:

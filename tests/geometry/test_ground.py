@@ -10,12 +10,8 @@ import torch
 import trimesh
 
 from robir.geometry.backdrop import Backdrop
-from robir.geometry.ground import HIGHEST, Ground
-from robir.geometry.hull import carve
-from robir.geometry.plane import detect
-from robir.geometry.rays import reduce_view
-from robir.geometry.stage import hull_of
-from tests.geometry.scenes import capture_of, disc, drum
+from robir.geometry.ground import HIGHEST
+from tests.geometry.scenes import disc, drum, ground_of
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -47,12 +43,7 @@ def flattened(
         Nodes (N, 3) with heights above the ground, values before and values after, (N,).
     """
     scene = trimesh.util.concatenate([disc(), solid])
-    capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
-    photos = [reduce_view(view, 128) for view in capture.views]
-    lattice, hull = carve(hull_of(photos, 48), 64)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
-    assert plane is not None
-    ground = Ground(plane, photos, lattice, hull)
+    ground, photos, lattice, hull = ground_of(scene, paint)
     nodes = lattice.nodes().double().numpy()
     inside = solid.contains(nodes) | (np.hypot(*nodes.T[:2]) < 0.9) & (nodes[:, 2] < TOP)
     if left_over is not None:

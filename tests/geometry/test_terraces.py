@@ -12,13 +12,10 @@ import torch
 import trimesh
 
 from robir.geometry.ground import Ground
-from robir.geometry.hull import carve
 from robir.geometry.lattice import Lattice
-from robir.geometry.plane import detect
-from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.stage import hull_of
+from robir.geometry.rays import Photo
 from robir.geometry.terraces import terraces
-from tests.geometry.scenes import capture_of, disc
+from tests.geometry.scenes import disc, ground_of
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -71,14 +68,9 @@ def swept(height: float, paint: Callable[[np.ndarray], np.ndarray]) -> Swept:
     mat = trimesh.creation.cylinder(MAT, 0.03 + height, sections=96)
     mat.apply_translation([0.0, 0.0, TOP + 0.5 * (height - 0.03)])
     scene = trimesh.util.concatenate([disc(), mat])
-    capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
-    photos = [reduce_view(view, 128) for view in capture.views]
-    lattice, hull = carve(hull_of(photos, 48), 64)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
-    assert plane is not None
-    ground = Ground(plane, photos, lattice, hull)
+    ground, photos, lattice, hull = ground_of(scene, paint)
     columns = ground.columns
-    feet = plane.world(np.column_stack([columns.feet, np.zeros(len(columns.feet))]))
+    feet = columns.plane.world(np.column_stack([columns.feet, np.zeros(len(columns.feet))]))
     return Swept(
         ground=ground,
         radius=np.hypot(feet[:, 0], feet[:, 1]).reshape(columns.shape),

@@ -13,15 +13,11 @@ import trimesh
 from robir.geometry import stage
 from robir.geometry.backdrop import Backdrop
 from robir.geometry.config import GeometryConfig
-from robir.geometry.ground import Ground
-from robir.geometry.hull import carve
 from robir.geometry.lattice import Lattice
 from robir.geometry.pixel_rays import pixels_of
-from robir.geometry.plane import detect
-from robir.geometry.rays import reduce_view
-from robir.geometry.stage import hull_of, reconstruct
+from robir.geometry.stage import reconstruct
 from robir.geometry.undercut import undercut
-from tests.geometry.scenes import camera_at, capture_of, disc, drum
+from tests.geometry.scenes import camera_at, capture_of, disc, drum, ground_of
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -47,16 +43,11 @@ def cut(scene: trimesh.Trimesh, surface: list[tuple[float, float, float]]) -> tu
         scene: What the photographs show.
         surface: Half width, lower and upper end of the cylinders that were made of it.
     """
-    capture = capture_of(scene, views=32, side=128, low=0.12, paint=grey_below)
-    photos = [reduce_view(view, 128) for view in capture.views]
-    lattice, hull = carve(hull_of(photos, 48), 64)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
-    assert plane is not None
+    ground, photos, lattice, hull = ground_of(scene, grey_below)
     nodes = lattice.nodes().double().numpy()
     parts = [solid_box(nodes, 0.9, TOP - 0.1, TOP)]
     parts += [solid_box(nodes, *part) for part in surface]
     before = torch.from_numpy(np.min(parts, axis=0)).float()
-    ground = Ground(plane, photos, lattice, hull)
     backdrop = Backdrop(ground, photos)
     backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
     bare = ground.settled(ground.heights(lattice, before), backdrop.known)

@@ -83,9 +83,8 @@ def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
     before = smooth = np.log(albedo[nodes].T.astype(np.float32))
     doubt = unknown[nodes].astype(np.float32)
     certainty = 1 / (0.03 + doubt) ** 2
-    wider = np.stack(
-        [doubt, np.minimum(HUE_DOUBT * doubt, ALIKE_HUE)]
-    )  # not everything resembles the unknown
+    # not everything resembles the unknown
+    wider = np.stack([doubt, np.minimum(HUE_DOUBT * doubt, ALIKE_HUE)])
     width = 1 / (2 * (np.array([[ALIKE], [ALIKE_HUE]], np.float32) ** 2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
     starts = range(0, len(nodes), CHUNK)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.gloss import Gloss
-from robir.appearance.light import Amplitudes
 from robir.appearance.problem import Problem
 from robir.appearance.seen import looked_at
 from robir.appearance.solver import Light
@@ -82,7 +81,7 @@ def sky_by_metal(problem: Problem, light: Light, gloss: Gloss) -> Light | None:
     if not len(paint) or not len(mirrored[0]):
         return None
     changed = _changed(soft, mirrored, kept)
-    return replace(light, amplitudes=Amplitudes(soft=changed, sharp=light.amplitudes.sharp))
+    return replace(light, amplitudes=replace(light.amplitudes, soft=changed))
 
 
 def _mirrored(

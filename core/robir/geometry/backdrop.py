@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
-from robir.geometry.consistency import colours_at, hidden
+from robir.geometry.consistency import colours_at, hidden, hue_of
 from robir.geometry.ground import Ground
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
@@ -69,9 +69,6 @@ light comes from the truck and has its hue, four tenths of that ground lie beyon
 
 LEAST_HUE = 0.02
 """Share of certain ground that must have a hue: single columns may be certain wrongly."""
-
-DARK = 0.02
-"""Added to display colours before their hue is taken, which is noise in the dark."""
 
 WINDOW = 5
 """Nodes along the edge of the cube whose photographs decide about the node in the middle."""
@@ -139,7 +136,7 @@ def hues_held(colours: Array, certain: Array) -> Mask:
     """
     if not len(certain):
         return np.zeros(len(colours), bool)
-    own, held = (np.log(c / c.mean(1, keepdims=True)) for c in (colours + DARK, certain + DARK))
+    own, held = hue_of(colours), hue_of(certain)
     number = int(np.ceil(LEAST_HUE * len(held)))
     distance, _ = cKDTree(held).query(own, k=[number], p=np.inf, distance_upper_bound=HUE)
     dim = colours.mean(1) < DIM * np.median(certain.mean(1))

@@ -30,6 +30,15 @@ TALLER = 2.0
 steps between columns. A plate's rim hides the ground beside it, and a lump left beside the rim
 must not be asked by photographs that see the rim; but lumps do not speak for each other."""
 
+DARK = 0.02
+"""Added to display colours before their hue is taken, which is noise in the dark."""
+
+
+def hue_of(colours: Array) -> Array:
+    """Logarithms of the channels of display colours (..., 3) against their mean."""
+    light = colours + DARK
+    return np.log(light / light.mean(-1, keepdims=True))
+
 
 def feet_agree(
     columns: Columns,

@@ -27,7 +27,7 @@ from scipy.ndimage import (
 from skimage.segmentation import watershed
 
 from robir.geometry.columns import Columns
-from robir.geometry.consistency import LEAST_VIEWS, TALLER, colours_at, hidden
+from robir.geometry.consistency import LEAST_VIEWS, TALLER, colours_at, hidden, hue_of
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
@@ -45,9 +45,6 @@ VIEWS = 20
 
 SAME_HUE = 0.08
 """Difference of hue between the columns on either side of one that may be of one part."""
-
-DARK = 0.02
-"""Added to display colours before their hue is taken, which is noise in the dark."""
 
 CORE, LEAST_CORE = 2, 30
 """A part has a core so many columns inside its borders, of at least so many columns."""
@@ -134,8 +131,7 @@ def _sweep(
 
 def _parts(picture: Array, ground: Mask) -> NDArray[np.int32]:
     """Parts of the ground that have one hue each: their numbers, 0 elsewhere."""
-    light = np.nan_to_num(picture) + DARK
-    hue = median_filter(np.log(light / light.mean(-1, keepdims=True)), (3, 3, 1))
+    hue = median_filter(hue_of(np.nan_to_num(picture)), (3, 3, 1))
     change = np.zeros(ground.shape)
     for axis in (0, 1):
         between = np.abs(np.roll(hue, -1, axis) - np.roll(hue, 1, axis)).max(-1)
