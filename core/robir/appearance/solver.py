@@ -22,6 +22,7 @@ from robir.appearance.light import (
 )
 from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import PAIR_REACHES, Problem
+from robir.appearance.shade import of_one_material, well_lit
 from robir.appearance.statistics import Pairs, neighbour_pairs
 from robir.appearance.sun import SunCandidate, SunProblem, refine, scan
 from robir.appearance.sunlight import Sunlight
@@ -55,10 +56,6 @@ of the solve alone suns lay .15 degrees farther off (mean of seven captures), an
 LEVEL_COSINE = 0.95
 """Cosine between the normals of those pairs. Nearly all of them lie on one level surface, where
 nothing but a shadow changes with the sun's direction."""
-
-ALIKE_HUE, ALIKE_BRIGHTNESS = 0.1, 0.35
-"""Differences of log albedo, in hue and in brightness, beyond the step common to all pairs across a
-shadow, at which two samples hardly are one material. The fields of a board are .8 apart."""
 
 NEIGHBOUR_HUE = 0.2
 """Difference of log albedo in hue at which neighbours hardly are one paint, once a light is known.
@@ -289,22 +286,18 @@ def refit(
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)
     sent = log_sent(light.amplitudes.irradiance(transfer), transfer.indirect)
     light = light.tinted(missing(sent, light.told, light.level))
-    log_albedo = log_ratio(radiance.linear, light.amplitudes.irradiance(transfer))
-
-    def alike(parts: list[Pairs]) -> Pairs:
-        """Those of one material, of all suns."""
-        weighted = []
-        for part in parts:
-            step = part.of(part.unclipped(radiance.clipped)).common_step(log_albedo)
-            likeness = part.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, step)
-            weighted.append(part.weighted(likeness))
-        return Pairs.joined(weighted)
-
+    irradiance = light.amplitudes.irradiance(transfer)
+    log_albedo = log_ratio(radiance.linear, irradiance)
+    across = well_lit(sunlight.across_shadows(), irradiance)
     neighbours = problem.scene.pairs
     likeness = neighbours.likeness(log_albedo, NEIGHBOUR_HUE, np.inf)
-    parts = [neighbours.weighted(likeness), alike(sunlight.across_shadows())]
+    parts = [
+        neighbours.weighted(likeness),
+        of_one_material(across, log_albedo, radiance.clipped),
+    ]
     if paint is not None:
-        parts.append(alike(sunlight.turned_away(paint[problem.scene.rows])))
+        turned = sunlight.turned_away(paint[problem.scene.rows])
+        parts.append(of_one_material(turned, log_albedo, radiance.clipped))
     priors = Priors(
         parsimony=config.parsimony_weight,
         smooth=EVEN_SKY,

@@ -22,6 +22,7 @@ from torch import Tensor
 from robir.appearance.evening import evened, most_albedo, with_normals
 from robir.appearance.gloss import Gloss
 from robir.appearance.problem import Problem, Scene
+from robir.appearance.shade import irradiance_doubt
 from robir.appearance.sharpen import sharpened
 from robir.appearance.solver import Light
 from robir.appearance.statistics import (
@@ -55,10 +56,6 @@ better re-renders than the one before."""
 
 EDGE_CHUNK = 1 << 13
 """Texels at shadows' edges that are settled at a time: their palettes then stay small."""
-
-LIGHT_ERROR = 0.05
-"""Error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
-has an albedo that nobody knows."""
 
 GLOSS_ERROR = 0.4
 """Error of the specular light that is subtracted, over itself: little is known of a dark material
@@ -202,7 +199,7 @@ def texel_albedo(
     albedo[coverage == 0] = reference.nearest_albedo(texels, coverage == 0)
     spread = _spread(linear, seen)
     albedo = np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO)
-    doubt = LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clip(1e-6)
+    doubt = irradiance_doubt(torch.from_numpy(irradiance)).numpy()
     reflected = GLOSS_ERROR * floor.mean(1) / below.mean(1)
     known = np.sqrt(spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
     disagreement = np.where(coverage > 0, known, 1.0).clip(0.0, 1.0)

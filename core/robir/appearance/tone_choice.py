@@ -30,7 +30,8 @@ from robir.appearance.light import log_ratio
 from robir.appearance.plain_lead import PlainLead, mismatch_table
 from robir.appearance.problem import Problem, Scene, make_problem
 from robir.appearance.reach import unable
-from robir.appearance.solver import ALIKE_BRIGHTNESS, ALIKE_HUE, Light, find_suns, fit
+from robir.appearance.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
+from robir.appearance.solver import Light, find_suns, fit
 from robir.appearance.tone_highlights import highlight_tables
 from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
