@@ -15,7 +15,7 @@ class GeometryConfig:
     Attributes:
         image_side: Longer side the photographs are reduced to for the fit, pixels.
         hull_cells: Cells of the visual hull along the longest side of the object.
-        hull_views: Most views the visual hull is carved with.
+        hull_views: Most views the visual hull is carved with, and the ground is told by.
         level_cells: Cells of the distance field along the object's longest side, coarse to fine.
         level_steps: Steps of the fit at each of these levels.
         rays: Rays of a step.
