@@ -223,12 +223,14 @@ def estimate_gloss(
         [surfels.position[seen], ALIKE_NORMAL * normal, ALIKE_PAINT * paint], axis=1
     )
     around = neighbourhoods(points[in_solve])
-    errors = metal_errors(problem, light, rows, dielectric, around)
-    metals = metal_samples(dielectric, errors, around)
+    errors, bright = metal_errors(problem, light, rows, dielectric, around)
+    likely, certain = metal_samples(dielectric, errors, around)
+    certain &= metal_samples(dielectric, bright, around)[1]
     hue = (paint - paint.mean(1, keepdims=True))[in_solve][around].mean(1)
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     place = surfels.position[rows], hue, spacing
-    parts = metal_parts(metals, place, (reflections, rays, shown.linear), errors)
+    observed = reflections, rays, shown.linear
+    parts = metal_parts((likely, certain), place, observed, errors)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]

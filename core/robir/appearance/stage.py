@@ -39,7 +39,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 53
+REVISION = 54
 
 TEXTURE_VIEWS = 48
 
