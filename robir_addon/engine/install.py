@@ -87,11 +87,12 @@ def install(options: argparse.Namespace, progress: Progress) -> Record:
 def _install(place: Place, options: argparse.Namespace, progress: Progress) -> Record:
     """The steps, in a folder that is ours and locked."""
     before = read_record(place)
+    is_new = before is None or before.torch_build != options.torch
+    if options.wheels is None and is_new:
+        _refuse_little_room(place, options.torch)
     place.record.unlink(missing_ok=True)
     place.log.unlink(missing_ok=True)
     steps = _Steps(progress)
-    if options.wheels is None:
-        _refuse_little_room(place, options.torch)
     pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
     if options.wheels is None and not pip.can_resume:
         with suppress(EngineError):  # an old one works too, it begins a broken file again
@@ -172,6 +173,7 @@ def _torch_words(options: argparse.Namespace) -> list[str]:
 
 
 def _refuse_little_room(place: Place, build: str) -> None:
+    """What was broken off goes on in any room: what it needs, it has fetched in part."""
     free, needed = shutil.disk_usage(place.root).free, NEEDED_BYTES[build]
     if free < needed and not place.cache.exists():
         raise EngineError(

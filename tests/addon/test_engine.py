@@ -144,8 +144,9 @@ def kill_at(words, message, number, group=True):
 
 
 def forget(place, *packages):
-    """Take packages out of an engine, and its record, as if it had never got so far."""
+    """Take packages out of an engine, and its record, as if it had broken off before them."""
     place.record.unlink()
+    place.cache.mkdir()
     for name in packages:
         for path in place.site_packages.glob(f"{name}*"):
             shutil.rmtree(path)

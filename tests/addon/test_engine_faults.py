@@ -21,11 +21,13 @@ from robir_addon.engine import EngineError, Place, inspect, interpreter
 from robir_addon.engine import install as installer
 from robir_addon.engine.pip import Pip, _Meter
 from robir_addon.engine.places import clean_environment, worker_command
+from robir_addon.engine.states import Record, read_record, write_record
 
 
 @pytest.fixture
-def words(tmp_path):
-    """An installation from the network."""
+def words(tmp_path, monkeypatch):
+    """An installation from the network, onto a disk with room."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=100 << 30))
     wheel = tmp_path / "robir-1.2.3-py3-none-any.whl"
     wheel.write_bytes(b"wheel")
     return [
@@ -47,6 +49,34 @@ def test_little_room_is_noticed_before_anything_is_made(words, capsys, monkeypat
     assert "has 1.0 GB free, the engine needs about 3 GB" in error
     assert "make room" in cure
     assert not (tmp_path / "engine/env").exists()
+
+
+class _Begun(Exception):
+    """The first step has begun."""
+
+
+@pytest.mark.parametrize(("chosen", "begins"), [("CPU", True), ("CUDA", False)])
+def test_an_update_needs_no_room_for_another_torch(
+    words, capsys, monkeypatch, tmp_path, chosen, begins
+):
+    """An engine that is refused another torch is what it was."""
+
+    def begin(*_):
+        raise _Begun
+
+    place = Place(tmp_path / "engine")
+    installer._take_folder(place)
+    record = Record("1.2.2", "0", "CPU", "2.13.0+cpu", "2.0", "3.11")
+    write_record(place, record)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1 << 30))
+    monkeypatch.setattr(installer, "_environment_with_pip", begin)
+    words[words.index("CPU")] = chosen
+    if begins:
+        with pytest.raises(_Begun):
+            installer.main(words)
+    else:
+        assert "has 1.0 GB free, the engine needs about 8 GB" in refused(words, capsys)[0]
+        assert read_record(place) == record
 
 
 def test_a_disk_that_fills_up(words, capsys, monkeypatch):
