@@ -245,7 +245,7 @@ def metal_parts(
         piece[rows] = pieces(position[rows], hue[rows], METAL_GAP * spacing, LEAST_PART)
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
-    whites: dict[float, Tensor] = {}
+    readings: dict[float, Floats] = {}
     for index in range(piece.max() + 1):
         whole = piece == index
         inside = certain & whole
@@ -257,10 +257,12 @@ def metal_parts(
         # On a wrong mesh the roughest wins, and under it a sun is mirrored in every view: what is
         # seen reads dark, but not as a sharper metal.
         for level in reversed(METAL_LEVELS[: int(left.argmin()) + 1]):
-            if level not in whites:
-                whites[level] = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
-            ratio = (linear / whites[level]).numpy()
-            clear, base = (np.median(ratio[some[rays.sample]], axis=0) for some in (inside, whole))
+            if level not in readings:
+                white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
+                readings[level] = (linear / white).numpy()
+            clear, base = (
+                np.median(readings[level][some[rays.sample]], axis=0) for some in (inside, whole)
+            )
             if is_certain or clear.max() >= DARKEST_READING:
                 part[whole] = len(bases)
                 bases.append(base)
