@@ -13,7 +13,7 @@ from robir.capture.capture import Bounds, Finding, View
 from robir.capture.coverage import directions_to
 from robir.capture.frames import Array
 from robir.capture.refusal import warning
-from robir.capture.sightings import Sightings
+from robir.capture.sightings import POWER, Sightings
 
 SETTINGS_SPREAD = 0.15
 """Steps of exposure between the camera's settings that are let pass."""
@@ -100,12 +100,6 @@ def _settings(path: Path) -> tuple[float | None, bool]:
 def check_brightness(views: Sequence[View], bounds: Bounds, sightings: Sightings) -> list[Finding]:
     """Compare the object's brightness between photographs.
 
-    Two measures have to agree, as each has objects that deceive it. Points of the object, compared
-    between the photographs that show them, are off by the exposure in the median; that fails where
-    the visual hull is no surface. And under one light the mean brightness of the object is a smooth
-    function of the direction it is seen from: what nine spherical harmonics leave, for each view
-    fitted to the others, is the exposure's doing; that fails for hard light on plain objects.
-
     Args:
         views: Photographs with masks.
         bounds: The object's sphere.
@@ -114,17 +108,10 @@ def check_brightness(views: Sequence[View], bounds: Bounds, sightings: Sightings
     Returns:
         At most one finding.
     """
-    if len(views) < _FEWEST_VIEWS:
+    offsets = uneven_exposures(views, bounds, sightings)
+    if offsets is None:
         return []
-    basis = harmonics(directions_to(views, bounds))
-    levels = np.array([_level(view) for view in views])
-    hat = basis @ np.linalg.pinv(basis)
-    left = np.maximum(1 - np.diag(hat), 0.1)
-    smooth = float(((levels - hat @ levels) / np.sqrt(left)).std())
-    offsets = exposure_offsets(sightings)
     spread = float(offsets.std())
-    if smooth <= BRIGHTNESS_SPREAD or spread <= POINT_SPREAD:
-        return []
     order = np.argsort(-np.abs(offsets))
     far = [views[i].name for i in order if abs(offsets[i]) > POINT_SPREAD]
     return [
@@ -138,6 +125,35 @@ def check_brightness(views: Sequence[View], bounds: Bounds, sightings: Sightings
             spread_steps=round(spread, 3),
         )
     ]
+
+
+def uneven_exposures(views: Sequence[View], bounds: Bounds, sightings: Sightings) -> Array | None:
+    """How much brighter than the others each photograph is, where they were not exposed alike.
+
+    Two measures have to agree, as each has objects that deceive it. Points of the object, compared
+    between the photographs that show them, are off by the exposure in the median; that fails where
+    the visual hull is no surface. And under one light the mean brightness of the object is a smooth
+    function of the direction it is seen from: what nine spherical harmonics leave, for each view
+    fitted to the others, is the exposure's doing; that fails for hard light on plain objects.
+
+    Args:
+        views: V photographs with masks.
+        bounds: The object's sphere.
+        sightings: Points of the object in these photographs.
+
+    Returns:
+        Steps (V,) as of `exposure_offsets`; None where the photographs count as exposed alike.
+    """
+    if len(views) < _FEWEST_VIEWS:
+        return None
+    basis = harmonics(directions_to(views, bounds))
+    levels = np.array([_level(view) for view in views])
+    hat = basis @ np.linalg.pinv(basis)
+    left = np.maximum(1 - np.diag(hat), 0.1)
+    smooth = float(((levels - hat @ levels) / np.sqrt(left)).std())
+    offsets = exposure_offsets(sightings)
+    apart = smooth > BRIGHTNESS_SPREAD and float(offsets.std()) > POINT_SPREAD
+    return offsets if apart else None
 
 
 def exposure_offsets(sightings: Sightings) -> Array:
@@ -159,10 +175,10 @@ def exposure_offsets(sightings: Sightings) -> Array:
 
 
 def _level(view: View) -> float:
-    """Brightness of the object in steps; the curve is not known yet, so a power stands for it."""
+    """Brightness of the object in steps."""
     inside = view.mask >= 250
     pixels = view.image_display[inside if inside.any() else slice(None)]
-    means = ((pixels.reshape(-1, 3) / 255.0) ** 2.2).mean(axis=0)
+    means = ((pixels.reshape(-1, 3) / 255.0) ** POWER).mean(axis=0)
     return float(np.log2(means + _FLOOR).mean())
 
 

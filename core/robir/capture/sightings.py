@@ -17,6 +17,9 @@ from scipy import ndimage
 from robir.capture.capture import Bounds, View
 from robir.capture.frames import Array
 
+POWER = 2.2
+"""Of display values, that stands for the tone curve while it is not known."""
+
 _GRID = 40
 _POINTS = 1500
 _FRONTAL = 0.3
@@ -72,8 +75,7 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
             seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
         row, column, framed = _pixels(view, points)
         seen &= framed & (view.mask[row, column] >= 250)
-        # The curve is not known yet; a power stands for it.
-        grey = ((view.image_display / 255.0) ** 2.2).mean(axis=2)
+        grey = ((view.image_display / 255.0) ** POWER).mean(axis=2)
         grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
         brightness[seen, number] = np.log2(grey[row, column][seen] + _DARKEST)
     return Sightings(brightness=brightness, normals=turned)

@@ -18,12 +18,15 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
+    binary_erosion,
     binary_opening,
+    convolve,
     maximum_filter,
     minimum_filter,
     uniform_filter,
 )
 from scipy.spatial import cKDTree
+from scipy.stats import norm
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
@@ -48,6 +51,12 @@ SAME = 0.06
 
 SPREAD = 0.05
 """How far a pixel may lie outside the range of the ground's colours about its spot, display."""
+
+NOISE_WIDTH = 3.0
+"""How far it may in any case, in standard deviations of the photographs' noise."""
+
+COVERED = 0.99
+"""Coverage from which a pixel shows nothing but what the mask encloses."""
 
 LEAST_VIEWS = 3
 """Photographs that must show a spot of ground, and that must see through a freed point."""
@@ -160,19 +169,45 @@ def colours_about(picture: Array, side: int, slack: float) -> tuple[Array, Array
     return low, high
 
 
-def ground_pixels(picture: Array, photos: list[Photo], rays: list[PixelRays]) -> list[Mask]:
+def pixel_noise(photos: list[Photo]) -> float:
+    """Standard deviation of what pixels differ by from their neighbours for no reason, display.
+
+    What a second difference along both axes leaves is free of shades and of straight edges
+    (Immerkaer 1996, "Fast noise variance estimation"); its lower quartile is free of texture, as
+    long as a quarter of the pixels shows none.
+
+    Args:
+        photos: Photographs.
+
+    Returns:
+        At least 0; 0 where no photograph shows nine pixels in a square.
+    """
+    second = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
+    left = []
+    for photo in photos:
+        inner = binary_erosion(photo.coverage > COVERED, np.ones((3, 3), bool))
+        planes = np.moveaxis(photo.premultiplied_display, 2, 0)
+        left += [np.abs(convolve(plane, second))[inner] for plane in planes]
+    values = np.concatenate(left)
+    return float(np.quantile(values, 0.25) / norm.ppf(0.625)) if len(values) else 0.0
+
+
+def ground_pixels(
+    picture: Array, photos: list[Photo], rays: list[PixelRays], spread: float
+) -> list[Mask]:
     """Pixels that show ground: their colour is that of the ground where their rays meet it.
 
     Args:
         picture: Display colours at the feet of the columns, their shape by 3; NaN where unknown.
         photos: Photographs.
         rays: Rays of each photograph's pixels.
+        spread: How far a pixel may lie outside the range of the ground's colours about its spot.
 
     Returns:
         (H, W) of each photograph.
     """
     known = np.isfinite(picture[..., 0])
-    low, high = (end.reshape(-1, 3) for end in colours_about(picture, 3, SPREAD))
+    low, high = (end.reshape(-1, 3) for end in colours_about(picture, 3, spread))
     masks = []
     for photo, own in zip(photos, rays, strict=True):
         colour = photo.premultiplied_display.reshape(-1, 3)
@@ -234,6 +269,7 @@ class Backdrop:
         ground: The ground.
         photos: The photographs.
         rays: Rays of each photograph's pixels.
+        spread: How far pixels may lie outside the range of the ground's colours, display.
         picture: Its display colours at columns' feet, their shape by 3; NaN where unknown.
         foreign: Columns at whose feet a hue is seen that the ground does not have.
     """
@@ -242,6 +278,7 @@ class Backdrop:
         self.ground = ground
         self.photos = photos
         self.rays = [PixelRays(ground.columns, photo) for photo in photos]
+        self.spread = max(SPREAD, NOISE_WIDTH * pixel_noise(photos))
         columns = ground.columns
         bare, shape = ground.start, columns.shape
         spots = np.column_stack([columns.feet, np.zeros(len(columns.feet))])
@@ -276,7 +313,7 @@ class Backdrop:
 
     def shown(self) -> list[Mask]:
         """The pixels of each photograph that show ground, each (H, W)."""
-        return ground_pixels(self.picture, self.photos, self.rays)
+        return ground_pixels(self.picture, self.photos, self.rays, self.spread)
 
     def clear(self, lattice: Lattice, sdf: Tensor) -> Tensor:
         """Free the room in front of the ground.

@@ -12,6 +12,7 @@ from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_turned
 from robir.errors import CaptureError
 from robir.geometry.backdrop import Backdrop
+from robir.geometry.brightness import evened
 from robir.geometry.clean import largest_pieces, restore_missing
 from robir.geometry.config import GeometryConfig
 from robir.geometry.facets import flattened
@@ -34,7 +35,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 21
+REVISION = 22
 """Raised whenever the same input gives another result."""
 
 GROUND_SIDE = 200
@@ -123,6 +124,7 @@ def reconstruct(
             "at least 3, and about 20 for a good surface."
         )
     reporter.progress(0.0, "carving the visual hull")
+    capture = evened(capture)
     photos = [reduce_view(view, config.image_side) for view in capture.train]
     lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
     generator = torch.Generator().manual_seed(seed)

@@ -73,7 +73,7 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
     colours = _foot_colours(ground, photos, open_pixels)
     picture = _continued(bare, columns, _agreed(colours))
     picture[~ground.joined(np.isfinite(picture[..., 0]))] = np.nan
-    masks = ground_pixels(picture, photos, rays)
+    masks = ground_pixels(picture, photos, rays, backdrop.spread)
     for mask, pixels in zip(masks, open_pixels, strict=True):
         free = np.zeros(mask.size, bool)
         free[pixels] = True
