@@ -144,10 +144,14 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser("evaluate", help="compare a result with the truth")
+    parser = subparsers.add_parser(
+        "evaluate", help="say which stage loses the photographs, and compare with a truth"
+    )
     parser.set_defaults(command=commands.evaluate)
     parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
-    parser.add_argument("--truth", type=Path, required=True, metavar="CAPTURE", help="with truth/")
+    parser.add_argument(
+        "--truth", type=Path, metavar="CAPTURE", help="the rendered capture it was made from"
+    )
     parser.add_argument("--json", action="store_true", help="scores as JSON on standard output")
 
 

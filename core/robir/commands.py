@@ -99,14 +99,26 @@ def check(options: Namespace) -> int:
 
 
 def evaluate(options: Namespace) -> int:
-    """Compare a result with the truth; scores and a comparison sheet go beside the report."""
+    """Say at which level a result loses the photographs, and compare it with the truth if given.
+
+    Scores and pictures go beside the report, the levels into it.
+    """
     paths = _finished(options.out)
     from robir.bench.scores import score_lines
     from robir.evaluation.evaluate import evaluate as judge
+    from robir.evaluation.level_table import level_lines
+    from robir.evaluation.levels import level_scores
+    from robir.export.report import show_levels
 
-    scores = judge(paths, options.truth, paths.truth_sheet)
-    write_json(paths.scores, scores)
-    print(json.dumps(scores, indent=2) if options.json else "\n".join(score_lines(scores)))
+    levels = level_scores(paths, paths.levels_strip)
+    write_json(paths.levels, levels)
+    show_levels(paths, levels)
+    scores, lines = {}, level_lines(levels)
+    if options.truth is not None:
+        scores = judge(paths, options.truth, paths.truth_sheet)
+        write_json(paths.scores, scores)
+        lines = [*score_lines(scores), "", *lines]
+    print(json.dumps(scores | {"levels": levels}, indent=2) if options.json else "\n".join(lines))
     return 0
 
 

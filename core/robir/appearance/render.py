@@ -107,13 +107,29 @@ class _Seen:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendered:
+    """What a view shows.
+
+    Attributes:
+        image: (H, W, 3) uint8, display codes.
+        diffuse: (H, W, 3) uint8, the same of the texture alone: every point is matt and sends its
+            albedo times the irradiance over pi, also where the material is metal or glossy.
+        alpha: (H, W) uint8, how much of each pixel the asset covers, in 255ths.
+    """
+
+    image: NDArray[np.uint8]
+    diffuse: NDArray[np.uint8]
+    alpha: NDArray[np.uint8]
+
+
 def render_views(
     problem: Problem,
     light: Light,
     gloss: Gloss,
     views: Sequence[View],
     surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+) -> Iterator[Rendered]:
     """Render views with the recovered asset, light and tone curve.
 
     Args:
@@ -124,8 +140,7 @@ def render_views(
         surface: Mesh, its tracer, texel look-up and texel values.
 
     Yields:
-        Of each view the display image (H, W, 3) uint8 and how much of each pixel the asset covers,
-        (H, W) uint8 in 255ths.
+        What each view shows.
     """
     mesh, tracer, lookup, values = surface
     largest = max((view.mask.size for view in views), default=1)
@@ -133,18 +148,23 @@ def render_views(
     for start in range(0, len(views), together):
         group = views[start : start + together]
         seen = [_Seen.of(view, mesh, tracer, lookup) for view in group]
-        radiance = _radiance(problem, light, gloss, seen, values)
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
-        for one, part in zip(seen, np.split(radiance, ends), strict=True):
-            yield _picture(problem, one, part)
+        whole, matt = (
+            np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)
+        )
+        for one, radiance, diffuse in zip(seen, whole, matt, strict=True):
+            image, alpha = _picture(problem, one, radiance)
+            matt_image, _ = _picture(problem, one, diffuse)
+            yield Rendered(image=image, diffuse=matt_image, alpha=alpha)
 
 
 def _radiance(
     problem: Problem, light: Light, gloss: Gloss, seen: list[_Seen], values: TexelAlbedo
-) -> Floats:
+) -> tuple[Floats, Floats]:
     """Radiance (N, 3), linear Rec.709, that the points of all views send to their cameras.
 
-    Views share most of the surface, and what arrives at it, the costly part, is found once.
+    The second is that of the matt texture alone, see `Rendered.diffuse`. Views share most of the
+    surface, and what arrives at it, the costly part, is found once.
     """
     points = Texels(
         position=np.concatenate([one.points.position for one in seen]),
@@ -160,8 +180,8 @@ def _radiance(
     dielectric, metal, through = specular_towards(
         problem, light, gloss, blend.nearest, np.concatenate([one.towards for one in seen])
     )
-    radiance = (1 - metallic) * (through * albedo * irradiance / np.pi + dielectric)
-    return radiance + metallic * albedo * metal
+    matt = albedo * irradiance / np.pi
+    return (1 - metallic) * (through * matt + dielectric) + metallic * albedo * metal, matt
 
 
 def _picture(

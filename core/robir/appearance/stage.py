@@ -39,7 +39,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 54
+REVISION = 55
 
 TEXTURE_VIEWS = 48
 
@@ -213,18 +213,21 @@ def _held_out(
     surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
-    images, squared, count = {}, 0.0, 0
+    images, diffuse, squared, count = {}, {}, 0.0, 0
     pictures = render_views(problem, light, gloss, capture.held_out, surface)
-    for view, (image, alpha) in zip(capture.held_out, pictures, strict=True):
+    for view, shown in zip(capture.held_out, pictures, strict=True):
+        image, alpha = shown.image, shown.alpha
         images[view.name] = np.dstack([image, alpha])
+        diffuse[view.name] = np.dstack([shown.diffuse, alpha])
         if view.name in other_light:
             continue
         chosen = (alpha > 0) & (view.mask > MASK_INSIDE)
         difference = (image[chosen].astype(float) - view.image_display[chosen]) / 255
         squared += float((difference**2).sum())
         count += difference.size
-    with replacing(folder / "held_out.npz") as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **images)
+    for name, views in (("held_out.npz", images), ("held_out_diffuse.npz", diffuse)):
+        with replacing(folder / name) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, **views)
     return round(-10 * np.log10(max(squared / count, 1e-10)), 3) if count else None
 
 

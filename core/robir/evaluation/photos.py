@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from PIL import Image
 
 from robir.capture.capture import View
 from robir.evaluation import metrics
+from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE
 
@@ -70,6 +72,52 @@ def exposed(
     )
     shown = curve.display_from_linear(linear).clamp(0, 1).numpy()
     return np.dstack([np.rint(255 * shown).astype(np.uint8), picture[..., 3:]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposures:
+    """How the photographs of a capture were exposed.
+
+    Attributes:
+        steps: By which each channel is brighter than at the common exposure, log2, by the view's
+            name; a view that is not there was exposed like all.
+        corner_steps: By which the corners of all photographs are darker than their middle.
+        curve: The tone curve under which this holds.
+    """
+
+    steps: Mapping[str, Sequence[float]]
+    corner_steps: float
+    curve: AbstractToneCurve
+
+    @classmethod
+    def of(cls, exposure: Mapping[str, Any], tone_curve: Mapping[str, Any]) -> Exposures:
+        """What the appearance stage's exposure.json and tone_curve.json hold."""
+        return cls(
+            steps=exposure["steps"],
+            corner_steps=exposure["corner_steps"],
+            curve=curve_from_name(tone_curve["family"], tone_curve["parameters"]),
+        )
+
+    def as_photographed(self, picture: Picture, view: View) -> Picture:
+        """A picture of a view, at the common exposure and any size, at that of its photograph."""
+        steps = self._steps(view, picture.shape[:2])
+        return picture if steps is None else exposed(picture, steps, self.curve)
+
+    def evened(self, view: View) -> View:
+        """A photograph brought to the common exposure."""
+        steps = self._steps(view, view.mask.shape)
+        if steps is None:
+            return view
+        return replace(view, image_display=exposed(view.image_display, -steps, self.curve))
+
+    def _steps(self, view: View, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+        """Steps (H, W, 3) of a view's pixels, None where there are none."""
+        if view.name not in self.steps and not self.corner_steps:
+            return None
+        camera = view.camera.resized(shape[1], shape[0])
+        off_axis = camera.off_axis(camera.pixel_centres()).reshape(shape)
+        own = np.array(self.steps.get(view.name, [0.0, 0.0, 0.0]))
+        return own - self.corner_steps * off_axis[..., None]
 
 
 def mean_scores(scores: list[dict[str, float] | None]) -> dict[str, Any]:

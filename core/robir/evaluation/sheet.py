@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
+MAX_SIDE = 320
+"""Longer side of a picture that is cut to the object, pixels: as much as a page can show."""
+
+_MARGIN = 1.08
 _MAX_ROWS = 4
 _GAP = 4
 _LABEL_HEIGHT = 26
@@ -53,9 +57,40 @@ def layer_pictures(layers: Layers, albedo_scale: Array | float = 1.0) -> dict[st
 def composite(picture: Path) -> Picture:
     """An RGBA file on the sheet's dark grey, as (H, W, 3) codes."""
     with Image.open(picture) as image:
-        rgba = np.asarray(image.convert("RGBA"), np.float64)
+        return over_grey(np.asarray(image.convert("RGBA")))
+
+
+def over_grey(picture: Picture) -> Picture:
+    """RGBA codes (H, W, 4) on the sheet's dark grey, as (H, W, 3) codes."""
+    rgba = picture.astype(np.float64)
     alpha = rgba[..., 3:] / 255.0
     return np.round(rgba[..., :3] * alpha + _BACKGROUND * (1 - alpha)).astype(np.uint8)
+
+
+def window(mask: Picture) -> Array:
+    """Square about a mask with a margin: left, top, right, bottom in widths of the picture."""
+    height, width = mask.shape
+    rows, columns = np.nonzero(mask > 127)
+    if len(rows) == 0:
+        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
+    low = np.array([columns.min(), rows.min()], float)
+    high = np.array([columns.max(), rows.max()], float) + 1.0
+    half = 0.5 * _MARGIN * (high - low).max()
+    middle = 0.5 * (low + high)
+    return np.concatenate([middle - half, middle + half]) / width
+
+
+def cut(picture: Picture, frame: Array) -> Picture:
+    """The window of a picture of any size, RGBA; transparent where it reaches beyond it."""
+    box = np.round(frame * picture.shape[1]).astype(int).tolist()
+    return thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)))
+
+
+def thumbnail(picture: Picture) -> Picture:
+    """The picture at no more than the page can show."""
+    image = Image.fromarray(picture)
+    image.thumbnail((MAX_SIDE, MAX_SIDE))
+    return np.asarray(image)
 
 
 def truth_sheet(

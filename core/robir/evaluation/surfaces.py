@@ -38,7 +38,11 @@ class VisibleSurface:
 
 
 class MeshCaster:
-    """A mesh ready to be looked at by many cameras."""
+    """A mesh ready to be looked at by many cameras.
+
+    Attributes:
+        tracer: Its acceleration structure.
+    """
 
     def __init__(self, mesh: Mesh) -> None:
         """Build the acceleration structure.
@@ -47,12 +51,12 @@ class MeshCaster:
             mesh: Any frame; the cameras must share it.
         """
         self._mesh = mesh
-        self._tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+        self.tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
 
     def cast(self, camera: Camera) -> VisibleSurface:
         """What the camera sees, one ray through every pixel's centre."""
         origins, directions = camera.rays(camera.pixel_centres())
-        found = self._tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        found = self.tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         hit = found.face >= 0
         mesh, faces = self._mesh, found.face[hit]
         weights = found.barycentric[hit].astype(np.float64)

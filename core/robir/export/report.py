@@ -19,22 +19,29 @@ from robir import __version__
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.evaluation.layers import Layers, view_layers
+from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
 from robir.evaluation.light import RecoveredLight
-from robir.evaluation.photos import exposed, mean_scores, photo_scores, read_picture
-from robir.evaluation.sheet import display_codes, layer_pictures
+from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
+from robir.evaluation.sheet import (
+    MAX_SIDE,
+    cut,
+    display_codes,
+    layer_pictures,
+    thumbnail,
+    window,
+)
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.trust import quality
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
-from robir.maths import tone
 
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
 _MAX_ROWS = 4
-_MARGIN = 1.08
-_MAX_SIDE = 320
+_LEVELS_START, _LEVELS_END = '<section id="levels">', "</section>"
 _NOT_MEASURED = (
+    "which stage loses the photographs: `robir evaluate OUT` says it, here too",
     "albedo, roughness, normals and light against truth: `robir evaluate OUT --truth CAPTURE` "
     "does that for rendered captures",
     "the object's underside and whatever no camera saw",
@@ -109,7 +116,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
         tone_plot=_inline(paths.tone_plot.read_bytes()),
         environment=_inline_picture(_environment_picture(products.light)),
         textures=[
-            (name, _inline_picture(_thumbnail(read_picture(paths.textures / f"{name}.png"))))
+            (name, _inline_picture(thumbnail(read_picture(paths.textures / f"{name}.png"))))
             for name in ("albedo", "roughness", "metallic", "coverage", "uncertainty")
             if (paths.textures / f"{name}.png").is_file()
         ],
@@ -118,6 +125,32 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     with replacing(paths.report) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return numbers
+
+
+def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
+    """Put the levels' table and pictures into a report that is there already.
+
+    Args:
+        paths: Result folder; without a report nothing happens.
+        levels: As `robir.evaluation.levels.level_scores` gives them.
+    """
+    if not paths.report.is_file():
+        return
+    section = page_template("robir.export", "levels.html").render(
+        head=LEVEL_HEAD,
+        rows=level_cells(levels),
+        notes=level_notes(levels),
+        strip=_inline(paths.levels_strip.read_bytes()) if levels["views"] else "",
+    )
+    page = paths.report.read_text(encoding="utf-8")
+    before, mark, after = page.partition(_LEVELS_START)
+    if mark:
+        after = after.partition(_LEVELS_END)[2]
+    else:  # a report of an older version
+        before, mark, after = page.partition("<h2>")
+        after = mark + after
+    with replacing(paths.report) as temporary:
+        temporary.write_text(before + section + after, encoding="utf-8")
 
 
 def _own_rerenders(paths: JobPaths) -> dict[str, Picture]:
@@ -150,38 +183,12 @@ def _row(
         **{name: np.dstack([p, alpha]) for name, p in layer_pictures(layers).items()},
         "relit": None if relit is None else read_picture(relit),
     }
-    window = _window(view.mask)
+    frame = window(view.mask)
     shown = {
-        name: None if picture is None else _inline_picture(_cut(picture, window))
+        name: None if picture is None else _inline_picture(cut(picture, frame))
         for name, picture in pictures.items()
     }
     return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
-
-
-def _window(mask: Picture) -> Array:
-    """Square about the mask with a margin: left, top, right, bottom in widths of the picture."""
-    height, width = mask.shape
-    rows, columns = np.nonzero(mask > 127)
-    if len(rows) == 0:
-        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
-    low = np.array([columns.min(), rows.min()], float)
-    high = np.array([columns.max(), rows.max()], float) + 1.0
-    half = 0.5 * _MARGIN * (high - low).max()
-    middle = 0.5 * (low + high)
-    return np.concatenate([middle - half, middle + half]) / width
-
-
-def _cut(picture: Picture, window: Array) -> Picture:
-    """The window of a picture of any size; transparent where it reaches beyond the picture."""
-    box = np.round(window * picture.shape[1]).astype(int).tolist()
-    return _thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)))
-
-
-def _thumbnail(picture: Picture) -> Picture:
-    """The picture at no more than the page can show."""
-    image = Image.fromarray(picture)
-    image.thumbnail((_MAX_SIDE, _MAX_SIDE))
-    return np.asarray(image)
 
 
 def page_template(package: str, name: str) -> Template:
@@ -197,7 +204,7 @@ def page_template(package: str, name: str) -> Template:
 
 def _fine(camera: Camera) -> Camera:
     """The camera with enough pixels for smooth outlines on the page."""
-    factor = max(1, round(_MAX_SIDE / max(camera.width, camera.height)))
+    factor = max(1, round(MAX_SIDE / max(camera.width, camera.height)))
     return camera.resized(factor * camera.width, factor * camera.height)
 
 
@@ -206,13 +213,14 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
     capture, rendering = products.capture, products.rendering
     by_name = {view.name: view for view in capture.views}
     run = read_json(paths.run)
+    exposures = Exposures.of(products.exposure, products.tone_curve)
     held_out = mean_scores(
         [photo_scores(image, by_name[name]) for name, image in own.items() if name in by_name]
     )
     cycles = mean_scores(
         [
             photo_scores(
-                _as_photographed(read_picture(file), by_name[name], products), by_name[name]
+                exposures.as_photographed(read_picture(file), by_name[name]), by_name[name]
             )
             for name, file in rendering.rerenders.items()
         ]
@@ -248,19 +256,6 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "seconds": seconds
         | {"export": _rounded(products.seconds()), "rendering": _rounded(rendering.seconds)},
     }
-
-
-def _as_photographed(picture: Picture, view: View, products: Products) -> Picture:
-    """A Cycles picture of a view at the exposure of its photograph, corners included."""
-    steps, corner_steps = products.exposure["steps"], products.exposure["corner_steps"]
-    if view.name not in steps and not corner_steps:
-        return picture
-    camera = view.camera.resized(picture.shape[1], picture.shape[0])
-    off_axis = camera.off_axis(camera.pixel_centres()).reshape(picture.shape[:2])
-    own = np.array(steps.get(view.name, [0.0, 0.0, 0.0]))
-    table = products.tone_curve
-    curve = tone.curve_from_name(table["family"], table["parameters"])
-    return exposed(picture, own - corner_steps * off_axis[..., None], curve)
 
 
 def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:

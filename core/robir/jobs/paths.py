@@ -163,6 +163,10 @@ class JobPaths:
         """Cycles renders: re-renders of held-out views, relit views, turntables."""
         return self.root / "renders"
 
+    def rerender(self, view: str) -> Path:
+        """Cycles picture of a view under the recovered light; absent where none was rendered."""
+        return self.renders / f"rerender_{view}.png"
+
     @property
     def report(self) -> Path:
         """The report as one page."""
@@ -177,6 +181,16 @@ class JobPaths:
     def scores(self) -> Path:
         """Scores against the truth, where it is known."""
         return self.root / "report" / "scores.json"
+
+    @property
+    def levels(self) -> Path:
+        """Scores of each level of the chain against held-out photographs."""
+        return self.root / "report" / "levels.json"
+
+    @property
+    def levels_strip(self) -> Path:
+        """Pictures of a few held-out photographs as each level shows them."""
+        return self.root / "report" / "levels.png"
 
     @property
     def truth_sheet(self) -> Path:

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scores of the levels as tables show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+LEVEL_HEAD = ("level", "", "dB", "SSIM", "gradient", "dB, whole mask", "loss, dB")
+"""Titles of the columns of `level_cells`."""
+
+
+def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
+    """The table of `level_scores` as it is shown, a row a level."""
+
+    def text(value: float | None, digits: int, sign: str = "") -> str:
+        return "-" if value is None else f"{value:{sign}.{digits}f}"
+
+    return [
+        [
+            row["letter"],
+            row["title"],
+            text(row["psnr"], 1),
+            text(row["ssim"], 3),
+            text(row["gradient"], 2),
+            text(row["psnr_whole_mask"], 1),
+            text(row["loss"], 1, "+"),
+        ]
+        for row in levels["levels"]
+    ]
+
+
+def level_notes(levels: Mapping[str, Any]) -> list[str]:
+    """Sentences below the table: what was compared, and which stage is at fault."""
+    share = levels["seen_share"]
+    if share is None:
+        return [levels["verdict"]]
+    compared = (
+        f"{levels['views']} held-out photographs, the same pixels for all: {share:.0%} of the "
+        "masks, where the mesh is met and some photograph shows the point."
+    )
+    return [compared, levels["verdict"]]
+
+
+def level_lines(levels: Mapping[str, Any]) -> list[str]:
+    """The table and its sentences for a terminal."""
+    lines = [list(LEVEL_HEAD), *level_cells(levels)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    shown = [
+        "  ".join(
+            cell.ljust(width) if index < 2 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    ]
+    return [*shown, *level_notes(levels)]

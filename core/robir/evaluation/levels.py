@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where it is lost: held-out photographs re-rendered by each level of the chain.
+
+From the photographs warped over the visual hull to Blender's rendering of the asset, every level
+is scored against the same held-out photographs over the same pixels, so that what one of them
+loses against the one before is the doing of what lies between. No truth is needed.
+
+The pixels are those that are wholly object by the photograph's mask and where the final mesh is
+met at a point that some training photograph shows. PSNR over the whole mask is given as well;
+there, what a level lacks is black.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from robir.capture.capture import Capture, View
+from robir.capture.store import load_turned
+from robir.errors import RobirError
+from robir.evaluation import metrics
+from robir.evaluation.photos import Exposures, read_picture
+from robir.evaluation.sheet import cut, over_grey, save_sheet, window
+from robir.evaluation.warping import warped_views
+from robir.geometry.config import GeometryConfig
+from robir.geometry.hull import HullCarver, carve
+from robir.geometry.mesh import Mesh
+from robir.geometry.rays import reduce_view
+from robir.geometry.surface import extract
+from robir.jobs.paths import JobPaths, read_json
+from robir.maths.vectors import farthest_points
+from robir.transport.config import TransportConfig
+from robir.transport.observe import MASK_INSIDE, resize_view, spread_views
+
+Picture = NDArray[np.uint8]
+Pictures = dict[str, Picture]
+"""RGBA codes by the view's name."""
+
+SIDE = 400
+"""Longer side, pixels, that all is scored at, whatever size the photographs are stored in."""
+
+STRIP_VIEWS = 3
+"""Held-out photographs that are shown."""
+
+NOTEWORTHY = 0.1
+"""Loss below which no stage is named, dB."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """One level of the chain.
+
+    Attributes:
+        name: In levels.json.
+        letter: In tables.
+        title: What is shown.
+        stage: What is at fault where it loses against the level before.
+        reason: How it loses.
+    """
+
+    name: str
+    letter: str
+    title: str
+    stage: str
+    reason: str
+
+
+LEVELS = (
+    Level(
+        name="hull",
+        letter="a",
+        title="nearest photographs on the visual hull",
+        stage="",
+        reason="",
+    ),
+    Level(
+        name="field",
+        letter="b",
+        title="the geometry's field itself",
+        stage="the fit of the surface",
+        reason="its field repeats them worse than photographs on the hull do",
+    ),
+    Level(
+        name="mesh",
+        letter="c",
+        title="nearest photographs on the mesh",
+        stage="the mesh",
+        reason="photographs from near directions meet worse on it",
+    ),
+    Level(
+        name="mean",
+        letter="c'",
+        title="mean of all photographs on the mesh",
+        stage="one value a point",
+        reason="photographs of a point differ: they do not meet on the surface, or gloss and "
+        "exposure change",
+    ),
+    Level(
+        name="diffuse",
+        letter="d",
+        title="diffuse texture under the recovered light",
+        stage="texture and light",
+        reason="their product repeats the photographs worse than the plain mean",
+    ),
+    Level(
+        name="material",
+        letter="e",
+        title="the whole material, our renderer",
+        stage="the material",
+        reason="highlights and metal take more than they give",
+    ),
+    Level(
+        name="cycles",
+        letter="f",
+        title="Cycles",
+        stage="the export",
+        reason="Blender shows the asset otherwise than our own renderer",
+    ),
+)
+"""The chain, in order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """A held-out photograph and where levels are compared with it.
+
+    Attributes:
+        view: At the size that is scored.
+        whole: (H, W) pixels that are wholly object.
+        seen: (H, W) those of them where the mesh is met and some photograph shows the point.
+    """
+
+    view: View
+    whole: NDArray[np.bool_]
+    seen: NDArray[np.bool_]
+
+
+def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
+    """Score every level that a finished result can show.
+
+    Args:
+        paths: Result folder whose appearance stage is done.
+        strip: PNG to write the pictures of a few views to, or None.
+
+    Returns:
+        Plain JSON values. "views", "seen_share" (of the mask's pixels those that are compared);
+        "levels", one each of `LEVELS`: "name", "letter", "title", "views", "psnr", "ssim",
+        "gradient", "psnr_whole_mask", and "loss" in dB against the level "against"; None what is
+        not measured. "verdict" is a sentence.
+    """
+    exposure, tone_curve = _camera_facts(paths)
+    whole = load_turned(paths)
+    capture = whole.without(exposure["other_light"]).normalised()
+    if not capture.held_out:
+        return _table([], {}, "No photograph was held out: there is nothing to judge by.")
+    exposures = Exposures.of(exposure, tone_curve)
+    views = [resize_view(view, SIDE) for view in capture.held_out]
+    pictures = level_pictures(paths, capture, views, exposures)
+    judged = [_judged(view, pictures["mesh"][view.name]) for view in views]
+    if strip is not None:
+        save_sheet(strip, strip_rows(judged, pictures))
+    return _table(judged, pictures)
+
+
+def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Contents of exposure.json, which not every method writes, and of tone_curve.json."""
+    folder = paths.stage("appearance")
+    exposure = {"steps": {}, "corner_steps": 0.0, "other_light": []}
+    if (folder / "exposure.json").is_file():
+        exposure = read_json(folder / "exposure.json")
+    return exposure, read_json(folder / "tone_curve.json")
+
+
+def level_pictures(
+    paths: JobPaths, capture: Capture, views: Sequence[View], exposures: Exposures
+) -> dict[str, Pictures]:
+    """What each level shows of the views, at their exposure.
+
+    Args:
+        paths: Result folder.
+        capture: Its photographs, those in another light left out, unit frame.
+        views: The held-out ones at the size that is scored.
+        exposures: Of all photographs.
+
+    Returns:
+        Pictures of the views' size by level; empty where the level is not to be had.
+    """
+    photographs = [exposures.evened(resize_view(view, SIDE)) for view in capture.train]
+    mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
+    nearest, mean = _warped(mesh, photographs, views)
+    stored = {
+        "field": paths.stage("geometry") / "field_held_out.npz",
+        "diffuse": paths.stage("appearance") / "held_out_diffuse.npz",
+        "material": paths.stage("appearance") / "held_out.npz",
+    }
+    made = {name: _stored(file) for name, file in stored.items()}
+    made |= {"hull": _on_hull(photographs, views), "mesh": nearest, "mean": mean}
+    made["cycles"] = {
+        view.name: read_picture(file)
+        for view in views
+        if (file := paths.rerender(view.name)).is_file()
+    }
+    # our own renderer alone knows how each photograph was exposed
+    common = set(made) - {"diffuse", "material"}
+    shown: dict[str, Pictures] = {name: {} for name in made}
+    for name, level in made.items():
+        for view in views:
+            if view.name in level:
+                picture = _sized(level[view.name], view)
+                if name in common:
+                    picture = exposures.as_photographed(picture, view)
+                shown[name][view.name] = picture
+    return shown
+
+
+def _warped(
+    mesh: Mesh, photographs: Sequence[View], views: Sequence[View]
+) -> tuple[Pictures, Pictures]:
+    """The nearest photographs and the mean of all on a surface, by view."""
+    cameras = [view.camera for view in views]
+    made = list(warped_views(mesh, photographs, cameras, TransportConfig().ray_offset))
+    names = [view.name for view in views]
+    return (
+        {name: one.nearest for name, one in zip(names, made, strict=True)},
+        {name: one.mean for name, one in zip(names, made, strict=True)},
+    )
+
+
+def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
+    """The nearest photographs on the visual hull by view; none where masks have no common volume.
+
+    The hull is that of the settings `draft`, whatever the result was made with: a yardstick.
+    """
+    config = GeometryConfig()
+    photos = [reduce_view(view, config.image_side) for view in photographs]
+    positions = np.stack([photo.camera.position for photo in photos])
+    kept = [photos[k] for k in farthest_points(positions, config.hull_views)]
+    carver = HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
+    try:
+        surface = extract(*carve(carver, config.hull_cells))
+    except RobirError:
+        return {}
+    return _warped(surface, photographs, views)[0]
+
+
+def _stored(file: Path) -> Pictures:
+    """Pictures that a stage left, by view."""
+    if not file.is_file():
+        return {}
+    with np.load(file, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def _sized(picture: Picture, view: View) -> Picture:
+    """A picture at a view's size, RGBA; area means, of the colour over black."""
+    image = Image.fromarray(picture)
+    size = (view.camera.width, view.camera.height)
+    if image.mode == "RGBA" and image.size != size:
+        image = image.convert("RGBa").resize(size, Image.Resampling.BOX).convert("RGBA")
+    elif image.size != size:
+        image = image.resize(size, Image.Resampling.BOX)
+    return np.asarray(image.convert("RGBA"))
+
+
+def _judged(view: View, on_mesh: Picture) -> Judged:
+    """Where a view is compared, by the nearest photographs on the mesh."""
+    whole = view.mask > MASK_INSIDE
+    return Judged(view=view, whole=whole, seen=whole & (on_mesh[..., 3] > 0))
+
+
+def _table(
+    judged: Sequence[Judged], pictures: Mapping[str, Pictures], verdict: str | None = None
+) -> dict[str, Any]:
+    """What `level_scores` returns."""
+    rows: list[dict[str, Any]] = []
+    before: tuple[Level, dict[str, Any]] | None = None
+    for level in LEVELS:
+        scores = {
+            one.view.name: view_scores(one, pictures[level.name][one.view.name])
+            for one in judged
+            if one.view.name in pictures[level.name] and one.seen.any()
+        }
+        row: dict[str, Any] = {
+            "name": level.name,
+            "letter": level.letter,
+            "title": level.title,
+        }
+        row |= {"views": len(scores), "loss": None, "against": None}
+        for kind in ("psnr", "ssim", "gradient", "psnr_whole_mask"):
+            row[kind] = _mean([one[kind] for one in scores.values()])
+        if before is not None and scores:
+            common = [name for name in scores if name in before[1]]
+            lost = [before[1][name]["psnr"] - scores[name]["psnr"] for name in common]
+            row |= {"loss": _mean(lost), "against": before[0].letter if common else None}
+        if scores:
+            before = (level, scores)
+        rows.append(row)
+    whole = sum(int(one.whole.sum()) for one in judged)
+    seen = sum(int(one.seen.sum()) for one in judged)
+    return {
+        "views": len(judged),
+        "seen_share": seen / whole if whole else None,
+        "levels": rows,
+        "verdict": verdict or fault(rows),
+    }
+
+
+def view_scores(judged: Judged, picture: Picture) -> dict[str, Any]:
+    """Scores of one level's picture of one view.
+
+    Args:
+        judged: The photograph and its pixels.
+        picture: (H, W, 4) codes of the same size.
+
+    Returns:
+        "psnr", "ssim", "gradient" (see `metrics.gradient_error`) over the pixels that are
+        compared, and "psnr_whole_mask".
+    """
+    ours = picture[..., :3] / 255.0 * (picture[..., 3:] > 0)
+    photo = judged.view.image_display / 255.0
+    return {
+        "psnr": metrics.psnr(ours[judged.seen], photo[judged.seen]),
+        "ssim": metrics.masked_ssim(ours, photo, judged.seen),
+        "gradient": metrics.gradient_error(ours, photo, judged.seen),
+        "psnr_whole_mask": metrics.psnr(ours[judged.whole], photo[judged.whole]),
+    }
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def fault(rows: Sequence[Mapping[str, Any]]) -> str:
+    """One sentence that names the stage which loses most.
+
+    Args:
+        rows: "levels" of `level_scores`.
+    """
+    lost = [row for row in rows if row["loss"] is not None and row["loss"] > NOTEWORTHY]
+    if not lost:
+        return f"No level loses more than {NOTEWORTHY:g} dB against the one before."
+    worst = max(lost, key=lambda row: row["loss"])
+    last = next(k for k, level in enumerate(LEVELS) if level.name == worst["name"])
+    first = next(k for k, level in enumerate(LEVELS) if level.letter == worst["against"])
+    between = LEVELS[first + 1 : last + 1]  # those that were not measured may be at fault too
+    stages = " or ".join(level.stage for level in between)
+    reason = f": {between[0].reason}" if len(between) == 1 else ""
+    return (
+        f"{stages[0].upper()}{stages[1:]} loses {worst['loss']:.1f} dB "
+        f"({worst['against']} to {worst['letter']}){reason}."
+    )
+
+
+def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> list[Pictures]:
+    """Rows of labelled pictures, one a view: the photograph and what each level shows.
+
+    Args:
+        judged: Held-out views.
+        pictures: By level and view.
+
+    Returns:
+        At most STRIP_VIEWS rows, cut to the object; views with a Cycles picture come first.
+    """
+    views = tuple(one.view for one in judged)
+    rendered = tuple(view for view in views if view.name in pictures["cycles"])
+    rows = []
+    for view in spread_views(rendered or views, min(STRIP_VIEWS, len(rendered or views))):
+        shown = {"photograph": np.dstack([view.image_display, view.mask])}
+        for level in LEVELS:
+            if pictures[level.name]:
+                nothing = np.zeros((*view.mask.shape, 4), np.uint8)
+                picture = pictures[level.name].get(view.name, nothing)
+                alpha = np.minimum(picture[..., 3], view.mask)
+                shown[f"{level.letter}  {level.name}"] = np.dstack([picture[..., :3], alpha])
+        frame = window(view.mask)
+        rows.append({label: over_grey(cut(picture, frame)) for label, picture in shown.items()})
+    return rows
