@@ -54,7 +54,9 @@ def summary_of(report: dict[str, Any]) -> Summary:
         (f"{name.capitalize()}: {choice['chosen']}", str(choice["why"]))
         for name, choice in report["choices"].items()
     )
-    warnings = (*(warning["message"] for warning in report["warnings"]), *report["missing"])
+    doubts = (f"Not to be trusted: {doubt}" for doubt in report["trust"]["doubts"])
+    told = (warning["message"] for warning in report["warnings"])
+    warnings = (*doubts, *told, *report["missing"])
     return Summary(tuple(_facts(report)), choices, warnings)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, UsageError
-from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.presets import PRESETS
 
 if TYPE_CHECKING:
@@ -22,9 +22,13 @@ if TYPE_CHECKING:
 
 
 def reconstruct(options: Namespace) -> int:
-    """Make an asset from a capture; prints the result folder."""
+    """Make an asset from a capture; prints the result folder.
+
+    5 if the result failed the program's own quality check; it is whole all the same.
+    """
     from robir.display import display_for
     from robir.pipeline.device import choose_execution
+    from robir.pipeline.ledger import judged
     from robir.pipeline.memory import keep_freed_memory
     from robir.pipeline.runner import RunRequest, load_stages
     from robir.pipeline.runner import reconstruct as run
@@ -41,19 +45,11 @@ def reconstruct(options: Namespace) -> int:
             execution=choose_execution(options.device, options.threads),
             is_resume=options.resume,
         )
-        run(request, display, load_stages())
-    if options.progress != "json":
-        _say_trust(JobPaths(options.out))
+        doubt = judged(run(request, display, load_stages()))
+    if doubt is None and options.progress != "json":
+        print("quality check passed", file=sys.stderr)
     print(options.out.resolve())
-    return 0
-
-
-def _say_trust(paths: JobPaths) -> None:
-    """Say on standard error how the program's own quality check ended."""
-    if paths.report_json.exists():
-        is_trusted = read_json(paths.report_json)["trust"]["is_trusted"]
-        doubt = f"quality check failed: see the warnings, or {paths.report}"
-        print("quality check passed" if is_trusted else doubt, file=sys.stderr)
+    return 0 if doubt is None else doubt.exit_code
 
 
 def check(options: Namespace) -> int:

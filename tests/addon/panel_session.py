@@ -4,6 +4,7 @@
 Runs inside Blender after the text of recording.py, whose names it uses.
 """
 
+import json
 import os
 import sys
 import tempfile
@@ -95,6 +96,15 @@ def done(settings, state, result):
     settings.result = result
 
 
+def doubtful(settings, state, result):
+    folder = Path(tempfile.mkdtemp())
+    report = json.loads((Path(result) / "report" / "report.json").read_text())
+    report["trust"] |= {"is_trusted": False, "doubts": ["the re-render reaches only 12.7 dB"]}
+    (folder / "report").mkdir()
+    (folder / "report" / "report.json").write_text(json.dumps(report))
+    done(settings, state, str(folder))
+
+
 def unreadable(settings, state, result):
     settings.result = f"{result}/nothing here"
 
@@ -129,7 +139,7 @@ def engine_checked(settings, state, result):
 STATES = {
     function.__name__: function
     for function in (
-        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done,
+        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done, doubtful,
         unreadable, damaged, filming, installing, checking, engine_checked,
     )
 }  # fmt: skip

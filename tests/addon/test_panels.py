@@ -84,6 +84,8 @@ def test_what_matters_is_said(seen):
     assert "goes on from the last finished stage" in said("stopped")
     for words in ("kept aside", "Tone curve:", "triangles", "über all"):
         assert words in said("done")
+    assert "Not to be trusted: the re-render reaches only 12.7 dB" in said("doubtful")
+    assert "Not to be trusted" not in said("done")
     for state in ("unreadable", "damaged"):
         assert "What the model chose" not in said(state)
     assert "frame 24 of 48" in said("filming")

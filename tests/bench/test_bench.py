@@ -149,10 +149,11 @@ class FakeRobir:
         write_json(paths.manifest("export"), {"made by": list(words)})
         paths.config.write_text("seed = 0\n")
         seconds = {stage: {"wall": 1.0, "cpu": 2.0} for stage in STAGES}
-        write_json(paths.run, {"seconds": seconds, "peak_memory_bytes": {"geometry": 2e9}})
+        about = {"state": "done", "seconds": seconds}
+        write_json(paths.run, about | {"peak_memory_bytes": {"geometry": 2e9}})
         trust = {"is_trusted": "noise" not in words[1], "doubts": []}
         write_json(paths.report_json, {"held_out": {"psnr": 25.0}, "trust": trust})
-        return subprocess.CompletedProcess(words, 0, "", "")
+        return subprocess.CompletedProcess(words, 0 if trust["is_trusted"] else 5, "", "")
 
 
 @pytest.fixture

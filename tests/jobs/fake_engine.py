@@ -2,7 +2,8 @@
 """`python fake_engine.py PAUSE reconstruct ...`: the real command line over stages that only wait.
 
 PAUSE is the seconds before each of a stage's four files; "deaf" is a worker that does not listen,
-with a child of its own whose number it writes to OUT/child.
+with a child of its own whose number it writes to OUT/child; "doubtful" has a result that fails its
+own quality check.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ def deaf(context) -> None:
 
 def main() -> int:
     pause = sys.argv[1]
-    stages = fake_stages(pause=0.0 if pause == "deaf" else float(pause))
+    stages = fake_stages(pause=0.0 if pause in ("deaf", "doubtful") else float(pause))
+    stages["export"].metrics = {"is_trusted": pause != "doubtful"}
     if pause == "deaf":
         stages["geometry"].mischief = deaf
     runner.load_stages = lambda: stages

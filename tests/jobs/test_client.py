@@ -93,6 +93,13 @@ def test_a_run_is_followed_from_start_to_end(request_, out):
         time.sleep(0.02)
 
 
+def test_a_result_that_failed_its_own_check_is_done_all_the_same(request_, out):
+    client.start(program("doubtful"), request_, os.environ)
+    last = until(out, ended)
+    assert (last.state, last.exit_code, last.fraction) == ("done", 5, 1.0)
+    assert "failed its own quality check" in last.message
+
+
 def test_a_killed_worker_is_noticed_and_the_next_goes_on(request_, out):
     client.start(program(0.1), request_, os.environ)
     until(out, lambda now: now.stage == "transport")

@@ -39,6 +39,7 @@ class FakeStage:
         pause: Seconds before each file.
         mischief: Called in the middle of the stage.
         calls: How often the stage ran.
+        metrics: What its manifest says beside a mean.
     """
 
     name: str
@@ -46,6 +47,7 @@ class FakeStage:
     mischief: Callable[[StageContext[Any]], Any] = nothing
     REVISION: int = 1
     calls: int = field(default=0)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
 
     def run(self, context: StageContext[Any]) -> Mapping[str, Any]:
         """Write arrays that depend on all that a stage may depend on."""
@@ -68,7 +70,7 @@ class FakeStage:
             write_json(context.paths.export / "light.json", generator.random(3).tolist())
             context.paths.report.parent.mkdir(parents=True, exist_ok=True)
             context.paths.report.write_text("report")
-        return {"mean": float(generator.random())}
+        return {"mean": float(generator.random())} | self.metrics
 
 
 def _upstream(paths: JobPaths, stage: str) -> list[bytes]:

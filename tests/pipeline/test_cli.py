@@ -11,6 +11,7 @@ import pytest
 from robir import cli
 from robir.errors import CaptureError, DeviceError, QualityError
 from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.status import read_status
 from robir.pipeline import folder, runner
 from tests.pipeline.fakes import fake_stages, make_capture
 
@@ -50,6 +51,35 @@ def test_progress_as_json_lines_to_the_last(stages, capture, tmp_path, capsys):
     assert lines[0]["kind"] == "started"
     assert {"total", "seconds_left", "stage", "message"} <= lines[1].keys()
     assert lines[-1] == {"kind": "failed", "message": "shadows everywhere", "exit_code": 5}
+
+
+@pytest.mark.parametrize("words", [[], ["--progress", "json"]])
+def test_a_result_that_failed_its_own_check_is_whole_and_exits_with_5(
+    stages, capture, tmp_path, capsys, words
+):
+    stages["export"].metrics = {"is_trusted": False}
+    out, paths = tmp_path / "out", JobPaths(tmp_path / "out")
+    for _ in range(3):  # a second start, and a resumed one, say the same
+        assert reconstruct(capture, out, *words) == 5
+        printed = capsys.readouterr()
+        assert printed.out == f"{out}\n"
+        assert "failed its own quality check" in printed.err.splitlines()[-1]
+        assert "quality check passed" not in printed.err
+        status = read_status(paths.status)
+        assert (status.state, status.exit_code, status.fraction) == ("done", 5, 1.0)
+        assert "failed its own quality check" in status.message
+        run = read_json(paths.run)
+        assert (run["state"], run["exit_code"]) == ("done", 5)
+        words = [*words, "--resume"]
+    assert stages["export"].calls == 1
+    assert paths.report.exists()
+
+
+def test_a_result_that_passed_its_own_check_says_so(stages, capture, tmp_path, capsys):
+    stages["export"].metrics = {"is_trusted": True}
+    assert reconstruct(capture, tmp_path / "out") == 0
+    assert capsys.readouterr().err.endswith("quality check passed\n")
+    assert read_json(JobPaths(tmp_path / "out").run)["exit_code"] == 0
 
 
 def test_rich_progress_ends_well(stages, capture, tmp_path, capsys):
@@ -107,7 +137,7 @@ def test_wrong_settings_start_nothing(stages, capture, tmp_path, capsys, words, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("words", [[], ["paint"], ["reconstruct", "x"], ["evaluate", "x"]])
+@pytest.mark.parametrize("words", [[], ["paint"], ["reconstruct", "x"], ["evaluate"]])
 def test_wrong_usage_exits_with_2(words):
     with pytest.raises(SystemExit) as ending:
         cli.main(words)
@@ -139,7 +169,7 @@ def test_resume_keeps_the_settings_and_masks_of_the_folder(stages, capture, tmp_
 
 
 def test_what_is_not_finished_is_neither_judged_nor_relit(tmp_path, capsys):
-    assert cli.main(["evaluate", str(tmp_path), "--truth", str(tmp_path)]) == 2
+    assert cli.main(["evaluate", str(tmp_path)]) == 2
     environment = tmp_path / "sky.exr"
     environment.touch()
     assert cli.main(["relight", str(tmp_path), "--environment", str(environment)]) == 2

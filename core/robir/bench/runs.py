@@ -15,7 +15,7 @@ from typing import Any
 
 from robir.bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 from robir.config import resolve
-from robir.errors import RobirError
+from robir.errors import QualityError, RobirError
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.paper.config import VARIANTS, shrunken
 from robir.pipeline.usage import Usage
@@ -130,9 +130,15 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
         "reconstruct", str(run.capture), "-o", str(out), "--preset", run.preset,
         "--seed", str(run.seed), "--resume", "--progress", "plain", *changes,
     )  # fmt: skip
-    if fitted.returncode != 0:
+    is_doubtful = fitted.returncode == QualityError.exit_code
+    # a result that failed its own quality check is whole, which a fit that broke off is not
+    if fitted.returncode != 0 and not (is_doubtful and _is_whole(JobPaths(out))):
         raise _RunError(_last_line(fitted.stderr), fitted.returncode)
     return read_json(JobPaths(out).report_json)["held_out"]
+
+
+def _is_whole(paths: JobPaths) -> bool:
+    return paths.run.exists() and read_json(paths.run).get("state") == "done"
 
 
 def _textured(run: BenchRun, out: Path) -> Record:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from robir.config import RunConfig, fingerprint
-from robir.errors import StorageError
+from robir.errors import QualityError, StorageError
 from robir.jobs.context import StageContext
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.pipeline.inputs import file_hash
@@ -82,6 +82,17 @@ def write_manifest(paths: JobPaths, stage: str, facts: Mapping[str, Any]) -> Non
         if path.is_file() and path != paths.manifest(stage)
     }
     write_json(paths.manifest(stage), {"stage": stage, **facts, "outputs": outputs})
+
+
+def judged(paths: JobPaths) -> QualityError | None:
+    """What the program's own quality check has against a finished result, or None.
+
+    The folder is whole all the same: the export stage notes the verdict in its manifest.
+    """
+    metrics = read_json(paths.manifest(STAGES[-1])).get("metrics", {})
+    if metrics.get("is_trusted", True):
+        return None
+    return QualityError(f"it failed its own quality check: see the warnings, or {paths.report}")
 
 
 def clear_for_rerun(paths: JobPaths, stage: str, state: StageState) -> None:

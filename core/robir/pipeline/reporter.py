@@ -121,11 +121,16 @@ class RunReporter:
         self._metrics[name] = value
         self._emit("metric", name=name, value=value)
 
-    def finish(self, message: str) -> None:
-        """The run has ended well."""
+    def finish(self, message: str, exit_code: int = 0) -> None:
+        """The run has come to its end, with a whole result.
+
+        Args:
+            message: What is shown.
+            exit_code: Not 0 where the result failed the program's own quality check.
+        """
         self._done = 1.0
         self._stage = ""
-        self._write_status("done", 1.0, message, exit_code=0)
+        self._write_status("done", 1.0, message, exit_code=exit_code)
         _log.info(message)
         self._emit("finished", message=message)
 

@@ -27,6 +27,7 @@ from robir.pipeline.ledger import (
     StageModule,
     StageState,
     clear_for_rerun,
+    judged,
     remove_leftovers,
     stage_fingerprints,
     stage_state,
@@ -85,7 +86,8 @@ def reconstruct(
         stages: Module of each stage, as from `load_stages`.
 
     Returns:
-        The finished folder.
+        The finished folder; `robir.pipeline.ledger.judged` says whether it passed the quality
+        check.
 
     Raises:
         RobirError: With a sentence for the user; see `robir.errors` for the kinds.
@@ -120,13 +122,22 @@ def _bring_up_to_date(
     pending = [stage for stage in STAGES if states[stage] != "done"]
     reporter = RunReporter(paths, display, pending)
     if run is not None and not pending:
-        write_json(paths.run, run | {"state": "done"})
-        reporter.finish(f"{request.out} is finished already; nothing to do")
+        _finish(paths, run, reporter, f"{request.out} is finished already; nothing to do")
         return
     is_worth_keeping = any(state in ("done", "stale") for state in states.values())
     if run is not None and is_worth_keeping and not request.is_resume:
         folder.refuse_without_resume(paths, run, capture, request.config)
     _Run(request, paths, reporter, run, capture).work(stages, states, expected)
+
+
+def _finish(
+    paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str
+) -> None:
+    """Note that a result is whole, and with which exit code its quality lets the run end."""
+    doubt = judged(paths)
+    code = 0 if doubt is None else doubt.exit_code
+    write_json(paths.run, {**run, "state": "done", "exit_code": code})
+    reporter.finish(message if doubt is None else f"{message}, but {doubt}", code)
 
 
 class _Run:
@@ -170,9 +181,7 @@ class _Run:
                     continue
                 clear_for_rerun(self._paths, stage, states[stage])
                 self._work_stage(stage, stages[stage], expected[stage])
-            self._facts["state"] = "done"
-            write_json(self._paths.run, self._facts)
-            self._reporter.finish(f"{self._paths.root} is finished")
+            _finish(self._paths, self._facts, self._reporter, f"{self._paths.root} is finished")
         except BaseException as error:
             fault = translated(error, self._reporter.stage, self._paths.root)
             code = fault.exit_code if isinstance(fault, RobirError) else 1
