@@ -114,10 +114,20 @@ def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
     return colour + MASK_WEIGHT * mask
 
 
+def _steepness(share: float, longest: float) -> float:
+    """NeuS steepness at a share of the fit, 1 / unit frame, by the object's longest side."""
+    growth = (SHARPNESS[1] / SHARPNESS[0]) ** min(share / 0.85, 1.0)
+    return SHARPNESS[0] * growth * 2.0 / longest
+
+
+def _occupied(field: Field, inv_std: float) -> Occupancy:
+    """Where the soft surface of a field may be."""
+    return Occupancy.of(field.lattice, field.sdf.detach(), 5.0 / inv_std + field.lattice.cell)
+
+
 def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     """Update the band around the surface and the nodes that carry features."""
-    band = 5.0 / inv_std + field.lattice.cell
-    occupancy = Occupancy.of(field.lattice, field.sdf.detach(), band)
+    occupancy = _occupied(field, inv_std)
     wanted = field.lattice.dilated(occupancy.near, 1)
     optimiser.follow(field, wanted, field.place_features(wanted))
     return occupancy
@@ -151,7 +161,8 @@ def fit(
         start: Lattice and signed distances to start from, usually the visual hull.
         config: Levels, steps, rays.
         generator: Source of the samples' jitter and of the network's weights, on the CPU.
-        progress: Called after every few steps with the share done and what renders the field.
+        progress: Called after every few steps with the share done and what renders the field, and
+            with 1.0 when it is settled.
         settle: Called with field and network at the end of every level, may change the field's
             distances in place.
 
@@ -180,8 +191,7 @@ def fit(
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
-            growth = (SHARPNESS[1] / SHARPNESS[0]) ** min(share / 0.85, 1.0)
-            inv_std = SHARPNESS[0] * growth * 2.0 / longest
+            inv_std = _steepness(share, longest)
             factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
             if occupancy is None or step % REFRESH == 0:
                 occupancy = _refresh(field, optimiser, inv_std)
@@ -200,4 +210,6 @@ def fit(
                     smooth(field.sdf, level, done / total)
                     field.soften()
         settle(field, network)
+    inv_std = _steepness(1.0, longest)
+    progress(1.0, _renderer(field, network, _occupied(field, inv_std), inv_std))
     return field

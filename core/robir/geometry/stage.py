@@ -20,6 +20,7 @@ from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
+from robir.geometry.held_out import save_field_views
 from robir.geometry.hull import HullCarver, carve
 from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
@@ -35,7 +36,7 @@ from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 22
+REVISION = 23
 """Raised whenever the same input gives another result."""
 
 GROUND_SIDE = 200
@@ -55,8 +56,12 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     preview = Preview(capture, context.paths.preview, context.device, context.reporter)
     trial = PoseTrial(capture, context.seed, context.device)
     total = sum(context.config.level_steps)
+    held_out = context.paths.stage("geometry") / "field_held_out.npz"
 
     def watch(share: float, render: Renderer, sampler: RaySampler) -> None:
+        if share == 1.0:
+            save_field_views(held_out, trial.capture.held_out, render, context.device)
+            return
         preview.show(render)
         if context.config.refine_poses:
             trial.look(round(share * total), render, sampler)
@@ -110,7 +115,7 @@ def reconstruct(
         device: Torch device.
         reporter: Progress and warnings.
         watch: Called every few steps of the fit with the share of it that is done, what renders
-            its field, and the source of its rays, or None.
+            its field, and the source of its rays, or None; at last with 1.0 and the finished field.
 
     Returns:
         The unwrapped mesh in the unit frame, and metrics.

@@ -130,9 +130,7 @@ def _bring_up_to_date(
     _Run(request, paths, reporter, run, capture).work(stages, states, expected)
 
 
-def _finish(
-    paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str
-) -> None:
+def _finish(paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str) -> None:
     """Note that a result is whole, and with which exit code its quality lets the run end."""
     doubt = judged(paths)
     code = 0 if doubt is None else doubt.exit_code
