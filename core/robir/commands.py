@@ -171,7 +171,7 @@ def bench(options: Namespace) -> int:
     from robir.bench.page import write_bench
     from robir.bench.plan import read_plan
 
-    return max(_carried_out(read_plan(options.plan), write_bench, options))
+    return max(_carried_out(read_plan(options.plan), write_bench, options, is_truth_needed=False))
 
 
 def stability(options: Namespace) -> int:
@@ -183,17 +183,20 @@ def stability(options: Namespace) -> int:
     from robir.bench.plan import read_sweep
 
     runs = read_sweep(options.plan, options.out)
-    return 1 if 1 in _carried_out(runs, write_stability, options) else 0
+    tried = _carried_out(runs, write_stability, options, is_truth_needed=True)
+    return 1 if 1 in tried else 0
 
 
-def _carried_out(runs: list[BenchRun], write: Callable[..., Path], options: Namespace) -> set[int]:
+def _carried_out(
+    runs: list[BenchRun], write: Callable[..., Path], options: Namespace, *, is_truth_needed: bool
+) -> set[int]:
     """Do the runs and write their page; the exit codes of those that were tried."""
     from robir.bench.runs import carry_out, read_scores
 
     def say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    carry_out(runs, options.out, options.budget, say)
+    carry_out(runs, options.out, options.budget, say, is_truth_needed=is_truth_needed)
     records = read_scores(options.out)
     print(write(options.out, runs, records).resolve())
     tried = [records[run.name] for run in runs if run.name in records]

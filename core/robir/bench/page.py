@@ -14,11 +14,20 @@ from PIL import Image
 from robir.bench.chart import speed_accuracy
 from robir.bench.curves import calibration, tone_curves
 from robir.bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
-from robir.bench.pictures import tile
+from robir.bench.pictures import PHOTOGRAPHED_TILES, TILES, tile
 from robir.bench.plan import OURS, BenchRun
 from robir.bench.runs import picture_file
 from robir.bench.scores import ALBEDO
-from robir.bench.table import Record, Table, bench_tables, failures, split, value
+from robir.bench.table import (
+    Record,
+    Table,
+    bench_tables,
+    failures,
+    is_rendered,
+    split,
+    value,
+)
+from robir.evaluation.level_table import level_notes
 from robir.export.report import page_template
 from robir.jobs.paths import replacing
 
@@ -76,19 +85,19 @@ def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Re
     """Write the charts, scores.md and index.html of a bench; returns the page."""
     tried = [records[run.name] for run in runs if run.name in records]
     done, _failed = split(tried)
+    rendered = [record for record in done if is_rendered(record)]
+    scored = [run for run in runs if "scores" in records.get(run.name, {})]
+    photographed = [run for run in scored if not is_rendered(records[run.name])]
     page = Page(
         title="Speed against accuracy",
         lead=f"{len(done)} of {len(runs)} runs are scored. Albedos are scaled to the truth channel "
-        "by channel; every method is charged for all stages it needs, shared or not.",
-        rows=_method_rows(folder, [run for run in runs if "scores" in records.get(run.name, {})]),
-        charts=[
-            Chart(
-                title="CPU seconds against accuracy",
-                file="chart.svg",
-                drawing=speed_accuracy(done),
-            ),
-            *_own_charts([record for record in done if record["method"] == OURS]),
+        "by channel; every method is charged for all stages it needs, shared or not. Captures "
+        "without truth are judged by their held-out photographs alone.",
+        rows=[
+            *_method_rows(folder, [run for run in scored if is_rendered(records[run.name])]),
+            *(_photographed_row(folder, run, records[run.name]) for run in photographed),
         ],
+        charts=_bench_charts(rendered) if rendered or not photographed else [],
         tables=bench_tables(tried),
     )
     return _write(folder, "scores.md", page)
@@ -117,6 +126,18 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
         ],
     )
     return _write(folder, "stability.md", page)
+
+
+def _bench_charts(records: Sequence[Record]) -> list[Chart]:
+    """What is drawn of runs that were compared with the truth."""
+    return [
+        Chart(
+            title="CPU seconds against accuracy",
+            file="chart.svg",
+            drawing=speed_accuracy(records),
+        ),
+        *_own_charts([record for record in records if record["method"] == OURS]),
+    ]
 
 
 def _own_charts(records: Sequence[Record]) -> list[Chart]:
@@ -153,6 +174,18 @@ def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[Row]:
         tiles += [(run.method, _inline(picture_file(run, folder), "albedo")) for run in members]
         rows.append(Row(title=f"{key[0].name}, {key[1]}, seed {key[2]}", tiles=tiles))
     return rows
+
+
+def _photographed_row(folder: Path, run: BenchRun, record: Record) -> Row:
+    """A result beside a held-out photograph, where most is lost, and what the program said."""
+    file = picture_file(run, folder)
+    trust = record["trust"] or {"doubts": []}
+    doubts = [f"Not to be trusted: {doubt}." for doubt in trust["doubts"]]
+    return Row(
+        title=f"{run.capture.name}, {run.preset}, {run.method}, seed {run.seed}",
+        tiles=[(name, _inline(file, name, PHOTOGRAPHED_TILES)) for name in PHOTOGRAPHED_TILES],
+        notes=[*level_notes(record["scores"]["levels"]), *doubts],
+    )
 
 
 def _case_row(folder: Path, case: Case, runs: Sequence[BenchRun]) -> Row:
@@ -198,7 +231,7 @@ def _lost(case: Case) -> str:
     return f"{now} dB" if case.lost is None else f"{now} dB, {case.lost:.1f} lost"
 
 
-def _inline(picture: Path, name: str) -> str:
+def _inline(picture: Path, name: str, names: Sequence[str] = TILES) -> str:
     stream = io.BytesIO()
-    Image.fromarray(tile(picture, name)).save(stream, format="PNG")
+    Image.fromarray(tile(picture, name, names)).save(stream, format="PNG")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

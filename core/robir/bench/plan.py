@@ -61,7 +61,8 @@ class Plan:
     """A bench as written by the user.
 
     Attributes:
-        captures: Folders of captures with truth, relative to the plan's folder.
+        captures: Folders of captures, relative to the plan's folder; those without truth are
+            scored by their held-out photographs alone.
         presets: Names of presets.
         methods: Names in METHODS.
         seeds: Seeds of the reconstruction and of what spoils a capture.
@@ -203,7 +204,7 @@ def read_sweep(path: Path, out: Path) -> list[BenchRun]:
 
 def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
     if not table.get("captures"):
-        raise ConfigError(f"{path}: captures is missing; list the folders of captures with truth")
+        raise ConfigError(f"{path}: captures is missing; list the folders of captures")
     plan = settings_from_table(Plan, table, str(path))
     captures = [(path.parent / capture).resolve() for capture in plan.captures]
     names = [capture.name for capture in captures]

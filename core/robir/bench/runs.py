@@ -16,6 +16,7 @@ from typing import Any
 from robir.bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 from robir.config import resolve
 from robir.errors import QualityError, RobirError
+from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.paper.config import VARIANTS, shrunken
 from robir.pipeline.usage import Usage
@@ -50,7 +51,12 @@ def read_scores(folder: Path) -> dict[str, Record]:
 
 
 def carry_out(
-    runs: Sequence[BenchRun], folder: Path, budget: float | None, say: Callable[[str], None]
+    runs: Sequence[BenchRun],
+    folder: Path,
+    budget: float | None,
+    say: Callable[[str], None],
+    *,
+    is_truth_needed: bool = False,
 ) -> None:
     """Do every run that has no score yet; one that fails is recorded and stops nothing.
 
@@ -60,6 +66,7 @@ def carry_out(
         budget: CPU seconds that this call may take, or None. A run that would probably exceed
             it, by the mean of those before, is left for the next call.
         say: Takes a line about each run.
+        is_truth_needed: Whether a capture without truth counts as failed.
     """
     records = read_scores(folder)
     begin, spent = Usage.now(), []
@@ -72,7 +79,7 @@ def carry_out(
             left = sum("scores" not in records.get(run.name, {}) for run in runs)
             say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
             return
-        records[run.name] = _record(run, folder)
+        records[run.name] = _record(run, folder, is_truth_needed)
         spent.append(Usage.now().seconds_since(begin)["cpu"] - used)
         with replacing(scores_file(folder)) as temporary:
             lines = (json.dumps(record) + "\n" for record in records.values())
@@ -80,7 +87,7 @@ def carry_out(
         say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
 
 
-def _record(run: BenchRun, folder: Path) -> Record:
+def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
     out = result_folder(run, folder)
     try:
         if run.perturbation is not None:
@@ -89,7 +96,8 @@ def _record(run: BenchRun, folder: Path) -> Record:
         held_out = _made(run, out)
     except RobirError as error:
         return run.facts | {"error": str(error), "exit_code": error.exit_code}
-    judged = _robir("evaluate", str(out), "--truth", str(run.capture), "--json")
+    truth = ["--truth", str(run.capture)] if is_truth_needed or has_truth(run.capture) else []
+    judged = _robir("evaluate", str(out), *truth, "--json")
     if judged.returncode != 0:
         return run.facts | {"error": _last_line(judged.stderr), "exit_code": judged.returncode}
     scores = json.loads(judged.stdout)
@@ -184,10 +192,14 @@ def _published(run: BenchRun, out: Path) -> Record:
 
 def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
     """Keep a picture for the page; a result that cannot be drawn still has its scores."""
-    from robir.bench.pictures import draw_result
+    from robir.bench.pictures import draw_photographed, draw_result
 
+    picture = picture_file(run, folder)
+    if "albedo" not in scores:
+        draw_photographed(JobPaths(result_folder(run, folder)), picture)
+        return
     scale = scores["albedo"]["scale"]["per_channel_lsq"]
-    draw_result(JobPaths(result_folder(run, folder)), run.capture, scale, picture_file(run, folder))
+    draw_result(JobPaths(result_folder(run, folder)), run.capture, scale, picture)
 
 
 def _loans(method: str) -> dict[str, tuple[str, ...]]:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from robir.evaluation.levels import LEVELS
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
@@ -87,6 +89,42 @@ COSTS = (
 compares with them, and what it cost."""
 
 RERENDER, SECONDS = COSTS[0], COSTS[1]
+
+
+LEVEL_SCORES = (
+    *(
+        Score(
+            title=f"{level.letter} (dB)",
+            path=f"levels.chain.{level.name}.psnr",
+            best="high",
+            digits=1,
+        )
+        for level in LEVELS
+    ),
+    *(
+        Score(
+            title=f"{level.letter} (SSIM)",
+            path=f"levels.chain.{level.name}.ssim",
+            best="high",
+            digits=2,
+        )
+        for level in LEVELS
+        if level.name in ("mean", "diffuse", "material", "cycles")
+    ),
+    Score(
+        title="f, whole mask (dB)",
+        path="levels.chain.cycles.psnr_whole_mask",
+        best="high",
+        digits=1,
+    ),
+    Score(
+        title="e above c' (dB)",
+        path="levels.chain.material.psnr - levels.chain.mean.psnr",
+        best="high",
+        digits=1,
+    ),
+)
+"""Scores of the levels, as `robir evaluate --json` prints them."""
 
 
 def score_lines(scores: Mapping[str, Any]) -> list[str]:

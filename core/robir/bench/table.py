@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from robir.bench.scores import COSTS, SCORES, Score
+from robir.bench.scores import COSTS, LEVEL_SCORES, SCORES, SECONDS, Score
 
 Record = dict[str, Any]
 
@@ -38,20 +38,64 @@ class Table:
 def bench_tables(records: Iterable[Record]) -> list[Table]:
     """Summary of each preset and method, all runs, and those that failed."""
     done, failed = split(records)
+    rendered = [record for record in done if is_rendered(record)]
+    shown = [record for record in done if "levels" in record["scores"]]
+    tables = _truth_tables(rendered) if rendered or not shown else []
+    tables += [_level_table(shown)] if shown else []
+    return tables + ([failures(failed)] if failed else [])
+
+
+def is_rendered(record: Record) -> bool:
+    """Whether a run that was scored could be compared with the truth."""
+    return "albedo" in record["scores"]
+
+
+def _truth_tables(records: Sequence[Record]) -> list[Table]:
     titles = [column.title for column in (*SCORES, *COSTS)]
-    tables = [
+    return [
         Table(
             title="Over all runs",
             head=["preset, method", *titles, "clipping told right"],
-            rows=_summary(done),
+            rows=_summary(records),
         ),
         Table(
             title="Runs",
             head=["capture", "preset", "method", "seed", *titles, "tone curve"],
-            rows=[_run_row(record) for record in done],
+            rows=[_run_row(record) for record in records],
         ),
     ]
-    return tables + ([failures(failed)] if failed else [])
+
+
+def _level_table(records: Sequence[Record]) -> Table:
+    """How well each level of the chain shows held-out photographs, and medians over all runs."""
+    columns = (*LEVEL_SCORES, SECONDS)
+    rows = [
+        [
+            *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+            *(column.text(value(column, record)) for column in columns),
+            _trusted(record),
+            record["scores"]["levels"]["verdict"].partition(":")[0].rstrip("."),
+        ]
+        for record in records
+    ]
+    for preset, method in dict.fromkeys((r["preset"], r["method"]) for r in records):
+        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
+        trusted = sum(_trusted(record) == "yes" for record in members)
+        for name in ("median", "worst"):
+            cells = [_summarised(column, members, name) for column in columns]
+            rows.append([name, preset, method, "", *cells, f"{trusted}/{len(members)}", ""])
+    titles = [column.title for column in columns]
+    return Table(
+        title="Held-out photographs, level by level",
+        head=["capture", "preset", "method", "seed", *titles, "trusted", "most is lost"],
+        rows=rows,
+    )
+
+
+def _trusted(record: Record) -> str:
+    """Whether the program says that the result is to be trusted; some methods say nothing."""
+    trust = record["trust"]
+    return "-" if trust is None else "yes" if trust["is_trusted"] else "no"
 
 
 def failures(failed: Sequence[Record]) -> Table:

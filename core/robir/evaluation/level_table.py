@@ -26,20 +26,25 @@ def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
             text(row["psnr_whole_mask"], 1),
             text(row["loss"], 1, "+"),
         ]
-        for row in levels["levels"]
+        for row in levels["chain"].values()
     ]
 
 
 def level_notes(levels: Mapping[str, Any]) -> list[str]:
     """Sentences below the table: what was compared, and which stage is at fault."""
-    share = levels["seen_share"]
+    share, chain = levels["seen_share"], levels["chain"]
     if share is None:
         return [levels["verdict"]]
-    compared = (
+    notes = [
         f"{levels['views']} held-out photographs, the same pixels for all: {share:.0%} of the "
-        "masks, where the mesh is met and some photograph shows the point."
-    )
-    return [compared, levels["verdict"]]
+        "masks, where the mesh is met and some photograph shows the point.",
+        levels["verdict"],
+    ]
+    asset, mean = (chain[name]["psnr"] for name in ("material", "mean"))
+    if asset is not None and mean is not None:
+        side = "above" if asset > mean else "below"
+        notes.append(f"The asset (e) lies {abs(asset - mean):.1f} dB {side} the plain mean (c').")
+    return notes
 
 
 def level_lines(levels: Mapping[str, Any]) -> list[str]:

@@ -57,7 +57,7 @@ class Level:
     """One level of the chain.
 
     Attributes:
-        name: In levels.json.
+        name: Key in levels.json.
         letter: In tables.
         title: What is shown.
         stage: What is at fault where it loses against the level before.
@@ -150,9 +150,9 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
 
     Returns:
         Plain JSON values. "views", "seen_share" (of the mask's pixels those that are compared);
-        "levels", one each of `LEVELS`: "name", "letter", "title", "views", "psnr", "ssim",
-        "gradient", "psnr_whole_mask", and "loss" in dB against the level "against"; None what is
-        not measured. "verdict" is a sentence.
+        "chain", by the names of `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient",
+        "psnr_whole_mask", and "loss" in dB against the level "against"; None what is not measured.
+        "verdict" is a sentence.
     """
     exposure, tone_curve = _camera_facts(paths)
     whole = load_turned(paths)
@@ -278,36 +278,33 @@ def _table(
     judged: Sequence[Judged], pictures: Mapping[str, Pictures], verdict: str | None = None
 ) -> dict[str, Any]:
     """What `level_scores` returns."""
-    rows: list[dict[str, Any]] = []
-    before: tuple[Level, dict[str, Any]] | None = None
+    chain: dict[str, dict[str, Any]] = {}
+    before: tuple[str, dict[str, Any]] | None = None
     for level in LEVELS:
+        shown = pictures.get(level.name, {})
         scores = {
-            one.view.name: view_scores(one, pictures[level.name][one.view.name])
+            one.view.name: view_scores(one, shown[one.view.name])
             for one in judged
-            if one.view.name in pictures[level.name] and one.seen.any()
+            if one.view.name in shown and one.seen.any()
         }
-        row: dict[str, Any] = {
-            "name": level.name,
-            "letter": level.letter,
-            "title": level.title,
-        }
-        row |= {"views": len(scores), "loss": None, "against": None}
+        row: dict[str, Any] = {"letter": level.letter, "title": level.title, "views": len(scores)}
         for kind in ("psnr", "ssim", "gradient", "psnr_whole_mask"):
             row[kind] = _mean([one[kind] for one in scores.values()])
+        row |= {"loss": None, "against": None}
         if before is not None and scores:
             common = [name for name in scores if name in before[1]]
             lost = [before[1][name]["psnr"] - scores[name]["psnr"] for name in common]
-            row |= {"loss": _mean(lost), "against": before[0].letter if common else None}
+            row |= {"loss": _mean(lost), "against": before[0] if common else None}
         if scores:
-            before = (level, scores)
-        rows.append(row)
+            before = (level.letter, scores)
+        chain[level.name] = row
     whole = sum(int(one.whole.sum()) for one in judged)
     seen = sum(int(one.seen.sum()) for one in judged)
     return {
         "views": len(judged),
         "seen_share": seen / whole if whole else None,
-        "levels": rows,
-        "verdict": verdict or fault(rows),
+        "chain": chain,
+        "verdict": verdict or fault(chain),
     }
 
 
@@ -337,24 +334,25 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def fault(rows: Sequence[Mapping[str, Any]]) -> str:
+def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
     """One sentence that names the stage which loses most.
 
     Args:
-        rows: "levels" of `level_scores`.
+        chain: As from `level_scores`.
     """
-    lost = [row for row in rows if row["loss"] is not None and row["loss"] > NOTEWORTHY]
-    if not lost:
-        return f"No level loses more than {NOTEWORTHY:g} dB against the one before."
-    worst = max(lost, key=lambda row: row["loss"])
-    last = next(k for k, level in enumerate(LEVELS) if level.name == worst["name"])
-    first = next(k for k, level in enumerate(LEVELS) if level.letter == worst["against"])
+    losses = {name: row["loss"] or 0.0 for name, row in chain.items()}
+    worst = max(losses, key=lambda name: losses[name])
+    if losses[worst] < NOTEWORTHY:
+        return f"No level loses as much as {NOTEWORTHY:g} dB against the one before."
+    row = chain[worst]
+    last = next(k for k, level in enumerate(LEVELS) if level.name == worst)
+    first = next(k for k, level in enumerate(LEVELS) if level.letter == row["against"])
     between = LEVELS[first + 1 : last + 1]  # those that were not measured may be at fault too
     stages = " or ".join(level.stage for level in between)
     reason = f": {between[0].reason}" if len(between) == 1 else ""
     return (
-        f"{stages[0].upper()}{stages[1:]} loses {worst['loss']:.1f} dB "
-        f"({worst['against']} to {worst['letter']}){reason}."
+        f"{stages[0].upper()}{stages[1:]} loses {row['loss']:.1f} dB "
+        f"({row['against']} to {row['letter']}){reason}."
     )
 
 

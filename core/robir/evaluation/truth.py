@@ -74,6 +74,11 @@ class Truth:
     radius: float
 
 
+def has_truth(capture: Path) -> bool:
+    """Whether a capture was rendered with its truth beside it."""
+    return (capture / "truth" / "scene.json").is_file()
+
+
 def load_truth(capture: Path) -> Truth:
     """Read the truth of a capture's test views.
 
