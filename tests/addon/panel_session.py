@@ -139,8 +139,8 @@ def engine_checked(settings, state, result):
 STATES = {
     function.__name__: function
     for function in (
-        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done, doubtful,
-        unreadable, damaged, filming, installing, checking, engine_checked,
+        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done,
+        doubtful, unreadable, damaged, filming, installing, checking, engine_checked,
     )
 }  # fmt: skip
 

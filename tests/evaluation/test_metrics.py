@@ -233,3 +233,40 @@ def test_direction_error(rng):
     for angle in (0.0, 1e-5, 30.0, 90.0, 179.99):
         a = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
         assert metrics.direction_error(3 * a, np.array([2.0, 0, 0])) == pytest.approx(angle)
+
+
+def test_gradients_are_compared_at_three_sizes():
+    rng = np.random.default_rng(0)
+    truth = rng.random((32, 24, 3))
+    mask = np.ones((32, 24), bool)
+    assert metrics.gradient_error(truth, truth, mask) == 0.0
+    # a wrong brightness is no error of the gradient; no gradient at all is one whole error
+    assert metrics.gradient_error(truth + 0.2, truth, mask) == pytest.approx(0.0, abs=1e-9)
+    assert metrics.gradient_error(np.full_like(truth, 0.4), truth, mask) == pytest.approx(1.0)
+    assert metrics.gradient_error(0.7 * truth, truth, mask) == pytest.approx(0.3)
+    assert metrics.gradient_error(truth, np.zeros_like(truth), mask) is None
+
+
+def test_fine_and_coarse_gradients_count_alike():
+    """A checkered pattern is gone at half size, so a third of nothing but it is left to err."""
+    rows, columns = np.mgrid[:32, :32]
+    coarse = np.repeat((columns / 31.0)[..., None], 3, axis=2)
+    fine = np.repeat(((rows + columns) % 2)[..., None] * 0.5, 3, axis=2)
+    mask = np.ones((32, 32), bool)
+    step = 1 / 31
+    whole = 32 * 31 * step  # along the rows; there is none along the columns
+    off = 32 * 31 * abs(0.5) * 2  # the pattern alone, both ways, adds to the slope by turns
+    expected = (off / whole + 0.0 + 0.0) / 3
+    found = metrics.gradient_error(coarse + fine, coarse, mask)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_gradients_beyond_the_mask_do_not_count():
+    truth = np.zeros((16, 16, 3))
+    truth[:, 4:] = 0.5
+    wrong = truth.copy()
+    wrong[:, 12:] = 1.0
+    mask = np.ones((16, 16), bool)
+    mask[:, 11:] = False
+    assert metrics.gradient_error(wrong, truth, mask) == 0.0
+    assert metrics.gradient_error(wrong, truth, np.ones((16, 16), bool)) > 0.5

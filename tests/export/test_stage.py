@@ -2,9 +2,11 @@
 """The stage writes the whole contract, with and without Blender."""
 
 import base64
+import html
 import importlib.util
 import json
 import re
+import shutil
 import sys
 import time
 from dataclasses import dataclass, field
@@ -17,12 +19,15 @@ import PyOpenColorIO as OCIO
 import pytest
 from evaluation import sphere_run
 
+from robir import cli
 from robir.capture.store import load_capture
 from robir.errors import CancelledError, ConfigError, DeviceError, RobirError, UsageError
+from robir.evaluation.levels import level_scores
 from robir.export import blender, stage
 from robir.export.config import ExportConfig
+from robir.export.report import show_levels
 from robir.jobs.context import StageContext
-from robir.jobs.paths import read_json, write_json
+from robir.jobs.paths import JobPaths, read_json, write_json
 
 
 @dataclass
@@ -351,3 +356,38 @@ def test_faults_of_a_whole_blender_are_said_in_words(fake_blender):
 def test_settings_are_checked():
     with pytest.raises(ConfigError, match=r"export\.render_samples"):
         ExportConfig(render_samples=0)
+
+
+def test_the_levels_come_into_the_report_and_replace_those_before(exported, tmp_path, capsys):
+    source = exported[0]
+    paths = JobPaths(tmp_path / "out")
+    shutil.copytree(source.root, paths.root)
+    write_json(paths.manifest("export"), {"stage": "export"})
+    before = paths.report.read_text(encoding="utf-8")
+    assert "Where it is lost" not in before
+    for _ in range(2):
+        assert cli.main(["evaluate", str(paths.root)]) == 0
+        told = capsys.readouterr().out
+        page = paths.report.read_text(encoding="utf-8")
+        assert page.count("Where it is lost") == 1
+        verdict = read_json(paths.levels)["verdict"]
+        assert verdict in told and verdict in html.unescape(page)
+        start, end = page.index('<section id="levels">'), page.index("</section>")
+        assert before == page[:start] + '<section id="levels">' + page[end:]
+    assert page[start:end].count("data:image/png") == 1
+    assert paths.levels_strip.is_file()
+    assert not paths.scores.exists()
+
+
+def test_a_report_of_an_older_version_gets_the_levels_too(exported, tmp_path):
+    paths = JobPaths(tmp_path / "out")
+    paths.report.parent.mkdir(parents=True)
+    levels = level_scores(exported[0], paths.levels_strip)
+    show_levels(paths, levels)  # without a report there is nothing to do
+    assert not paths.report.exists()
+    paths.report.write_text("<p>pictures</p><h2>Light</h2><h2>Time</h2>")
+    show_levels(paths, levels)
+    show_levels(paths, levels)
+    page = paths.report.read_text(encoding="utf-8")
+    assert page.startswith('<p>pictures</p><section id="levels">')
+    assert page.endswith("</section><h2>Light</h2><h2>Time</h2>")
