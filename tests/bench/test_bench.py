@@ -9,47 +9,21 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
+from bench.fake_robir import scores, write_plan
 from evaluation import sphere_run
 
 from robir import cli
 from robir.bench import runs as bench_runs
-from robir.bench.pictures import PHOTOGRAPHED_TILES, clay
 from robir.bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
 from robir.bench.runs import carry_out, read_scores
 from robir.bench.scores import score_lines
 from robir.bench.table import bench_tables
 from robir.config import resolve
 from robir.errors import ConfigError
-from robir.evaluation.levels import level_scores
-from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.paper.config import VARIANTS
 from robir.presets import PRESETS
-
-
-def write_plan(folder: Path, text: str) -> Path:
-    path = folder / "plan.toml"
-    path.write_text(text)
-    return path
-
-
-def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") -> dict:
-    return {
-        "albedo": {
-            "psnr_linear": {"per_channel_lsq": albedo, "raw": albedo - 2.0},
-            "scale": {"per_channel_lsq": [1.0, 1.0, 1.0]},
-        },
-        "photo_as_albedo": {"psnr_linear": {"per_channel_lsq": 12.0}},
-        "shadow": {"ratio": shadow},
-        "light": {"strongest_lobe_degrees": None},
-        "normals": {"mean_degrees": 6.0},
-        "mask_iou": 0.99,
-        "chamfer": {"chamfer": 5.0},
-        "roughness": {"rmse": 0.15, "best_constant_rmse": 0.2},
-        "tone_curve": {"family": family, "true_view_transform": "Filmic"},
-    }
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -133,50 +107,6 @@ def test_wrong_sweeps_are_refused_in_words(tmp_path, text, words):
         read_sweep(write_plan(tmp_path, text), tmp_path)
 
 
-class FakeRobir:
-    """Stands for the command line: a perfect sphere as the result; captures "bad" fail."""
-
-    def __init__(self) -> None:
-        self.commands: list[tuple[str, ...]] = []
-
-    def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
-        self.commands.append(words)
-        if words[0] == "evaluate" and "--truth" not in words:
-            levels = level_scores(JobPaths(Path(words[1])))
-            return subprocess.CompletedProcess(words, 0, json.dumps({"levels": levels}), "")
-        if words[0] == "evaluate" and not has_truth(Path(words[3])):
-            return subprocess.CompletedProcess(words, 3, "", "robir: no truth\n")
-        if words[0] == "evaluate":
-            albedo = 18.0 if "no-visibility" in words[1] else 22.0
-            albedo = 13.0 if "noise" in words[1] else albedo
-            return subprocess.CompletedProcess(words, 0, json.dumps(scores(albedo)), "")
-        if words[1].endswith("bad") or "views_1" in words[1]:
-            return subprocess.CompletedProcess(words, 3, "", "working\nrobir: no masks\n")
-        paths = JobPaths(Path(words[3]))
-        shutil.rmtree(paths.root, ignore_errors=True)
-        sphere_run.make_run(paths.root)
-        write_json(paths.manifest("export"), {"made by": list(words)})
-        paths.config.write_text("seed = 0\n")
-        seconds = {stage: {"wall": 1.0, "cpu": 2.0} for stage in STAGES}
-        about = {"state": "done", "seconds": seconds}
-        write_json(paths.run, about | {"peak_memory_bytes": {"geometry": 2e9}})
-        trust = {"is_trusted": "noise" not in words[1], "doubts": []}
-        write_json(paths.report_json, {"held_out": {"psnr": 25.0}, "trust": trust})
-        return subprocess.CompletedProcess(words, 0 if trust["is_trusted"] else 5, "", "")
-
-
-@pytest.fixture
-def robir(monkeypatch) -> FakeRobir:
-    fake = FakeRobir()
-    monkeypatch.setattr(bench_runs, "_robir", fake)
-    return fake
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    return sphere_run.make_truth(tmp_path_factory.mktemp("bench") / "good")
-
-
 def test_a_failing_run_stops_nothing_and_done_runs_are_not_repeated(
     tmp_path, robir, capture, capsys
 ):
@@ -196,78 +126,6 @@ def test_a_failing_run_stops_nothing_and_done_runs_are_not_repeated(
     first = len(robir.commands)
     assert cli.main(words) == 3
     assert [command[0] for command in robir.commands[first:]] == ["reconstruct"] * 2
-
-
-def test_a_capture_without_truth_is_scored_by_its_held_out_photographs(
-    tmp_path, robir, capsys, capture
-):
-    methods = 'methods = ["ours", "no visibility", "photo"]'
-    plan = write_plan(tmp_path, f'captures = ["photographed", "noise"]\n{methods}')
-    out = tmp_path / "out"
-    assert cli.main(["bench", str(plan), "-o", str(out)]) == 0
-    page = Path(capsys.readouterr().out.strip())
-    records = read_scores(out)
-    assert len(records) == 6
-    # a result that failed its own check counts, with that noted
-    assert records["noise_draft_ours_0"]["trust"]["is_trusted"] is False
-    table = page.with_name("scores.md").read_text()
-    assert "albedo" not in table.partition("##")[2]
-    lines = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")]
-    head = [cell.strip() for cell in lines[0]]
-    cells = {line[0].strip() + line[2]: [cell.strip() for cell in line] for line in lines[2:]}
-    ours = dict(zip(head, cells["photographed ours "], strict=True))
-    chain = records["photographed_draft_ours_0"]["scores"]["levels"]["chain"]
-    assert ours["c' (dB)"] == f"{chain['mean']['psnr']:.1f}"
-    assert ours["e (dB)"] == "100.0" and ours["f (dB)"] == "-" and ours["trusted"] == "yes"
-    assert ours["CPU-s"] == "10" and "loses" in ours["most is lost"]
-    assert dict(zip(head, cells["noise ours "], strict=True))["trusted"] == "no"
-    median = next(line for line in lines if line[0].strip() == "median")
-    assert median[head.index("trusted")].strip() == "1/2"
-    text = page.read_text()
-    assert text.count("data:image/png") == 6 * len(PHOTOGRAPHED_TILES)
-    assert not page.with_name("chart.svg").exists()
-    # with truth beside it, both tables stand there
-    plan.write_text(f'captures = ["{capture}", "photographed"]')
-    assert cli.main(["bench", str(plan), "-o", str(out)]) == 0
-    table = page.with_name("scores.md").read_text()
-    assert "| draft, ours: median | 22.0 |" in table and "level by level" in table
-    assert page.with_name("chart.svg").exists()
-
-
-def test_a_sweep_needs_truth(tmp_path, robir):
-    plan = write_plan(tmp_path, 'captures = ["photographed"]\n[factors]\njpeg = [90]')
-    runs = read_sweep(plan, tmp_path / "out")[:1]
-    carry_out(runs, tmp_path / "out", None, lambda _line: None, is_truth_needed=True)
-    (record,) = read_scores(tmp_path / "out").values()
-    assert (record["exit_code"], record["error"]) == (3, "robir: no truth")
-
-
-def test_a_fit_that_broke_off_is_no_result(tmp_path, monkeypatch):
-    def diverged(*words: str) -> subprocess.CompletedProcess[str]:
-        out = JobPaths(Path(words[3]))
-        sphere_run.make_run(out.root)
-        write_json(out.run, read_json(out.run) | {"state": "running"})
-        return subprocess.CompletedProcess(words, 5, "", "robir: the fit diverged\n")
-
-    monkeypatch.setattr(bench_runs, "_robir", diverged)
-    plan = write_plan(tmp_path, 'captures = ["photographed"]')
-    carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
-    (record,) = read_scores(tmp_path / "out").values()
-    assert (record["exit_code"], record["error"]) == (5, "robir: the fit diverged")
-
-
-def test_clay_is_the_lambert_shading_of_the_surface():
-    camera = sphere_run.cameras(1, 0.0)[0]
-    shown = clay(sphere_run.world_mesh(), camera)
-    assert set(np.unique(shown[..., 3])) == {0, 255}
-    lit = shown[..., 0][shown[..., 3] > 0]
-    assert lit.max() > 200 and lit.min() < 80
-    rows, columns = np.nonzero(shown[..., 3])
-    brightest = shown[rows, columns, 0].astype(float) ** 8
-    centre = (rows.mean(), columns.mean())
-    # the lamp stands above and to the left of the camera
-    assert np.average(rows, weights=brightest) < centre[0] - 2
-    assert np.average(columns, weights=brightest) < centre[1] - 2
 
 
 def test_a_method_starts_from_what_it_shares_with_the_whole(tmp_path, robir, capture):
