@@ -265,8 +265,8 @@ def test_gradients_beyond_the_mask_do_not_count():
     truth = np.zeros((16, 16, 3))
     truth[:, 4:] = 0.5
     wrong = truth.copy()
-    wrong[:, 12:] = 1.0
+    wrong[:, 12:], wrong[:, :2] = 1.0, 0.9
     mask = np.ones((16, 16), bool)
-    mask[:, 11:] = False
+    mask[:, 12:], mask[:, :2] = False, False
     assert metrics.gradient_error(wrong, truth, mask) == 0.0
     assert metrics.gradient_error(wrong, truth, np.ones((16, 16), bool)) > 0.5

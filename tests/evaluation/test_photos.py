@@ -8,7 +8,7 @@ import pytest
 from transport.shapes import looking_at
 
 from robir.capture.capture import View
-from robir.evaluation.photos import exposed, photo_scores
+from robir.evaluation.photos import Exposures, exposed, photo_scores
 from robir.maths.tone import curve_from_name
 
 SIZE = 32
@@ -64,3 +64,29 @@ def test_steps_are_factors_of_two_on_linear_light():
     assert again[..., :3] == pytest.approx(expected, abs=1.6)
     white = exposed(picture, [3.0, 3.0, 3.0], curve_from_name("standard"))
     assert white[1, 0].tolist() == [255, 255, 255, 77]
+
+
+def test_corners_and_own_exposure_are_undone_and_put_back():
+    """A grey as bright everywhere as a camera shows it: brighter by its steps, darker outwards."""
+    camera = looking_at((0, 0, 3), size=SIZE)
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5 - SIZE / 2
+    steps = 0.5 - 0.8 * (rows**2 + columns**2) / (SIZE**2 / 2)
+    taken = np.repeat(255 * srgb(0.2 * 2.0**steps)[..., None], 3, axis=2)
+    mask = np.full((SIZE, SIZE), 255, np.uint8)
+    view = View(
+        name="a",
+        image_display=np.rint(taken).astype(np.uint8),
+        mask=mask,
+        camera=camera,
+        split="train",
+    )
+    table = {"steps": {"a": [0.5, 0.5, 0.5]}, "corner_steps": 0.8, "other_light": []}
+    exposures = Exposures.of(table, {"family": "standard", "parameters": {}})
+    even = exposures.evened(view).image_display
+    assert even == pytest.approx(255 * srgb(np.full((SIZE, SIZE, 3), 0.2)), abs=1.5)
+    again = exposures.as_photographed(even, view)
+    assert again == pytest.approx(taken, abs=2.5)
+    plain = Exposures.of(
+        table | {"steps": {}, "corner_steps": 0.0}, {"family": "standard", "parameters": {}}
+    )
+    assert plain.evened(view) is view and plain.as_photographed(even, view) is even
