@@ -81,7 +81,7 @@ def test_each_photograph_counts_once_in_the_mean_and_by_its_angle_in_the_blend()
     # from where the first photograph was taken it alone is seen, in the corners too
     known = shown.nearest[..., 3] > 0
     assert known.mean() > 0.8
-    assert np.abs(shown.nearest[known, 0] / 255 - greys[0]).max() < 0.01
+    assert np.abs(shown.nearest[known, 0] / 255 - greys[0]).max() < 0.02
 
 
 def test_who_sees_nothing_says_nothing():
