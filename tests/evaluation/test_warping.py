@@ -78,10 +78,10 @@ def test_each_photograph_counts_once_in_the_mean_and_by_its_angle_in_the_blend()
     (shown,) = warped_views(mesh, views, [camera], OFFSET)
     middle = shown.mean[16, 16, 0] / 255
     assert middle == pytest.approx(np.rint(255 * greys).mean() / 255, abs=0.003)
-    # from where the first photograph was taken it alone is seen, in the corners too
-    known = shown.nearest[..., 3] > 0
-    assert known.mean() > 0.8
-    assert np.abs(shown.nearest[known, 0] / 255 - greys[0]).max() < 0.02
+    # from where the first photograph was taken it alone is seen, towards the corners too
+    inner = shown.nearest[4:-4, 4:-4]
+    assert inner[..., 3].all()
+    assert np.abs(inner[..., 0] / 255 - greys[0]).max() < 0.01
 
 
 def test_who_sees_nothing_says_nothing():
