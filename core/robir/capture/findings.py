@@ -242,8 +242,8 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
     Returns:
         Findings.
     """
-    shares = {view.name: float((view.mask >= _OBJECT).mean()) for view in views}
-    border = {view.name: _border_share(view.mask) for view in views}
+    shares = {view.name: _share_of(view, float((view.mask >= _OBJECT).sum())) for view in views}
+    border = {view.name: _border_share(view) for view in views}
     empty = [name for name, share in shares.items() if share == 0]
     full = [name for name, share in shares.items() if share > 0.999]
     tiny = [name for name, share in shares.items() if 0 < share < 0.005]
@@ -355,7 +355,7 @@ def clipped_share(views: Iterable[View]) -> float:
 
 def mask_share(views: Iterable[View]) -> float:
     """Mean share of the photographs that the masks cover."""
-    return float(np.mean([view.mask.mean() / 255 for view in views]))
+    return float(np.mean([_share_of(view, float(view.mask.sum()) / 255) for view in views]))
 
 
 def has_spike(views: Iterable[View]) -> bool:
@@ -373,6 +373,20 @@ def _object_pixels(view: View) -> NDArray[np.uint8]:
     return view.image_display[inside] if inside.any() else view.image_display.reshape(-1, 3)
 
 
-def _border_share(mask: NDArray[np.uint8]) -> float:
-    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    return float((border >= _OBJECT).mean())
+def _share_of(view: View, pixels: float) -> float:
+    """Share of the whole photograph that some of its pixels are."""
+    width, height = view.camera.whole_size
+    return pixels / (width * height)
+
+
+def _border_share(view: View) -> float:
+    """Share of the whole photograph's border that is object."""
+    mask, camera = view.mask >= _OBJECT, view.camera
+    ends = (0.0, 0.0, float(camera.width), float(camera.height))
+    sides = (mask[:, 0], mask[0], mask[:, -1], mask[-1])
+    on = sum(
+        float(side.sum())
+        for side, end, edge in zip(sides, ends, camera.edges, strict=True)
+        if abs(edge - end) < 0.5  # cut edges lie further off
+    )
+    return on / (2.0 * sum(camera.whole_size))

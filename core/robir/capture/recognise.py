@@ -24,10 +24,12 @@ from robir.capture import masks as mask_files
 from robir.capture.capture import Capture, Finding, Split
 from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
+from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import Frame, FrameSet
-from robir.capture.moving_light import check_light
+from robir.capture.images import resize_view
+from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.sharpness import check_sharpness
@@ -42,8 +44,14 @@ _READING = 0.8
 _FIRST_READING = 0.3
 """The same where masks have to be guessed as well."""
 
+SURVEY_SIDE = 800
+"""Longer side of the photographs by which masks are guessed, pixels."""
+
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
+
+CHECK_SIDE = 400
+"""Longer side of the photographs that are checked, pixels: slight blur does not matter."""
 
 _REGISTERING = 0.9
 """Share of the progress that finding poses takes where there are none."""
@@ -252,8 +260,10 @@ def _read_posed(
     findings += about
     if bounds is None:
         raise CaptureRefusedError(findings)
+    findings += check_turntable(views, loaded.overviews, bounds)
+    reduced = tuple(resize_view(view, CHECK_SIDE) for view in views)
     for check in _CHECKS:
-        findings += check(views, bounds)
+        findings += check(reduced, bounds)
     progress(1.0, "capture read")
     return Capture(
         source=source,
@@ -277,7 +287,10 @@ def _load_masked(
     has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
     has_masks = has_masks or any(frame.mask for frame, _ in chosen)
     first = _READING if has_masks else _FIRST_READING
-    loaded = load_views(chosen, drawn, config, lambda share, text: progress(first * share, text))
+    # where nothing can be a mask, a small copy of each photograph is enough for a guess
+    is_survey = not (has_masks or any(may_hold_alpha(frame.image) for frame, _ in chosen))
+    side = SURVEY_SIDE if is_survey else config.max_side
+    loaded = load_views(chosen, drawn, side, lambda share, text: progress(first * share, text))
     findings = [*loaded.findings]
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
@@ -288,8 +301,7 @@ def _load_masked(
         frames,
         chosen,
         loaded,
-        config,
-        guesses,
+        (config, guesses),
         lambda share, text: progress(first + (_READING - first) * share, text),
     )
     return loaded, findings + about

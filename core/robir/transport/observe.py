@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.capture.images import shrink, size_within
 from robir.maths.vectors import farthest_points
 from robir.transport.tracer import AbstractTracer
 
@@ -85,13 +84,6 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     """
     positions = np.stack([view.camera.position for view in views])
     return tuple(views[index] for index in farthest_points(positions, count))
-
-
-def resize_view(view: View, max_side: int) -> View:
-    """The view at no more than `max_side` pixels; area averages of the object, camera included."""
-    size = size_within((view.camera.width, view.camera.height), max_side)
-    image, mask = shrink(view.image_display, view.mask, *size)
-    return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
 
 
 def observe(
