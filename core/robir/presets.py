@@ -8,6 +8,9 @@ from dataclasses import replace
 
 from robir.config import RunConfig
 
+EVERYTHING = 1 << 15
+"""Longer side, pixels, that no photograph has."""
+
 
 def draft() -> RunConfig:
     """Minutes on two CPU cores; every default of every room."""
@@ -19,7 +22,7 @@ def standard() -> RunConfig:
     base = draft()
     return replace(
         base,
-        capture=replace(base.capture, max_side=800),
+        capture=replace(base.capture, max_side=1600),
         geometry=replace(
             base.geometry,
             image_side=400,
@@ -43,7 +46,7 @@ def high() -> RunConfig:
     base = standard()
     return replace(
         base,
-        capture=replace(base.capture, max_side=1600),
+        capture=replace(base.capture, max_side=EVERYTHING),
         geometry=replace(
             base.geometry,
             image_side=800,

@@ -293,10 +293,10 @@ def test_photographs_are_read_one_at_a_time(tmp_path):
         for i in range(6)
     ]
     tracemalloc.start()
-    loaded = load_views(frames[:1], {}, CaptureConfig().max_side, lambda share, text: None)
+    loaded = load_views(frames[:1], {}, 400, lambda share, text: None)
     one = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
-    loaded = load_views(frames, {}, CaptureConfig().max_side, lambda share, text: None)
+    loaded = load_views(frames, {}, 400, lambda share, text: None)
     many = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert loaded.views[0].image_display.shape == (300, 400, 3)

@@ -27,6 +27,7 @@ from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
+from robir.capture.images import resize_view
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_turned
@@ -42,6 +43,9 @@ from robir.transport.tracer import AbstractTracer, make_tracer
 REVISION = 54
 
 TEXTURE_VIEWS = 48
+
+HELD_OUT_SIDE = 400
+"""Longer side of our own re-renders, pixels, at most."""
 
 MOST_PAINT = 0.95
 """Share of paint above which sides turned from a sun are compared. Where there is more metal some
@@ -198,7 +202,8 @@ def _bake(
     atlas = (face[inside], barycentric[inside].astype(np.float32))
     position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
-    views = spread_views(capture.train, TEXTURE_VIEWS)
+    # a pixel about as large as a texel
+    views = tuple(resize_view(v, size) for v in spread_views(capture.train, TEXTURE_VIEWS))
     values = texel_albedo(problem, light, texels, views, gloss, tracer)
     return inside, values, shading_normals(problem, light, mesh, atlas, values)
 
@@ -214,8 +219,9 @@ def _held_out(
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, squared, count = {}, 0.0, 0
-    pictures = render_views(problem, light, gloss, capture.held_out, surface)
-    for view, (image, alpha) in zip(capture.held_out, pictures, strict=True):
+    views = [resize_view(view, HELD_OUT_SIDE) for view in capture.held_out]
+    pictures = render_views(problem, light, gloss, views, surface)
+    for view, (image, alpha) in zip(views, pictures, strict=True):
         images[view.name] = np.dstack([image, alpha])
         if view.name in other_light:
             continue
@@ -231,7 +237,7 @@ def _held_out(
 def _show(paths: JobPaths, capture: Capture) -> None:
     """Replace the picture by which the user follows the run."""
     if capture.held_out:
-        view = capture.held_out[0]
+        view = resize_view(capture.held_out[0], HELD_OUT_SIDE)
         with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as images:
             rendering = images[view.name]
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)

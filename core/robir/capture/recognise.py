@@ -28,7 +28,6 @@ from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
 from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
 from robir.capture.frames import Frame, FrameSet
-from robir.capture.images import resize_view
 from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
@@ -49,9 +48,6 @@ SURVEY_SIDE = 800
 
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
-
-CHECK_SIDE = 400
-"""Longer side of the photographs that are checked, pixels: slight blur does not matter."""
 
 _REGISTERING = 0.9
 """Share of the progress that finding poses takes where there are none."""
@@ -261,9 +257,8 @@ def _read_posed(
     if bounds is None:
         raise CaptureRefusedError(findings)
     findings += check_turntable(views, loaded.overviews, bounds)
-    reduced = tuple(resize_view(view, CHECK_SIDE) for view in views)
     for check in _CHECKS:
-        findings += check(reduced, bounds)
+        findings += check(views, bounds)
     progress(1.0, "capture read")
     return Capture(
         source=source,

@@ -16,9 +16,13 @@ from scipy import ndimage
 
 from robir.capture.capture import Bounds, View
 from robir.capture.frames import Array
+from robir.capture.images import resize_view
 
 POWER = 2.2
 """Of display values, that stands for the tone curve while it is not known."""
+
+SIDE = 400
+"""Longer side of the photographs that are looked at, pixels, at most."""
 
 _GRID = 40
 _POINTS = 1500
@@ -54,6 +58,7 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
     Returns:
         What was seen, of about 1500 points at most.
     """
+    views = [resize_view(view, SIDE) for view in views]
     inside = _hull(views, bounds)
     half = bounds.radius / _GRID
     cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
