@@ -35,7 +35,11 @@ def standard() -> RunConfig:
             base.transport, num_surfels=32000, num_directions=1024, observation_side=320
         ),
         appearance=replace(
-            base.appearance, num_solve_surfels=10000, iterations=400, texture_size=1024
+            base.appearance,
+            num_solve_surfels=10000,
+            iterations=400,
+            shading_size=1024,
+            texture_size=4096,
         ),
         export=replace(base.export, render_samples=128, render_max_side=800),
     )
@@ -58,7 +62,11 @@ def high() -> RunConfig:
         ),
         transport=replace(base.transport, num_surfels=64000, observation_side=640, max_views=96),
         appearance=replace(
-            base.appearance, num_solve_surfels=20000, iterations=800, texture_size=2048
+            base.appearance,
+            num_solve_surfels=20000,
+            iterations=800,
+            shading_size=2048,
+            texture_size=8192,
         ),
         export=replace(base.export, render_samples=256, render_max_side=1600),
     )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.detail import finer
 from robir.appearance.exposure import Gains, compare_photographs
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
@@ -24,6 +25,7 @@ from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views
 from robir.appearance.shading_normals import shading_normals
 from robir.appearance.solver import Light, polish, refit
+from robir.appearance.texel_size import pixel_width, texture_side
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
@@ -40,9 +42,12 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import AbstractTracer, make_tracer
 
-REVISION = 54
+REVISION = 55
 
 TEXTURE_VIEWS = 48
+
+DETAIL_VIEWS = 96
+"""Photographs, far from each other, of which the best show a spot's detail."""
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -106,8 +111,12 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     reporter.progress(0.7, "reading the textures from the photographs")
     fitted = capture.without(other)
     inside, values, normals = _bake(
-        problem, light, gloss, (mesh, tracer), fitted, config.texture_size
+        problem, light, gloss, (mesh, tracer), fitted, config.solved_size
     )
+    width = pixel_width(transport, {view.name: view.camera for view in capture.views})
+    side = texture_side(mesh, width, (config.solved_size, config.texture_size))
+    photographs = (spread_views(fitted.train, DETAIL_VIEWS), problem.curve)
+    inside, values = finer(values, inside, (mesh, tracer), photographs, side)
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
     surface = (replace(mesh, normals=normals), tracer, lookup, values)

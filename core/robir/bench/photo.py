@@ -44,7 +44,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     """
     capture = load_turned(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
-    face, barycentric = rasterise_atlas(mesh, config.appearance.texture_size)
+    face, barycentric = rasterise_atlas(mesh, config.appearance.solved_size)
     inside = face >= 0
     position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
     albedo, coverage = _blended(capture, mesh, position, normal, config.transport.ray_offset)

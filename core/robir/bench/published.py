@@ -49,7 +49,7 @@ def reconstruct_published(
     work: dict[str, Callable[[], None]] = {
         "geometry": lambda: run_geometry(job, config.geometry),
         "transport": lambda: run_transport(job),
-        "appearance": lambda: run_appearance(job, config.appearance.texture_size),
+        "appearance": lambda: run_appearance(job, config.appearance.solved_size),
     }
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

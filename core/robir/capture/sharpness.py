@@ -62,17 +62,8 @@ def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     Returns:
         At most one finding.
     """
-    values = np.array([sharpness(resize_view(view, SIDE)) for view in views])
-    measured = [i for i, value in enumerate(values) if np.isfinite(value).all()]
-    if len(measured) <= _NEIGHBOURS // 2:
-        return []
-    directions, values = directions_to(views, bounds)[measured], values[measured]
-    near = np.argsort(-(directions @ directions.T), axis=1)[:, 1 : _NEIGHBOURS + 1]
-    relative = values / np.median(values[near], axis=1)
-    # Glitter on one side does not make the other side blurred.
-    ratios = np.where(values < SOFT, relative, np.inf)[:, :-1].min(axis=1)
-    is_blurred = (ratios < BLURRED) & (relative[:, -1] > TEXTURED)
-    blurred = sorted((ratios[i], views[measured[i]].name) for i in np.flatnonzero(is_blurred))
+    ratios = relative_sharpness([resize_view(view, SIDE) for view in views], bounds)
+    blurred = sorted((ratios[i], views[i].name) for i in np.flatnonzero(ratios < BLURRED))
     if not blurred:
         return []
     return [
@@ -86,6 +77,30 @@ def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
             sharpness=[round(float(ratio), 3) for ratio, _ in blurred],
         )
     ]
+
+
+def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
+    """How sharp photographs are at the object against those from similar directions.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        (V,) ratios; infinite where nothing can be said.
+    """
+    values = np.array([sharpness(view) for view in views]).reshape(-1, len(_DIRECTIONS) + 1)
+    ratios = np.full(len(views), np.inf)
+    measured = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if len(measured) <= _NEIGHBOURS // 2:
+        return ratios
+    directions, values = directions_to(views, bounds)[measured], values[measured]
+    near = np.argsort(-(directions @ directions.T), axis=1)[:, 1 : _NEIGHBOURS + 1]
+    relative = values / np.median(values[near], axis=1)
+    # Glitter on one side does not make the other side blurred.
+    worst = np.where(values < SOFT, relative, np.inf)[:, :-1].min(axis=1)
+    ratios[measured] = np.where(relative[:, -1] > TEXTURED, worst, np.inf)
+    return ratios
 
 
 def sharpness(view: View) -> Array:

@@ -127,7 +127,7 @@ def observe(
         rays = towards[chosen] / distance[chosen, None]
         free = ~tracer.is_blocked(start, rays)
         chosen, pixels = chosen[free], pixels[free]
-        colour, top, whole = _bilinear(view, _clean_pixels(tracer, view), pixels)
+        colour, top, whole = _bilinear(view, clean_pixels(tracer, view)[0], pixels)
         kept = chosen[whole]
         display[kept, index] = colour[whole]
         clipped[kept, index] = top[whole]
@@ -149,11 +149,21 @@ def off_axis_codes(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.ui
     return np.rint(255 * camera.off_axis(pixels)).astype(np.uint8)
 
 
-def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
-    """Object pixels that no outline of a nearer part runs through, (H, W).
+def clean_pixels(
+    tracer: AbstractTracer, view: View
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Object pixels that no outline of a nearer part runs through, and what they see.
 
     The inverse of depth is linear across the image of a plane, so its second difference marks
     jumps of depth and leaves slanted planes and creases alone.
+
+    Args:
+        tracer: Tracer of the mesh.
+        view: Photograph.
+
+    Returns:
+        (H, W) bool, and (H, W) the inverse of the surface's depth along the viewing direction, 0
+        where there is none.
     """
     inside = view.mask > MASK_INSIDE
     rows, columns = np.nonzero(inside)
@@ -168,7 +178,7 @@ def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
         margin = [(1, 1) if axis == side else (0, 0) for side in (0, 1)]
         jump = np.maximum(jump, np.pad(bend, margin, mode="edge"))
     # d(1/z) = dz / z^2: a jump of dz bends the inverse depth by that much.
-    return inside & (jump < DEPTH_JUMP * inverse**2)
+    return inside & (jump < DEPTH_JUMP * inverse**2), inverse
 
 
 def pixels_about(
