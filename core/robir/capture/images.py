@@ -6,18 +6,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy import ndimage
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.decode import header, load, opened, orientation, reduce, upright
 from robir.capture.frames import Distortion
 from robir.capture.refusal import refuse
+from robir.masking.opencv import cv2
 
 Bytes = NDArray[np.uint8]
 
@@ -177,15 +178,14 @@ def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, B
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
 
-    def average(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-        resized = Image.fromarray(layer).resize((width, height), Image.Resampling.BOX)
-        return np.asarray(resized)
-
+    layers = np.empty((*mask.shape, 4), np.float32)
     # A grain of weight keeps the picture where there is no object at all.
-    weight = mask.astype(np.float32) + np.float32(1e-3)
-    total = average(weight)
-    layers = [average(image[:, :, c] * weight) / total for c in range(3)]
-    return _bytes(np.stack(layers, axis=2)), _bytes(total)
+    np.add(mask, np.float32(1e-3), out=layers[:, :, 3])
+    np.multiply(image, layers[:, :, 3:], out=layers[:, :, :3])
+    small = cv2.resize(layers, (width, height), interpolation=cv2.INTER_AREA)
+    small[:, :, :3] /= small[:, :, 3:]
+    codes = _bytes(small)
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
 
 
 def resize_view(view: View, max_side: int) -> View:
@@ -207,7 +207,8 @@ def straightened(camera: Camera, distortion: Distortion) -> Camera:
     Raises:
         CaptureError: If the distortion folds the picture over itself.
     """
-    zoom = _zoom_without_gaps(camera, distortion)
+    lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    zoom = _zoom_without_gaps(lens, distortion)
     return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
 
 
@@ -227,17 +228,12 @@ def undistort(
     Returns:
         Image and mask of that camera's size.
     """
-    at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion)
-    rows_columns = (at - 0.5).T[::-1].reshape(2, straight.height, straight.width)
-
-    def remap(layer: Bytes) -> Bytes:
-        moved = np.empty(rows_columns.shape[1:], dtype=np.float32)
-        ndimage.map_coordinates(
-            layer.astype(np.float32), rows_columns, output=moved, order=1, mode="nearest"
-        )
-        return _bytes(moved)
-
-    return np.dstack([remap(image[:, :, c]) for c in range(3)]), remap(mask)
+    at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion) - 0.5
+    x, y = (part.astype(np.float32).reshape(straight.height, straight.width) for part in at.T)
+    codes = cv2.remap(
+        np.dstack([image, mask]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
 
 
 def _distorted_pixels(
@@ -250,8 +246,18 @@ def _distorted_pixels(
     return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=1)
 
 
-def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
-    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph."""
+@lru_cache
+def _zoom_without_gaps(
+    lens: tuple[int, int, float, float, float, float], distortion: Distortion
+) -> float:
+    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph.
+
+    Args:
+        lens: Width, height, fx, fy, cx and cy of a camera: many photographs share them.
+        distortion: Lens distortion.
+    """
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    camera = Camera(camera_to_world=np.eye(4), **dict(zip(names, lens, strict=True)))
     u = np.linspace(0.0, camera.width, 65)
     v = np.linspace(0.0, camera.height, 65)
     border = np.concatenate(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from PIL import Image
 
 from robir.capture.camera import Box, Camera
 from robir.capture.capture import Split, View
@@ -202,7 +203,13 @@ class _Picture:
 
     def overview(self, distortion: Distortion) -> tuple[_Picture, Box | None]:
         """The whole of it, small and undistorted, and the part of the large one to keep."""
-        small = self.shrunk(size_within(self.size, OVERVIEW_SIDE))
+        size = size_within(self.size, OVERVIEW_SIDE)
+        factor = max(1, min(self.size) // (2 * min(size)))
+        image, mask = (
+            np.asarray(Image.fromarray(layer).reduce(factor)) for layer in (self.image, self.mask)
+        )
+        image, mask = shrink(image, mask, *size)
+        small = _Picture(image, mask, self.camera.resized(*size))
         if distortion.is_null:
             return small, object_box(self.mask)
         small = small.straight(distortion, straightened(small.camera, distortion))

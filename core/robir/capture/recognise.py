@@ -26,7 +26,13 @@ from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
 from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
-from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
+from robir.capture.findings import (
+    check_frames,
+    check_masks,
+    check_photographs,
+    check_place,
+    check_shapes,
+)
 from robir.capture.frames import Frame, FrameSet
 from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
@@ -247,6 +253,7 @@ def _read_posed(
     findings += about
     if loaded.views:
         findings += check_photographs(loaded.views)
+        findings += check_shapes(frames.frames, loaded.views)
     findings += _check_mask_supply(loaded)
     _stop_on_errors(findings)
     findings += check_masks(loaded.views)
