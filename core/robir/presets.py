@@ -65,7 +65,6 @@ def high() -> RunConfig:
             base.appearance,
             num_solve_surfels=20000,
             iterations=800,
-            shading_size=2048,
             texture_size=8192,
         ),
         export=replace(base.export, render_samples=256, render_max_side=1600),
