@@ -22,6 +22,9 @@ from robir.masking.opencv import cv2
 
 Bytes = NDArray[np.uint8]
 
+MESH = 8
+"""Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photo:
@@ -228,10 +231,18 @@ def undistort(
     Returns:
         Image and mask of that camera's size.
     """
-    at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion) - 0.5
-    x, y = (part.astype(np.float32).reshape(straight.height, straight.width) for part in at.T)
+    # exact in the middle of every few pixels, and one such square beyond the border
+    columns, rows = (
+        MESH * (np.arange(-1, -(-side // MESH) + 1) + 0.5)
+        for side in (straight.width, straight.height)
+    )
+    middles = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
+    at = _distorted_pixels(middles, straight, camera, distortion) - 0.5
+    at = at.reshape(len(rows), len(columns), 2).astype(np.float32)
+    fine = cv2.resize(at, (MESH * len(columns), MESH * len(rows)), interpolation=cv2.INTER_LINEAR)
+    where = fine[MESH : MESH + straight.height, MESH : MESH + straight.width]
     codes = cv2.remap(
-        np.dstack([image, mask]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        np.dstack([image, mask]), where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
 

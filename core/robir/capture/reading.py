@@ -32,7 +32,7 @@ from robir.capture.refusal import refuse
 OVERVIEW_SIDE = 192
 """Longer side of the small copies that show what surrounds the object, pixels."""
 
-SPARE = 1.5
+SPARE = 1.25
 """Least pixels that are decoded, along a side, for one that is kept."""
 
 Size = tuple[int, int]

@@ -235,7 +235,10 @@ def _straight_pixels(
     x, y = bent_x, bent_y
     for _ in range(30):  # x = x' - (distortion of x), which contracts for every usable lens
         there_x, there_y = distortion.apply(x, y)
-        x, y = x + bent_x - there_x, y + bent_y - there_y
+        step_x, step_y = bent_x - there_x, bent_y - there_y
+        x, y = x + step_x, y + step_y
+        if max(np.abs(step_x).max(), np.abs(step_y).max()) < 1e-6:
+            break
     shape = (camera.height, camera.width)
     columns = (x * straight.fx + straight.cx - 0.5).reshape(shape)
     rows = (y * straight.fy + straight.cy - 0.5).reshape(shape)
