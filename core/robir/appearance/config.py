@@ -70,8 +70,3 @@ class AppearanceConfig:
             raise ConfigError(
                 f"appearance.parsimony_weight is {self.parsimony_weight}; it must not be negative"
             )
-
-    @property
-    def solved_size(self) -> int:
-        """Side of the atlas that is solved, texels: never larger than the textures may be."""
-        return min(self.shading_size, self.texture_size)

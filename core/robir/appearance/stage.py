@@ -25,7 +25,7 @@ from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views
 from robir.appearance.shading_normals import shading_normals
 from robir.appearance.solver import Light, polish, refit
-from robir.appearance.texel_size import pixel_width, texture_side
+from robir.appearance.texel_size import pixel_width, solved_side, texture_side
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture.capture import Capture
@@ -88,8 +88,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     started = time.process_time()
     compared = compare_photographs(transport, tracer, capture, context.seed)
     seconds = {"exposure": time.process_time() - started}
-    other = compared.other_light
-    if other:
+    if other := compared.other_light:
         reporter.warn(_told(other, capture))
     scene = make_scene(
         transport.without_views(other),
@@ -110,11 +109,10 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     fitted = capture.without(other)
-    inside, values, normals = _bake(
-        problem, light, gloss, (mesh, tracer), fitted, config.solved_size
-    )
+    solved = solved_side(config)
+    inside, values, normals = _bake(problem, light, gloss, (mesh, tracer), fitted, solved)
     width = pixel_width(transport, {view.name: view.camera for view in capture.views})
-    side = texture_side(mesh, width, (config.solved_size, config.texture_size))
+    side = texture_side(mesh, width, (solved, config.texture_size))
     photographs = (spread_views(fitted.train, DETAIL_VIEWS), problem.curve)
     inside, values = finer(values, inside, (mesh, tracer), photographs, side)
     reporter.progress(0.9, "rendering held-out views")

@@ -8,9 +8,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from robir.appearance.config import AppearanceConfig
 from robir.capture.camera import Camera
 from robir.geometry.mesh import Mesh
 from robir.transport.baked import Transport
+
+
+def solved_side(config: AppearanceConfig) -> int:
+    """Texels along a side of the atlas that is solved: no more than the textures may have."""
+    return min(config.shading_size, config.texture_size)
 
 
 def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:

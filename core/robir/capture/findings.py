@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Bounds, Finding, View
-from robir.capture.frames import Frame, FrameSet, Lens, pose_fault
+from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.refusal import error, note, warning
 
 MIN_VIEWS = 3
@@ -23,9 +23,6 @@ FEW_VIEWS = 12
 FAR = 2000.0
 """Distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
 steps are 1.2e-4 radii there."""
-
-SHAPE_SLACK = 0.02
-"""Difference of width over height, against itself, that rounding makes at most."""
 
 _OBJECT = 128
 _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
@@ -213,41 +210,6 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
             )
         )
     return found + _check_exposure(views)
-
-
-def check_shapes(frames: Sequence[Frame], views: Sequence[View]) -> list[Finding]:
-    """Photographs of another shape than the rest, where one lens is stated for all of them.
-
-    Args:
-        frames: What the format says.
-        views: Read photographs.
-
-    Returns:
-        At most one finding.
-    """
-    wide = {view.name: view.camera.whole_size for view in views}
-    shapes: dict[Lens, dict[str, float]] = defaultdict(dict)
-    for frame in frames:
-        if frame.name in wide and frame.lens.size is None:
-            width, height = wide[frame.name]
-            shapes[frame.lens][frame.name] = width / height
-    odd = [
-        name
-        for own in shapes.values()
-        for name, shape in own.items()
-        if abs(shape / float(np.median(list(own.values()))) - 1.0) > SHAPE_SLACK
-    ]
-    if not odd:
-        return []
-    return [
-        warning(
-            "odd-shapes",
-            f"{len(odd)} of {len(views)} photographs are of another shape than the rest, but the "
-            "poses state one lens for all of them: cut, turned or stitched pictures have another",
-            "Leave them out, or give the photographs as they were taken.",
-            *odd,
-        )
-    ]
 
 
 def _check_exposure(views: Sequence[View]) -> list[Finding]:

@@ -31,12 +31,12 @@ from robir.capture.findings import (
     check_masks,
     check_photographs,
     check_place,
-    check_shapes,
 )
 from robir.capture.frames import Frame, FrameSet
 from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.shapes import check_shapes
 from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.poses import solve
