@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was chosen about tone curve, lights, metal and cameras, in words for the report."""
+"""What was chosen about tone curve, lights and cameras, in words for the report."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from robir.appearance import other_light, vignetting
 from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
-from robir.appearance.gloss import Gloss
-from robir.appearance.metal import LEAST_SHARE as LEAST_METAL_SHARE
 from robir.appearance.plain_lead import PLAIN_MARGIN
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
@@ -22,15 +20,12 @@ GREY, BY_MEAN, BY_HIGHLIGHTS = (
 )
 
 
-def light_choices(
-    tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
-) -> tuple[Choice, ...]:
-    """On the tone curve, the suns and metal.
+def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
+    """On the tone curve and the light.
 
     Args:
         tone: The curves that were compared.
         light: The solved light.
-        gloss: Specular material.
         seconds: Processor time by task: "tone_curve", "light".
     """
     candidates, evidence = tone.candidates, tone.evidence
@@ -39,7 +34,6 @@ def light_choices(
         False: "bright pixels thin out towards code 255: the curve rolls off",
         None: "too little is white, or nearly so, to tell; all families were compared",
     }[evidence.verdict]
-    metal = sum(material["share"] for material in gloss.table if material["metallic"] > 0.5)
     return (
         Choice(
             choice="tone curve",
@@ -75,13 +69,6 @@ def light_choices(
             alternatives=(BY_HIGHLIGHTS if light.level is None else BY_MEAN,),
             why="paint returns 4% of a light as a highlight, however bright it is itself; where "
             "these do not tell, the mean albedo is taken to be that of common scenes",
-        ),
-        Choice(
-            choice="metal",
-            chosen=f"{metal:.0%} of the surface",
-            alternatives=("none",),
-            why="a part is metal where its views differ more than those of paint and metal "
-            f"explains them about as well, on at least {LEAST_METAL_SHARE:.0%} of it better",
         ),
     )
 

@@ -115,7 +115,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains, other)
     choices = (
-        *light_choices(tone, light, gloss, seconds),
+        *light_choices(tone, light, seconds),
         *gloss.choices,
         *sized.choices,
         *camera_choices(problem.gains, other, seconds),
