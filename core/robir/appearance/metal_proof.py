@@ -12,7 +12,6 @@ from robir.appearance.metal import MetalParts
 from robir.appearance.trial import Trial
 
 Floats = NDArray[np.float32]
-Reals = NDArray[np.float64]
 
 
 def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[MetalParts, Choice]:
@@ -29,33 +28,30 @@ def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[M
     Returns:
         The proven parts, numbered anew, and what was compared, for the report.
     """
-    compared: list[tuple[int, Reals, Reals]] = []
+    count = len(trial.kept[0].sample)
+    plain, metal, proven = np.zeros(count), np.zeros(count), np.zeros(len(parts.base), bool)
     for index, base in enumerate(parts.base):
         inside = parts.part == index
         kept = trial.kept_of(inside)
         level = LEVELS[int(dielectric[inside].mean(0).argmin())]
         glossy = trial.paint_errors(kept, np.full(len(inside), level))
-        plain = min(trial.paint_errors(kept, None), glossy, key=np.sum)
-        metal = trial.metal_errors(kept, base, float(parts.roughness[index]))
-        if trial.proof(kept, plain, metal).is_given:
-            compared.append((index, plain, metal))
-    proven = np.array([index for index, *_ in compared], np.int64)
-    kept = trial.kept_of(np.isin(parts.part, proven))
-    order = np.argsort(parts.part[trial.kept[0].sample[kept.numpy()]], kind="stable")
-    joined = [np.concatenate([np.zeros(0), *column]) for column in list(zip(*compared))[1:]]
-    plain, metal = joined or (np.zeros(0), np.zeros(0))
-    whole = trial.proof(kept[order], plain, metal)
+        plain[kept] = min(trial.paint_errors(kept, None), glossy, key=np.sum)
+        metal[kept] = trial.metal_errors(kept, base, float(parts.roughness[index]))
+        proven[index] = trial.proof(kept, plain[kept], metal[kept]).is_given
+    kept = trial.kept_of(np.append(proven, False)[parts.part])
+    whole = trial.proof(kept, plain[kept], metal[kept])
+    told = f"of {len(proven)} parts that may be metal {proven.sum()} are predicted better so"
+    if proven.any():
+        told += f"; as a whole {whole.words}"
     if not whole.is_given:
-        proven = proven[:0]
-    number = np.full(len(parts.base) + 1, -1)
-    number[proven] = np.arange(len(proven))
+        proven[:] = False
+    number = np.append(np.where(proven, np.cumsum(proven) - 1, -1), -1)
     choice = Choice(
         choice="metal",
-        chosen=f"{np.isin(parts.part, proven).mean():.0%} of the surface",
+        chosen=f"{(number[parts.part] >= 0).mean():.0%} of the surface",
         alternatives=("none",),
-        held_out_error=whole.rich if len(proven) else None,
-        why=f"of {len(parts.base)} parts that may be metal {len(compared)} are predicted better so"
-        + (f"; as a whole {whole.words}" if compared else ""),
+        held_out_error=whole.rich if proven.any() else None,
+        why=told,
     )
     kept_parts = MetalParts(
         part=number[parts.part], base=parts.base[proven], roughness=parts.roughness[proven]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from robir.appearance import other_light, vignetting
+from robir.appearance import other_light
 from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
@@ -165,8 +165,6 @@ def camera_choices(
             choice="corners of the photographs",
             chosen=darker if steps else even,
             alternatives=(even if steps else "darker than the middle",),
-            why=f"corners are darker where that explains at least {vignetting.LEAST_SHARE:.0%} of "
-            "what photographs differ by at the same points of the surface, and the outermost that "
-            f"is seen is more than {vignetting.LEAST_STEPS} steps darker",
+            why="corners are darker where photographs that had no part in that prove it",
         ),
     )

@@ -23,12 +23,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
 from robir.appearance.plain_lead import PlainLead, mismatch_table
-from robir.appearance.problem import Problem, Scene, make_problem
+from robir.appearance.problem import Problem, Scene, blocks_of, make_problem
 from robir.appearance.reach import unable
 from robir.appearance.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.solver import Light, find_suns, fit
