@@ -65,6 +65,7 @@ class Scene:
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
+        by_camera: Whether cameras took the photographs, and no renderer.
     """
 
     transport: Transport
@@ -74,6 +75,7 @@ class Scene:
     rows: NDArray[np.int64]
     pairs: Pairs
     exposures: Exposures | None = None
+    by_camera: bool = False
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""

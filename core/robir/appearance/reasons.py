@@ -9,7 +9,6 @@ from robir.appearance import other_light
 from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
-from robir.appearance.plain_lead import PLAIN_MARGIN
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
 
@@ -102,7 +101,7 @@ def _lead(tone: ToneChoice) -> str:
         f"; {PLAIN} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
         f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
         f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
-        f"{PLAIN_MARGIN:g}"
+        f"{lead.margin:g}"
     )
 
 
