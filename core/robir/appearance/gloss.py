@@ -218,8 +218,9 @@ def estimate_gloss(
     in_solve = np.isin(seen, problem.scene.rows[::step])
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
-    reflections, trial = looked[0], Trial.of(problem, looked, rows)
-    highlights, dielectric = _costs(reflections, *trial.fitted)
+    reflections, rays, shown, _ = looked
+    highlights, dielectric = _costs(*looked)
+    trial = Trial.of(problem, looked, rows)
     features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
     normal, paint = surfels.normal[seen], features[:, :3]
     points = np.concatenate(
@@ -232,7 +233,7 @@ def estimate_gloss(
     hue = (paint - paint.mean(1, keepdims=True))[in_solve][around].mean(1)
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     place = surfels.position[rows], hue, spacing
-    observed = reflections, trial.fitted[0], trial.fitted[1].linear
+    observed = reflections, rays, shown.linear
     parts = metal_parts((likely, certain), place, observed, errors)
     parts, metal_choice = proven_parts(parts, trial, dielectric)
     is_metal = parts.part >= 0

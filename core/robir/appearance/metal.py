@@ -19,9 +19,8 @@ from torch import Tensor
 from robir.appearance.highlights import LEVELS
 from robir.appearance.pieces import pieces
 from robir.appearance.problem import Problem
-from robir.appearance.proof import fitted_views
 from robir.appearance.reflections import TILTS, Reflections, ViewRays
-from robir.appearance.seen import dense, in_views, looked_at
+from robir.appearance.seen import dense, looked_at
 from robir.appearance.solver import Light
 
 Floats = NDArray[np.float32]
@@ -164,9 +163,7 @@ def _least_errors(
     problem: Problem, light: Light, rows: NDArray[np.int64], tilts: tuple[tuple[float, float], ...]
 ) -> Floats:
     """Errors (2, U, METAL_LEVELS) of samples as any and as bright metal under the best tilt."""
-    reflections, *looked = looked_at(problem, light, rows)
-    views = fitted_views(looked[2].shape[1])
-    rays, seen, valid = in_views(*looked, views)
+    reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
     best = torch.full((2, len(rows), len(METAL_LEVELS)), float("inf"))
     tilted = [reflections.tilted(rays, tilt) for tilt in tilts]

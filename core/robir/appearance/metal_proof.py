@@ -17,40 +17,40 @@ Floats = NDArray[np.float32]
 def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[MetalParts, Choice]:
     """The parts of which photographs that had no part in their fit prove that they are metal.
 
-    Each is compared with paint, matt or of the roughness that fits it best, whichever is better;
-    in the end all of them together are.
+    Each is compared with paint, matt or of the roughness that fits it best, whichever is better. A
+    small one is seen by few views and lies in few places, so that hardly anything can be proven of
+    it alone: where all parts together are proven, it is metal unless the contrary is proven.
 
     Args:
-        parts: As read from the fitted views.
-        trial: The U samples in all views.
+        parts: As read from the photographs.
+        trial: The U samples.
         dielectric: (U, L) display error of each sample as paint at every roughness, in those.
 
     Returns:
         The proven parts, numbered anew, and what was compared, for the report.
     """
-    count = len(trial.kept[0].sample)
-    plain, metal, proven = np.zeros(count), np.zeros(count), np.zeros(len(parts.base), bool)
+    count = len(trial.rays.sample)
+    plain, metal, single = np.zeros(count), np.zeros(count), []
     for index, base in enumerate(parts.base):
         inside = parts.part == index
-        kept = trial.kept_of(inside)
+        own = trial.rays_of(inside)
         level = LEVELS[int(dielectric[inside].mean(0).argmin())]
-        glossy = trial.paint_errors(kept, np.full(len(inside), level))
-        plain[kept] = min(trial.paint_errors(kept, None), glossy, key=np.sum)
-        metal[kept] = trial.metal_errors(kept, base, float(parts.roughness[index]))
-        proven[index] = trial.proof(kept, plain[kept], metal[kept]).is_given
-    kept = trial.kept_of(np.append(proven, False)[parts.part])
-    whole = trial.proof(kept, plain[kept], metal[kept])
-    told = f"of {len(proven)} parts that may be metal {proven.sum()} are predicted better so"
-    if proven.any():
-        told += f"; as a whole {whole.words}"
-    if not whole.is_given:
-        proven[:] = False
+        glossy = trial.paint_errors(own, np.full(len(inside), level))
+        plain[own] = min(trial.paint_errors(own, None), glossy, key=np.sum)
+        metal[own] = trial.metal_errors(own, base, float(parts.roughness[index]))
+        single.append(trial.proof(own, plain[own], metal[own]))
+    every = trial.rays_of(parts.part >= 0)
+    whole = trial.proof(every, plain[every], metal[every])
+    proven = np.array([one.is_given or (whole.is_given and one.is_open) for one in single], bool)
+    told = f"of {len(proven)} parts that may be metal {proven.sum()} are proven"
+    if len(proven):
+        told += f"; of all together {whole.words}"
     number = np.append(np.where(proven, np.cumsum(proven) - 1, -1), -1)
     choice = Choice(
         choice="metal",
         chosen=f"{(number[parts.part] >= 0).mean():.0%} of the surface",
         alternatives=("none",),
-        held_out_error=whole.rich if proven.any() else None,
+        held_out_error=whole.rich if proven.all() and len(proven) else None,
         why=told,
     )
     kept_parts = MetalParts(

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one proof by which anything enters the model that plain paint in plain light does not need.
 
-Some of the training views take no part in the fit of a candidate. It is proven where it predicts
+Some of the training views take no part in the fit of a candidate, or each view's part in what is
+predicted of it is left out. It is proven where it predicts
 these photographs better than the plainer model does, by more than one standard error. Errors are
 squared differences of display codes, the unit in which results are judged, and are compared in
 pairs: views differ in what they show, and so do parts of the surface, so the difference of both
@@ -46,6 +47,11 @@ class Proof:
     def is_given(self) -> bool:
         """Whether the candidate enters the model."""
         return self.gain > self.error
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the contrary is not proven."""
+        return self.gain > -self.error
 
     @property
     def words(self) -> str:

@@ -75,9 +75,9 @@ def choose_roughness(
     """Roughness of every patch, as many as there are.
 
     Args:
-        highlights: Of the U samples in the fitted views.
+        highlights: Of the U samples.
         patches: That they lie on.
-        trial: The same samples in all views.
+        trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
 
     Returns:
@@ -85,7 +85,7 @@ def choose_roughness(
     """
     started = time.process_time()
     one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features)
-    kept = trial.kept_of(paint & (np.arange(len(paint)) % STRIDE == 0))
+    kept = trial.rays_of(paint & (np.arange(len(paint)) % STRIDE == 0))
     levels = np.full(len(paint), _stepped(one)), each[patches.number]
     plain = trial.paint_errors(kept, None)
     single, several = (trial.paint_errors(kept, level) for level in levels)

@@ -93,14 +93,6 @@ def looked_at(
     return Reflections(problem, light, rows), rays, seen_along(problem, rays, rows), valid
 
 
-def in_views(
-    rays: ViewRays, seen: Seen, valid: Tensor, views: NDArray[np.bool_]
-) -> tuple[ViewRays, Seen, Tensor]:
-    """What `looked_at` gives of some of the views (V,) alone."""
-    chosen = torch.from_numpy(np.flatnonzero(views[rays.view]))
-    return rays.of(chosen), seen.of(chosen), valid & torch.from_numpy(views)
-
-
 def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
     """Scatter a flat list (M, C) into (U, V, C), zero where there is no observation."""
     table = torch.zeros(*shape, values.shape[1])
