@@ -23,7 +23,7 @@ from robir.appearance.blocks import block_numbers
 from robir.appearance.gloss import Gloss, low_mean
 from robir.appearance.light import log_sent
 from robir.appearance.problem import Problem
-from robir.appearance.proof import Proof, fitted_views
+from robir.appearance.proof import EVERY, Proof
 from robir.appearance.seen import Seen, looked_at
 from robir.appearance.solver import Light
 
@@ -62,23 +62,40 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
     if not gloss.has_highlights or not len(light.axes):
         return None
     shown, predicted, below, near = _highlights(problem, light, gloss)
-    clear = (shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1)
-    is_fitted = fitted_views(len(problem.scene.transport.observations.views))[near.view]
-    read, tried = clear & is_fitted, torch.from_numpy(np.flatnonzero(clear & ~is_fitted))
-    if read.sum() < LEAST_CLEAR:
+    clear = np.flatnonzero((shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1))
+    if len(clear) < LEAST_CLEAR:
         return None
-    # sums, not medians: the brightest hold least of what the surface itself scatters
-    off = torch.from_numpy(np.log(shown[read].sum(0).clip(1e-9) / predicted[read].sum(0))).float()
-    grey, tinted = (
-        near.seen.of(tried).squared(torch.from_numpy(below + predicted * factor)[tried])
-        for factor in (float(off.mean().exp()), off.exp().numpy())
-    )
     rows = problem.scene.rows
-    told = log_sent(light.irradiance(problem, rows), problem.indirect[rows]) + off
+    sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
+    grey = (sent.mean() - sent).numpy()
+    off = _off(shown[clear], predicted[clear])
+    told = sent + torch.from_numpy(off)
     told = told - told.mean()
-    groups = (near.view[tried.numpy()], near.block[tried.numpy()])
+    # each fold of the views is predicted with what the others tell
+    fold, factors = near.view[clear] % EVERY, np.zeros((2, len(clear), 3), np.float32)
+    for index in np.unique(fold):
+        others = clear[fold != index]
+        if not len(others):
+            return None
+        read = _off(shown[others], predicted[others])
+        brightness = (read - grey).mean()
+        factors[:, fold == index] = np.exp([grey + brightness, read])[:, None]
+    seen = near.seen.of(torch.from_numpy(clear))
+    plain, tinted = (
+        seen.squared(torch.from_numpy(below[clear] + predicted[clear] * factor))
+        for factor in factors
+    )
     is_likely = float(told.abs().max()) < WIDEST * USUAL
-    return told if is_likely and Proof.of(grey, tinted, groups).is_given else None
+    proof = Proof.of(plain, tinted, (near.view[clear], near.block[clear]))
+    return told if is_likely and proof.is_given else None
+
+
+def _off(shown: Floats, predicted: Floats) -> Floats:
+    """Log (3,) of highlights (M, 3) over those predicted, of all together.
+
+    Sums, not medians: the brightest hold least of what the surface itself scatters.
+    """
+    return np.log(shown.sum(0).clip(1e-9) / predicted.sum(0)).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
