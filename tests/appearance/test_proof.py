@@ -84,7 +84,8 @@ def trials():
         scene, _ = synthetic.ball([(lambda at: at[:, 1] < 99, material)], light, curve)
         problem = make_problem(scene, curve)
         rows = np.flatnonzero(problem.radiance.seen.numpy())
-        found.append((Trial.of(problem, looked_at(problem, light, rows), rows), len(rows)))
+        reflections, rays, seen, _ = looked_at(problem, light, rows)
+        found.append((Trial(reflections=reflections, rays=rays, seen=seen), len(rows)))
     return found
 
 

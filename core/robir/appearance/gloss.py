@@ -220,7 +220,7 @@ def estimate_gloss(
     looked = looked_at(problem, light, rows)
     reflections, rays, shown, _ = looked
     highlights, dielectric = _costs(*looked)
-    trial = Trial.of(problem, looked, rows)
+    trial = Trial(reflections=reflections, rays=rays, seen=shown)
     features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
     normal, paint = surfels.normal[seen], features[:, :3]
     points = np.concatenate(

@@ -2,12 +2,11 @@
 """The one proof by which anything enters the model that plain paint in plain light does not need.
 
 Some of the training views take no part in the fit of a candidate, or each view's part in what is
-predicted of it is left out. It is proven where it predicts
-these photographs better than the plainer model does, by more than one standard error. Errors are
-squared differences of display codes, the unit in which results are judged, and are compared in
-pairs: views differ in what they show, and so do parts of the surface, so the difference of both
-models is averaged over views and over blocks of the surface, and the larger of both standard errors
-counts.
+predicted of it is left out. A candidate is proven where it predicts photographs so better than the
+plainer model does, by more than one standard error. Errors are squared differences of display
+codes, the unit in which results are judged, and are compared in pairs: photographs differ in what
+they show, but both models are asked about the same, so the difference is averaged over views, or
+whatever else errs together.
 """
 
 from __future__ import annotations

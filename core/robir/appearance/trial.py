@@ -18,8 +18,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.blocks import block_numbers
-from robir.appearance.problem import Problem
 from robir.appearance.proof import EVERY, Proof
 from robir.appearance.reflections import Reflections, ViewRays, reflected_share
 from robir.appearance.seen import Seen
@@ -36,25 +34,11 @@ class Trial:
         reflections: What the U samples reflect.
         rays: Their observations.
         seen: What these show.
-        block: (U,) block of the surface that each sample lies in.
     """
 
     reflections: Reflections
     rays: ViewRays
     seen: Seen
-    block: NDArray[np.int64]
-
-    @classmethod
-    def of(
-        cls,
-        problem: Problem,
-        looked: tuple[Reflections, ViewRays, Seen, Tensor],
-        rows: NDArray[np.int64],
-    ) -> Trial:
-        """From what `looked_at` gives of the samples `rows`."""
-        reflections, rays, seen, _ = looked
-        block = block_numbers(problem.scene.transport.surfels.position[rows])
-        return cls(reflections=reflections, rays=rays, seen=seen, block=block)
 
     def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
         """Numbers of the rays of chosen samples (U,) that views of another fold show as well."""
@@ -91,8 +75,7 @@ class Trial:
 
     def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
         """What rays say of two models by their errors (M,)."""
-        rays = self.rays.of(chosen)
-        return Proof.of(plain, rich, (rays.view, self.block[rays.sample]))
+        return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
 
 
 def _by_other_folds(shown: Tensor, rays: ViewRays) -> Tensor:
