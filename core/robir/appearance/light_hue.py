@@ -86,7 +86,8 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
         for factor in factors
     )
     is_likely = float(told.abs().max()) < WIDEST * USUAL
-    proof = Proof.of(plain, tinted, (near.view[clear], near.block[clear]))
+    # what displaces highlights, the mesh, errs place by place
+    proof = Proof.of(plain, tinted, (near.block[clear],))
     return told if is_likely and proof.is_given else None
 
 

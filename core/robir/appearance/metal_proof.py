@@ -31,13 +31,13 @@ def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[M
     """
     count = len(trial.rays.sample)
     plain, metal, single = np.zeros(count), np.zeros(count), []
-    for index, base in enumerate(parts.base):
+    for index, roughness in enumerate(parts.roughness):
         inside = parts.part == index
         own = trial.rays_of(inside)
         level = LEVELS[int(dielectric[inside].mean(0).argmin())]
         glossy = trial.paint_errors(own, np.full(len(inside), level))
         plain[own] = min(trial.paint_errors(own, None), glossy, key=np.sum)
-        metal[own] = trial.metal_errors(own, base, float(parts.roughness[index]))
+        metal[own] = trial.metal_errors(own, float(roughness))
         single.append(trial.proof(own, plain[own], metal[own]))
     every = trial.rays_of(parts.part >= 0)
     whole = trial.proof(every, plain[every], metal[every])

@@ -22,7 +22,6 @@ from robir.appearance.proof import EVERY, Proof
 from robir.appearance.reflections import Reflections, ViewRays, reflected_share
 from robir.appearance.seen import Seen
 
-Floats = NDArray[np.float32]
 Reals = NDArray[np.float64]
 
 
@@ -68,10 +67,15 @@ class Trial:
         diffuse = seen.curve.linear_from_display(_by_other_folds(shown, rays).clamp(0, 1)).float()
         return seen.squared(through * diffuse + specular)
 
-    def metal_errors(self, chosen: Tensor, base: Floats, roughness: float) -> Reals:
-        """Squared errors (M,) of rays as metal of one base colour (3,) and roughness."""
-        white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1]
-        return self.seen.of(chosen).squared(white * torch.from_numpy(base))
+    def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
+        """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
+
+        How bright the light is nobody knows well; a base colour that is held to what metals have
+        would make metal look wrong under a light that is judged too strong.
+        """
+        seen = self.seen.of(chosen)
+        white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
+        return seen.squared(white * (seen.linear / white).median(0).values)
 
     def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
         """What rays say of two models by their errors (M,)."""
