@@ -34,6 +34,10 @@ STEP = 0.02
 """Roughnesses are whole multiples of this: finer differences are below the errors of the readings,
 and every one of them has its own pass over its samples."""
 
+NO_DIFFERENCE = 0.04
+"""Deviation of the roughness over the surface below which there is one: nobody sees it, and patches
+are fitted to all views, so that chance alone lets them predict a little better."""
+
 STRIDE = 3
 """Every so manieth sample of paint is tried."""
 
@@ -91,7 +95,10 @@ def choose_roughness(
     single, several = (trial.paint_errors(kept, level) for level in levels)
     many = trial.proof(kept, single, several)
     gloss = trial.proof(kept, plain, several if many.is_given else single)
-    is_dull, is_one = not gloss.is_given, not (gloss.is_given and many.is_given)
+    of_paint = each[patches.number[paint]]
+    is_alike = not len(of_paint) or float(of_paint.std()) < NO_DIFFERENCE
+    is_dull = not gloss.is_given
+    is_one = is_dull or is_alike or not many.is_given
     roughness = np.full(len(each), MATTE if is_dull else _stepped(one)) if is_one else each
     choices = (
         Choice(

@@ -216,11 +216,11 @@ def _bake(
     measured = replace(values, albedo=values.read)
     lookup = AtlasLookup(mesh, inside)
     tried = views[EVERY // 2 :: 2 * EVERY]
-    errors = (
+    before, after = (
         view_errors(problem, light, gloss, tried, (shape, tracer, lookup, texture))
         for shape, texture in ((mesh, measured), (evened, values))
     )
-    proof = Proof.of(*errors, (np.arange(len(tried)),))
+    proof = Proof.of(before, after, (np.arange(len(tried)),))
     if proof.is_open:
         return inside, values, evened.normals
     return inside, measured, mesh.normals
