@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.capture import Capture, View
+from robir.capture.images import resize_view
 from robir.capture.store import load_turned
 from robir.errors import RobirError
 from robir.evaluation import metrics
@@ -35,7 +36,7 @@ from robir.geometry.rays import reduce_view
 from robir.geometry.surface import extract
 from robir.jobs.paths import JobPaths, read_json
 from robir.transport.config import TransportConfig
-from robir.transport.observe import MASK_INSIDE, resize_view, spread_views
+from robir.transport.observe import MASK_INSIDE, spread_views
 
 Picture = NDArray[np.uint8]
 Pictures = dict[str, Picture]
