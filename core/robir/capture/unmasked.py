@@ -176,14 +176,15 @@ def _triangulated(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View
         return views, points
     others = {frame.name: frame for frame in frames.other_order}
 
-    def turned(name: str, camera: Camera) -> Camera:
-        return posed_otherwise(camera, others[name])
-
-    moved = [replace(each, camera=turned(each.name, each.camera)) for each in features]
+    turned = {view.name: posed_otherwise(view.camera, others[view.name]) for view in views}
+    moved = [
+        replace(each, camera=turned[each.name].resized(each.camera.width, each.camera.height))
+        for each in features
+    ]
     other_points = matching.triangulated(moved)
     if len(other_points) <= len(points):
         return views, points
-    views = tuple(replace(view, camera=turned(view.name, view.camera)) for view in views)
+    views = tuple(replace(view, camera=turned[view.name]) for view in views)
     return views, other_points
 
 
