@@ -176,9 +176,9 @@ def view_errors(
     """
     errors = []
     pictures = render_views(problem, light, gloss, views, surface)
-    for view, (image, alpha) in zip(views, pictures, strict=True):
-        shown = (alpha > 0) & (view.mask > MASK_INSIDE)
-        off = (image[shown].astype(np.float64) - view.image_display[shown]) / 255
+    for view, picture in zip(views, pictures, strict=True):
+        shown = (picture.alpha > 0) & (view.mask > MASK_INSIDE)
+        off = (picture.image[shown].astype(np.float64) - view.image_display[shown]) / 255
         errors.append(float((off**2).mean()) if off.size else 0.0)
     return np.array(errors)
 
