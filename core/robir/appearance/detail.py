@@ -298,7 +298,7 @@ class _Lens:
         towards = camera.position.astype(np.float32) - position
         cosine = np.einsum("nd,nd->n", towards, normal) / np.linalg.norm(towards, axis=1)
         texel = np.flatnonzero(cosine > MIN_COSINE)
-        pixels, depth = camera.project(position[texel])
+        pixels, depth = camera.project(position[texel].astype(np.float64))
         kept = camera.in_picture(pixels, depth)
         texel, depth = texel[kept], torch.from_numpy(depth[kept]).float()
         place = torch.from_numpy(pixels[kept]).float()

@@ -267,8 +267,10 @@ def _zoom_without_gaps(
         lens: Width, height, fx, fy, cx and cy of a camera: many photographs share them.
         distortion: Lens distortion.
     """
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    camera = Camera(camera_to_world=np.eye(4), **dict(zip(names, lens, strict=True)))
+    width, height, fx, fy, cx, cy = lens
+    camera = Camera(
+        camera_to_world=np.eye(4), width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
+    )
     u = np.linspace(0.0, camera.width, 65)
     v = np.linspace(0.0, camera.height, 65)
     border = np.concatenate(
