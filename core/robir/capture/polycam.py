@@ -107,7 +107,7 @@ def _frame(path: Path, name: str, picture: Path, relative: str) -> Frame:
     content: Any = load_json(path)
 
     def number(key: str) -> float:
-        value: object = content.get(key) if isinstance(content, dict) else None
+        value = content.get(key) if isinstance(content, dict) else None
         if not is_number(value):
             raise refuse(
                 "bad-camera",
