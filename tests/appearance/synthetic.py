@@ -20,13 +20,13 @@ from robir.appearance.problem import Scene, make_scene
 from robir.appearance.solver import Light
 from robir.geometry.mesh import Mesh
 from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import EmbreeTracer
 from robir.maths import microfacet
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels, sample_surfels
-from robir.transport.tracer import EmbreeTracer
 from robir.transport.visibility import (
     Visibility,
     lobe_directions,

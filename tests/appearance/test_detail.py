@@ -16,10 +16,10 @@ from robir.appearance.texel_size import pixel_width, texture_side
 from robir.appearance.texture import TexelAlbedo
 from robir.capture.capture import View
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import EmbreeTracer
 from robir.geometry.unwrap import rasterise_atlas
 from robir.maths.tone import curve_from_name
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import EmbreeTracer
 
 SOLVED, SIDE = 64, 256
 CURVE = curve_from_name("standard", {})

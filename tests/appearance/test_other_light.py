@@ -12,10 +12,10 @@ from robir.appearance.exposure import compare_photographs, solve_gains
 from robir.appearance.other_light import find_unlike, unlike
 from robir.capture.capture import View
 from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import make_tracer
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
-from robir.transport.tracer import make_tracer
 from tests.geometry.scenes import ball, capture_of
 
 VIEWS, POINTS = 24, 600

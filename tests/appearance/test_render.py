@@ -15,9 +15,9 @@ from robir.appearance.render import render_views
 from robir.appearance.texture import TexelAlbedo
 from robir.capture.capture import View
 from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.transport.surfels import Surfels, interpolate
-from robir.transport.tracer import EmbreeTracer
 
 PAINT, METAL = np.float32([0.5, 0.3, 0.2]), np.float32([0.6, 0.55, 0.4])
 ROUGHNESS = 0.5

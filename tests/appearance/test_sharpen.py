@@ -12,9 +12,9 @@ from robir.appearance.exposure import Gains
 from robir.appearance.sharpen import sharpened
 from robir.appearance.statistics import linear_observations
 from robir.capture.capture import View
+from robir.geometry.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import observe
-from robir.transport.tracer import EmbreeTracer
 
 SQUARE = 0.12
 FINE = 8

@@ -11,10 +11,10 @@ from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
 from robir.geometry.mesh import Mesh
 from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import make_tracer
 from robir.transport.baked import Transport, bake
 from robir.transport.config import TransportConfig
 from robir.transport.surfels import Surfels, interpolate, sample_surfels
-from robir.transport.tracer import make_tracer
 
 
 def uneven_mesh() -> Mesh:

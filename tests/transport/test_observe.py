@@ -8,8 +8,8 @@ import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
 from robir.capture.images import resize_view
+from robir.geometry.tracer import EmbreeTracer
 from robir.transport.observe import MIN_COSINE, observe, spread_views
-from robir.transport.tracer import EmbreeTracer
 
 PLATE_HEIGHT, PLATE_HALF = 0.4, 0.25
 

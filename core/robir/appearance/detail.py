@@ -34,11 +34,11 @@ from robir.capture.images import resize_view
 from robir.capture.sharpness import relative_sharpness
 from robir.geometry.atlas import sample_texture
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import AbstractTracer
 from robir.geometry.unwrap import rasterise_atlas
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE, clean_pixels
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -16,9 +16,9 @@ from robir.appearance.solver import Light
 from robir.appearance.texture import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import AbstractTracer
 from robir.transport.observe import MASK_INSIDE, off_axis_codes
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 

@@ -36,13 +36,13 @@ from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_turned
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import AbstractTracer, make_tracer
 from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import AbstractTracer, make_tracer
 
 REVISION = 57
 

@@ -22,11 +22,11 @@ from robir.evaluation.layers import view_layers
 from robir.evaluation.metrics import linear_from_srgb, srgb_from_linear
 from robir.evaluation.photos import mean_scores, photo_scores
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import make_tracer
 from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import make_tracer
 
 Floats = NDArray[np.floating[Any]]
 

@@ -23,6 +23,7 @@ from robir.geometry.field import Field
 from robir.geometry.mesh import Mesh
 from robir.geometry.simplify import with_creases
 from robir.geometry.stage import clean_mesh
+from robir.geometry.tracer import make_tracer
 from robir.geometry.unwrap import rasterise_atlas, unwrap
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.paper.appearance import Fitter, Model, render_display
@@ -39,7 +40,6 @@ from robir.paper.transport import (
 )
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import make_tracer
 
 SHARP = 10.0
 """Sharpness from which a lobe counts as a lamp, for the score of the sun's direction."""

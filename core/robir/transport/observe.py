@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.geometry.tracer import AbstractTracer
 from robir.maths.vectors import farthest_points
-from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 

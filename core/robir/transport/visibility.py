@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from robir.geometry.mesh import Mesh
+from robir.geometry.tracer import AbstractTracer
 from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
-from robir.transport.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 
