@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.choice import Choice
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import soft_transfer
-from robir.appearance.problem import Problem
+from robir.appearance.problem import Problem, blocks_of
 from robir.appearance.solver import Light, fit
 from robir.appearance.tone_choice import pair_errors
 

@@ -26,6 +26,7 @@ from robir.appearance.shading_normals import shading_normals
 from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
+from robir.capture import nerf_synthetic
 from robir.capture.capture import Capture
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
@@ -89,7 +90,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    scene = replace(scene, exposures=compared.exposures)
+    by_camera = capture.format != nerf_synthetic.FORMAT
+    scene = replace(scene, exposures=compared.exposures, by_camera=by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed)
@@ -100,9 +102,10 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     problem, light, gloss = solve(sized, config, context.seed)
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    fitted = capture.without(other)
+    # the texture repeats all photographs: their mean is nearest to them, and one of another light
+    # changes it by no more than its share
     inside, values, normals = _bake(
-        problem, light, gloss, (mesh, tracer), fitted, config.texture_size
+        problem, light, gloss, (mesh, tracer), capture, config.texture_size
     )
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
@@ -115,7 +118,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_tone_curve(folder, tone)
     _write_exposure(folder, problem.gains, other)
     choices = (
-        *light_choices(tone, light, gloss, seconds),
+        *light_choices(tone, light, seconds),
         *gloss.choices,
         *sized.choices,
         *camera_choices(problem.gains, other, seconds),
