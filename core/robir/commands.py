@@ -80,7 +80,8 @@ def check(options: Namespace) -> int:
     if options.json:
         if capture is not None:
             facts["cameras"] = [
-                plain_view(view) | {"image": str(capture.photographs[view.name].resolve())}
+                plain_view(replace(view, camera=view.camera.uncut()))
+                | {"image": str(capture.photographs[view.name].resolve())}
                 for view in capture.views
             ]
         elif posed is not None:

@@ -30,10 +30,11 @@ from robir.appearance.proof import Proof, fitted_views
 from robir.appearance.robust import Weighing, deviation, solve_views
 from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import Capture, View
+from robir.capture.images import resize_view
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
-from robir.transport.observe import Observations, observe, resize_view
+from robir.transport.observe import Observations, observe
 from robir.transport.tracer import AbstractTracer
 
 Array = NDArray[np.float64]

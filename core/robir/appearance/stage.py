@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.detail import finer
 from robir.appearance.exposure import Gains, compare_photographs
 from robir.appearance.gloss import Gloss, estimate_gloss
 from robir.appearance.light import lobes_of
@@ -24,10 +25,12 @@ from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views
 from robir.appearance.shading_normals import shading_normals
 from robir.appearance.solver import Light, polish, refit
+from robir.appearance.texel_size import pixel_width, solved_side, texture_side
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
 from robir.capture import nerf_synthetic
 from robir.capture.capture import Capture
+from robir.capture.images import resize_view
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_turned
@@ -43,6 +46,12 @@ from robir.transport.tracer import AbstractTracer, make_tracer
 REVISION = 55
 
 TEXTURE_VIEWS = 48
+
+DETAIL_VIEWS = 96
+"""Photographs, far from each other, of which the best show a spot's detail."""
+
+HELD_OUT_SIDE = 400
+"""Longer side of our own re-renders, pixels, at most."""
 
 MOST_PAINT = 0.95
 """Share of paint above which sides turned from a sun are compared. Where there is more metal some
@@ -80,8 +89,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     started = time.process_time()
     compared = compare_photographs(transport, tracer, capture, context.seed)
     seconds = {"exposure": time.process_time() - started}
-    other = compared.other_light
-    if other:
+    if other := compared.other_light:
         reporter.warn(_told(other, capture))
     scene = make_scene(
         transport.without_views(other),
@@ -104,9 +112,12 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     reporter.progress(0.7, "reading the textures from the photographs")
     # the texture repeats all photographs: their mean is nearest to them, and one of another light
     # changes it by no more than its share
-    inside, values, normals = _bake(
-        problem, light, gloss, (mesh, tracer), capture, config.texture_size
-    )
+    solved = solved_side(config)
+    inside, values, normals = _bake(problem, light, gloss, (mesh, tracer), capture, solved)
+    width = pixel_width(transport, {view.name: view.camera for view in capture.views})
+    side = texture_side(mesh, width, (solved, config.texture_size))
+    photographs = (spread_views(capture.train, DETAIL_VIEWS), problem.curve)
+    inside, values = finer(values, inside, (mesh, tracer), photographs, side)
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
     surface = (replace(mesh, normals=normals), tracer, lookup, values)
@@ -201,7 +212,8 @@ def _bake(
     atlas = (face[inside], barycentric[inside].astype(np.float32))
     position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
-    views = spread_views(capture.train, TEXTURE_VIEWS)
+    # a pixel about as large as a texel
+    views = tuple(resize_view(v, size) for v in spread_views(capture.train, TEXTURE_VIEWS))
     values = texel_albedo(problem, light, texels, views, gloss, tracer)
     return inside, values, shading_normals(problem, light, mesh, atlas, values)
 
@@ -217,8 +229,9 @@ def _held_out(
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, diffuse, squared, count = {}, {}, 0.0, 0
-    pictures = render_views(problem, light, gloss, capture.held_out, surface)
-    for view, shown in zip(capture.held_out, pictures, strict=True):
+    views = [resize_view(view, HELD_OUT_SIDE) for view in capture.held_out]
+    pictures = render_views(problem, light, gloss, views, surface)
+    for view, shown in zip(views, pictures, strict=True):
         image, alpha = shown.image, shown.alpha
         images[view.name] = np.dstack([image, alpha])
         diffuse[view.name] = np.dstack([shown.diffuse, alpha])
@@ -237,7 +250,7 @@ def _held_out(
 def _show(paths: JobPaths, capture: Capture) -> None:
     """Replace the picture by which the user follows the run."""
     if capture.held_out:
-        view = capture.held_out[0]
+        view = resize_view(capture.held_out[0], HELD_OUT_SIDE)
         with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as images:
             rendering = images[view.name]
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)

@@ -58,12 +58,38 @@ def opened(path: Path) -> Iterator[Image.Image]:
         CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
             not installed.
     """
-    with _header(path) as picture:
-        try:
-            picture.load()
-        except _DAMAGE as fault:
-            raise _damaged(path, fault) from None
+    with header(path) as picture:
+        load(picture, path)
         yield picture
+
+
+def load(picture: Image.Image, path: Path) -> None:
+    """Decode the pixels of an open picture.
+
+    Raises:
+        CaptureError: If they are damaged.
+    """
+    try:
+        picture.load()
+    except _DAMAGE as fault:
+        raise _damaged(path, fault) from None
+
+
+def reduce(picture: Image.Image, factor: int) -> int:
+    """Let an open picture be decoded at a fraction of its size, where its format allows it.
+
+    Args:
+        picture: Not yet decoded.
+        factor: 1, 2, 4 or 8, the reduction wanted.
+
+    Returns:
+        The reduction that decoding will apply, at most `factor`. Pixels past the right and lower
+        border fill the last ones where the size is no multiple of it.
+    """
+    before = picture.size
+    if factor > 1 and picture.format == "JPEG":
+        picture.draft(None, (max(1, before[0] // factor), max(1, before[1] // factor)))
+    return round(before[0] / picture.size[0])
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
@@ -76,15 +102,33 @@ def stored_size(path: Path) -> tuple[int, int] | None:
         Pixels, or None if it cannot be opened.
     """
     try:
-        with _header(path) as picture:
+        with header(path) as picture:
             return picture.size
     except CaptureRefusedError:
         return None
 
 
+def may_hold_alpha(path: Path) -> bool:
+    """Whether a picture has transparency of any kind, without decoding it."""
+    if path.suffix.lower() in (*RAW_SUFFIXES, *HEIF_SUFFIXES):
+        return False
+    try:
+        with header(path) as picture:
+            return picture.has_transparency_data
+    except CaptureRefusedError:
+        return False
+
+
 @contextmanager
-def _header(path: Path) -> Iterator[Image.Image]:
-    """A picture file whose pixels are read when they are asked for."""
+def header(path: Path) -> Iterator[Image.Image]:
+    """A picture file whose pixels are read when they are asked for.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Raises:
+        CaptureError: As `opened`.
+    """
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         yield _developed(path)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -86,8 +87,10 @@ def check_settings(photographs: Sequence[Path]) -> list[Finding]:
 def _settings(path: Path) -> tuple[float | None, bool]:
     """Exposure in steps (log2 of time times sensitivity over squared aperture), and the flash."""
     try:
-        with Image.open(path) as picture:
-            tags = picture.getexif().get_ifd(_EXIF)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # damaged EXIF data count as none
+            with Image.open(path) as picture:
+                tags = picture.getexif().get_ifd(_EXIF)
         flash = bool(int(tags.get(_FLASH, 0)) & _FIRED)
         speed = tags.get(_SPEED)
         speed = speed[0] if isinstance(speed, tuple) else speed

@@ -264,6 +264,12 @@ def rigid(pose: Array) -> Array:
     return result
 
 
+def posed_otherwise(camera: Camera, frame: Frame) -> Camera:
+    """The camera of a photograph, cut and reduced as it is, with the pose another frame states."""
+    size = (max(1, round(side)) for side in camera.whole_size)
+    return frame.lens.camera(rigid(frame.camera_to_world), *size).cut_like(camera)
+
+
 def unique_names(relatives: list[str]) -> list[str]:
     """Short names for photographs: paths without suffix and without folders shared by all.
 

@@ -24,12 +24,19 @@ from robir.capture import masks as mask_files
 from robir.capture.capture import Capture, Finding, Split
 from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
+from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
-from robir.capture.findings import check_frames, check_masks, check_photographs, check_place
+from robir.capture.findings import (
+    check_frames,
+    check_masks,
+    check_photographs,
+    check_place,
+)
 from robir.capture.frames import Frame, FrameSet
-from robir.capture.moving_light import check_light
+from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.shapes import check_shapes
 from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.poses import solve
@@ -41,6 +48,9 @@ _READING = 0.8
 
 _FIRST_READING = 0.3
 """The same where masks have to be guessed as well."""
+
+SURVEY_SIDE = 800
+"""Longer side of the photographs by which masks are guessed, pixels."""
 
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
@@ -243,6 +253,7 @@ def _read_posed(
     findings += about
     if loaded.views:
         findings += check_photographs(loaded.views)
+        findings += check_shapes(frames.frames, loaded.views)
     findings += _check_mask_supply(loaded)
     _stop_on_errors(findings)
     findings += check_masks(loaded.views)
@@ -252,6 +263,7 @@ def _read_posed(
     findings += about
     if bounds is None:
         raise CaptureRefusedError(findings)
+    findings += check_turntable(views, loaded.overviews, bounds)
     for check in _CHECKS:
         findings += check(views, bounds)
     progress(1.0, "capture read")
@@ -277,7 +289,10 @@ def _load_masked(
     has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
     has_masks = has_masks or any(frame.mask for frame, _ in chosen)
     first = _READING if has_masks else _FIRST_READING
-    loaded = load_views(chosen, drawn, config, lambda share, text: progress(first * share, text))
+    # where nothing can be a mask, a small copy of each photograph is enough for a guess
+    is_survey = not (has_masks or any(may_hold_alpha(frame.image) for frame, _ in chosen))
+    side = SURVEY_SIDE if is_survey else config.max_side
+    loaded = load_views(chosen, drawn, side, lambda share, text: progress(first * share, text))
     findings = [*loaded.findings]
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
@@ -288,8 +303,7 @@ def _load_masked(
         frames,
         chosen,
         loaded,
-        config,
-        guesses,
+        (config, guesses),
         lambda share, text: progress(first + (_READING - first) * share, text),
     )
     return loaded, findings + about

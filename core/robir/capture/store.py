@@ -134,8 +134,8 @@ def plain_view(view: View) -> dict[str, Any]:
 
 
 def plain_camera(camera: Camera) -> dict[str, Any]:
-    """A camera as plain values for JSON."""
-    return {
+    """A camera as plain values for JSON; "whole" only where its picture is a part."""
+    plain = {
         "width": camera.width,
         "height": camera.height,
         "fx": camera.fx,
@@ -144,6 +144,7 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
         "cy": camera.cy,
         "camera_to_world": camera.camera_to_world.tolist(),
     }
+    return plain if camera.whole is None else plain | {"whole": list(camera.whole)}
 
 
 def _view(folder: Path, entry: dict[str, Any]) -> View:
@@ -163,6 +164,12 @@ def _view(folder: Path, entry: dict[str, Any]) -> View:
             cx=entry["cx"],
             cy=entry["cy"],
             camera_to_world=np.array(entry["camera_to_world"], dtype=np.float64),
+            whole=_edges(entry["whole"]) if "whole" in entry else None,
         ),
         split=entry["split"],
     )
+
+
+def _edges(plain: list[float]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = (float(edge) for edge in plain)
+    return left, top, right, bottom

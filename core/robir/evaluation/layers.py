@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds
-from robir.evaluation.surfaces import MeshCaster, sample_texture
+from robir.evaluation.surfaces import MeshCaster
+from robir.geometry.atlas import sample_texture
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths, read_json
 

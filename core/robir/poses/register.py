@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 FORMAT = "photos"
-REVISION = 2
+REVISION = 3
 """Raised by hand when the results of this room change."""
 
 MAX_ANEW = 4
