@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Bounds, Finding, View
+from robir.capture.files import children
 from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.refusal import error, note, warning
 
@@ -79,15 +82,17 @@ def check_frames(frames: FrameSet) -> list[Finding]:
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
-    posed = {frame.image.resolve() for frame in frames.frames}
-    masks = {frame.mask.resolve() for frame in frames.frames if frame.mask is not None}
-    suffixes = {path.suffix.lower() for path in posed}
+    images = [frame.image for frame in frames.frames]
+    used = {*images, *(frame.mask for frame in frames.frames)}
+    used |= {Path(os.path.realpath(path)) for path in used if path is not None}
+    suffixes = {path.suffix.lower() for path in images}
     beside = [
         path.name
-        for folder in sorted({path.parent for path in posed})
-        if folder.is_dir()
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in suffixes and path.resolve() not in posed | masks
+        for folder in sorted({path.parent for path in images})
+        for path in children(folder)
+        if path.suffix.lower() in suffixes
+        and path not in used
+        and Path(os.path.realpath(path)) not in used
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -62,7 +62,8 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
             "Name each mask like its photograph (IMG_1.png or IMG_1_mask.png for IMG_1.jpg).",
             *missing,
         )
-    shared = [f.relative for f in frames if list(found.values()).count(found[f.name]) > 1]
+    users = Counter(found.values())
+    shared = [frame.relative for frame in frames if users[found[frame.name]] > 1]
     if shared:
         raise refuse(
             "missing-masks",
@@ -75,8 +76,8 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
 
 def natural_order(relative: str) -> list[tuple[int, str]]:
     """Sort key that puts "2.jpg" before "10.jpg"."""
-    pieces = re.split(r"(\d+)", relative.lower())
-    return [(int(p), "") if p.isdigit() else (-1, p) for p in pieces]
+    pieces = re.split(r"([0-9]{1,18})", relative.lower())
+    return [(int(p), "") if p.isdigit() and p.isascii() else (-1, p) for p in pieces]
 
 
 def _keys(relative: str) -> list[str]:
@@ -88,7 +89,7 @@ def _keys(relative: str) -> list[str]:
     keys = [f"path:{path}"]
     keys += [f"path:{'/'.join([*parts[i:-1], bare])}" for i in range(len(parts))]
     keys += [f"stem:{stem}", f"bare:{bare}"]
-    if bare.isdigit():
+    if bare.isascii() and bare.isdigit():
         keys.append(f"number:{int(bare)}")
     return list(dict.fromkeys(keys))
 

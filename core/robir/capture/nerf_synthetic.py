@@ -51,7 +51,7 @@ def _entries(
     path = root / name
     content = transforms.load(path)
     result = []
-    for index, entry in enumerate(content["frames"]):
+    for index, entry in enumerate(content.frames):
         relative = transforms.file_path(path, entry, index)
         where = f"frame {index} ({relative})"
         lens = transforms.lens(path, content, entry, where)
