@@ -21,8 +21,8 @@ from typing import BinaryIO
 
 from PIL import ExifTags, Image, UnidentifiedImageError
 
-from robir.capture.regular import regular
 from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.capture.regular import regular
 
 HEIF_SUFFIXES = (".heic", ".heif")
 """Photographs of phones, decoded by pillow-heif."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.coverage import directions_to
-from robir.capture.frames import Array
 from robir.capture.decode import exif_values, header
+from robir.capture.frames import Array
 from robir.capture.refusal import CaptureRefusedError, warning
 from robir.capture.sightings import POWER, Sightings
 

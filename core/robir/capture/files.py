@@ -52,11 +52,7 @@ def load_json(path: Path) -> Any:
         CaptureError: If it cannot be read as JSON.
     """
     try:
-        text = read_text(path)
-        # What Python needs for a table, a list and an entry of either.
-        if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
-            raise ValueError("it holds too many values")
-        return json.loads(text, parse_int=_whole)
+        return json.loads(_bounded(read_text(path)), parse_int=_whole)
     except (OSError, ValueError, RecursionError) as fault:
         raise refuse(
             "bad-json",
@@ -64,6 +60,14 @@ def load_json(path: Path) -> Any:
             "Write the file again.",
             path.name,
         ) from None
+
+
+def _bounded(text: str) -> str:
+    """JSON whose values will fit into memory."""
+    # What Python needs for a table, a list and an entry of either.
+    if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
+        raise ValueError("it holds too many values")
+    return text
 
 
 def _whole(text: str) -> int | float:

@@ -14,7 +14,17 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, Finding, View
 from robir.errors import StorageError
-from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+from robir.jobs.names import file_in
+from robir.jobs.paths import JobPaths, replacing, write_json
+from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
+
+_CAPTURE = {
+    "format": str,
+    "source": str,
+    "bounds": {"centre": NUMBERS, "radius": float, "origin": str},
+    "views": [CAMERA],
+    "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
+}
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
@@ -59,7 +69,7 @@ def load_capture(folder: Path) -> Capture:
         StorageError: If a file is missing or damaged.
     """
     try:
-        plain = read_json(folder / "capture.json")
+        plain = read_record(folder / "capture.json", _CAPTURE)
         views = tuple(_view(folder, entry) for entry in plain["views"])
         bounds = plain["bounds"]
         return Capture(
@@ -108,7 +118,7 @@ def load_turned(paths: JobPaths) -> Capture:
     if not paths.turned_cameras.exists():
         return capture
     try:
-        turned = read_json(paths.turned_cameras)
+        turned = read_record(paths.turned_cameras, {...: MATRIX})
         views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
     except (OSError, ValueError, KeyError, TypeError) as fault:
         raise StorageError(
@@ -125,7 +135,7 @@ def _oriented(view: View, rotation: list[list[float]]) -> View:
 
 def view_path(folder: Path, name: str) -> Path:
     """Picture of a view: RGBA, display-referred, straight alpha = mask."""
-    return folder / "views" / f"{name}.png"
+    return file_in(folder / "views", f"{name}.png")
 
 
 def plain_view(view: View) -> dict[str, Any]:
@@ -147,7 +157,7 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
 
 
 def _view(folder: Path, entry: dict[str, Any]) -> View:
-    with Image.open(view_path(folder, entry["name"])) as picture:
+    with Image.open(view_path(folder, entry["name"]), formats=["PNG"]) as picture:
         if picture.mode != "RGBA" or picture.size != (entry["width"], entry["height"]):
             raise ValueError(f"{entry['name']}.png is {picture.mode} of size {picture.size}")
         pixels = np.array(picture)

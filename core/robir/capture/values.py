@@ -77,7 +77,7 @@ def missing_key(path: Path, key: str, where: str, cure: str) -> CaptureRefusedEr
 
 
 def _sentence(message: str, where: str) -> str:
-    """msgspec's message in our words."""
+    """Msgspec's message in our words."""
     said, _, place = message.partition(" - at `$")
     above, _, key = place.rstrip("`").lstrip(".").rpartition(".")
     if missing := re.fullmatch(r"Object missing required field `(.*)`", said):

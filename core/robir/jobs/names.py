@@ -95,7 +95,7 @@ def open_regular(path: Path) -> int:
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     # a device may do something merely by being opened, so it is looked at first as well
-    if not stat.S_ISREG(os.stat(path).st_mode):
+    if not stat.S_ISREG(path.stat().st_mode):
         raise OSError(f"{path} is no regular file")
     handle = os.open(path, flags)
     if not stat.S_ISREG(os.fstat(handle).st_mode):

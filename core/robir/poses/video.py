@@ -78,7 +78,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
                 raise refuse("bad-video", f"{video} holds no pictures", _EXCLUDED, video.name)
             codec = container.streams.video[0].codec_context
             if codec.width * codec.height > MAX_PIXELS:
-                raise ValueError(f"its frames have {codec.width}x{codec.height} pixels")
+                raise refuse("bad-video", f"{video} has huge frames", _EXCLUDED, video.name)
             total = _frame_count(container)
             for best in _sharpest(container, total, progress):
                 taken.append(best)
