@@ -18,7 +18,13 @@ _ADDON = Path(__file__).parents[1]
 _LEAKS = ("__PYVENV_LAUNCHER__",)
 """Variables besides Python's and pip's own that lead another Python astray."""
 
-_PIP_KEEPS = ("PIP_CERT", "PIP_CLIENT_CERT", "PIP_PROXY", "PIP_DEFAULT_TIMEOUT")
+_PIP_KEEPS = frozenset(
+    f"PIP_{name}"
+    for name in (
+        *("CERT", "CLIENT_CERT", "PROXY", "TIMEOUT", "DEFAULT_TIMEOUT", "RETRIES"),
+        *("INDEX_URL", "TRUSTED_HOST"),
+    )
+)
 """What pip is told of the network it is in; nothing else of its settings is passed on."""
 
 

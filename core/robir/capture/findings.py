@@ -7,7 +7,6 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,22 +76,21 @@ def check_frames(frames: FrameSet) -> list[Finding]:
                 *missing,
             )
         )
-    return found + _check_unposed(frames) + _check_poses(everything) + _check_lenses(everything)
+    unposed = [] if missing else _check_unposed(frames)
+    return found + unposed + _check_poses(everything) + _check_lenses(everything)
 
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
     images = [frame.image for frame in frames.frames]
-    used = {*images, *(frame.mask for frame in frames.frames)}
-    used |= {Path(os.path.realpath(path)) for path in used if path is not None}
+    masks = [frame.mask for frame in frames.frames if frame.mask is not None]
+    used = {os.path.normpath(path) for path in (*images, *masks)}
     suffixes = {path.suffix.lower() for path in images}
     beside = [
         path.name
         for folder in sorted({path.parent for path in images})
         for path in children(folder)
-        if path.suffix.lower() in suffixes
-        and path not in used
-        and Path(os.path.realpath(path)) not in used
+        if path.suffix.lower() in suffixes and os.path.normpath(path) not in used
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.

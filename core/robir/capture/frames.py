@@ -248,9 +248,8 @@ def pose_fault(pose: Array) -> str | None:
     lengths = np.linalg.norm(axes, axis=0)
     if lengths.min() < 1e-9 or abs(np.linalg.det(axes / lengths)) < 1e-3:
         return "is singular (its axes do not span space)"
-    if lengths.max() > 1.01 * lengths.min() or not np.allclose(
-        (axes / lengths).T @ (axes / lengths), np.eye(3), atol=1e-2
-    ):
+    skew = (axes / lengths).T @ (axes / lengths) - np.eye(3)
+    if lengths.max() > 1.01 * lengths.min() or np.abs(skew).max() > 1e-2:
         return "is no rotation (its axes are sheared or of unequal length)"
     if np.linalg.det(axes) < 0:
         return "mirrors space (its determinant is negative)"

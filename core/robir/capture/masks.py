@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -15,6 +16,9 @@ _AFFIX = re.compile(
     r"^(?:dynamic_)?(?:mask|alpha|matte|seg)[-_.]|"
     r"[-_.](?:mask|masks|alpha|matte|matted|seg|segmentation|rgba|removebg-preview|removebg)$"
 )
+
+MAX_FILES = 100_000
+"""Files that a folder of masks may hold."""
 
 HOW_TO_SUPPLY = (
     "Supply one mask for each photograph (white = object) with --masks DIR, named like the "
@@ -44,10 +48,9 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
     if not folder.is_dir():
         raise refuse("missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY)
     index: dict[str, set[Path]] = defaultdict(set)
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-            for key in _keys(path.relative_to(folder).as_posix()):
-                index[key].add(path)
+    for path in _pictures(folder):
+        for key in _keys(path.relative_to(folder).as_posix()):
+            index[key].add(path)
     found = {}
     for frame in frames:
         for key in _keys(frame.relative):
@@ -71,6 +74,24 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
             "Give each photograph a mask of its own, in the same subfolder as the photograph.",
             *shared,
         )
+    return found
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """Pictures in a folder and its subfolders; links to folders are not followed."""
+    found = []
+    seen = 0
+    for parent, folders, names in os.walk(folder):
+        folders.sort()
+        seen += len(names) + len(folders)
+        if seen > MAX_FILES:
+            raise refuse(
+                "missing-masks",
+                f"{folder} holds more than {MAX_FILES} files and can be no folder of masks",
+                HOW_TO_SUPPLY,
+            )
+        paths = [Path(parent, name) for name in sorted(names)]
+        found += [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
     return found
 
 

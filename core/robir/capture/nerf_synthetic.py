@@ -31,10 +31,11 @@ def read(root: Path) -> FrameSet:
             entries += _entries(root, name, "test")
             break
     names = unique_names([relative for _, relative, _, _ in entries])
+    photographs = transforms.Photographs(root)
     frames = tuple(
         Frame(
             name=name,
-            image=transforms.image_at(root, relative),
+            image=photographs.at(relative),
             relative=relative,
             lens=lens,
             camera_to_world=pose,

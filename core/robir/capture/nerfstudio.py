@@ -42,6 +42,7 @@ def read(path: Path) -> FrameSet:
     content = transforms.load(path)
     entries: list[Entry] = content.frames
     root = path.parent
+    photographs = transforms.Photographs(root)
     relatives = [transforms.file_path(path, entry, i) for i, entry in enumerate(entries)]
     tests = {
         name.removeprefix("./")
@@ -56,7 +57,7 @@ def read(path: Path) -> FrameSet:
         frames.append(
             Frame(
                 name=name,
-                image=transforms.image_at(root, relative),
+                image=photographs.at(relative),
                 relative=relative,
                 mask=None if entry.mask_path is None else root / entry.mask_path,
                 lens=transforms.lens(path, content, entry, where),

@@ -144,9 +144,13 @@ def _frame(path: Path, texts: dict[str, str], name: str, root: Path, relative: s
         name=name,
         image=root / relative,
         relative=relative,
-        lens=checked_lens(_lens(row, stored_size(root / relative)), path, where),
+        lens=checked_lens(_lens(row, _size(root / relative)), path, where),
         camera_to_world=pose,
     )
+
+
+def _size(path: Path) -> tuple[int, int] | None:
+    return stored_size(path) if path.is_file() else None
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Array:

@@ -49,6 +49,12 @@ _FIRST_READING = 0.3
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
 
+_POSES = (".json", ".sfm", ".npz", ".csv", ".txt", ".xml")
+"""Kinds of files that poses come in, besides those of fixed names."""
+
+_MOST = 200
+"""Files, or folders, of one folder that are looked into for poses."""
+
 _REGISTERING = 0.9
 """Share of the progress that finding poses takes where there are none."""
 
@@ -148,8 +154,14 @@ def _reader(source: Path) -> Callable[[], FrameSet] | None:
         return partial(llff.read, source / llff.NAME)
     if colmap.find_models(source):
         return partial(colmap.read, source)
-    readers = (_file_reader(path) for path in children(source) if path.is_file())
+    candidates = [path for path in children(source) if path.suffix.lower() in _POSES]
+    readers = (_file_reader(path) for path in candidates[:_MOST] if path.is_file())
     return next((reader for reader in readers if reader is not None), None)
+
+
+def _folders(source: Path) -> list[Path]:
+    """Folders in which a capture may lie instead."""
+    return [child for child in children(source) if child.is_dir()][:_MOST]
 
 
 def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
@@ -171,8 +183,7 @@ def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
 
 def _not_recognised(source: Path) -> CaptureRefusedError:
     """Why a folder is no capture, and where the capture may be."""
-    folders = [child for child in children(source) if child.is_dir()]
-    captures = [child.name for child in folders if _reader(child) is not None]
+    captures = [child.name for child in _folders(source) if _reader(child) is not None]
     if captures:
         return refuse(
             "no-capture",
@@ -215,8 +226,7 @@ def _lacks_poses(source: Path) -> bool:
         return True
     if not source.is_dir() or _reader(source) is not None:
         return False
-    folders = [child for child in children(source) if child.is_dir()]
-    return not any(_reader(child) for child in folders) and bool(find_photographs(source))
+    return not any(_reader(child) for child in _folders(source)) and bool(find_photographs(source))
 
 
 def read_capture(

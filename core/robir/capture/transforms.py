@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from robir.capture.files import head, load_json
+from robir.capture.files import children, head, load_json
 from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
 from robir.capture.refusal import refuse
 from robir.capture.values import Matrix, Number, Positive, checked, missing_key
@@ -133,17 +133,32 @@ def file_path(path: Path, entry: Entry, index: int) -> str:
     return value[2:] if value.startswith("./") else value
 
 
-def image_at(root: Path, relative: str) -> Path:
-    """The photograph a path means; NeRF-synthetic leaves the suffix away."""
-    plain = root / relative
-    if plain.suffix.lower() in IMAGE_SUFFIXES and plain.is_file():
-        return plain
-    for suffix in IMAGE_SUFFIXES:
-        for spelling in (suffix, suffix.upper()):
-            candidate = plain.with_name(plain.name + spelling)
-            if candidate.is_file():
-                return candidate
-    return plain if plain.suffix else plain.with_name(plain.name + ".png")
+class Photographs:
+    """Finds the files that paths of a transforms file mean; each folder is listed once."""
+
+    def __init__(self, root: Path) -> None:
+        """Paths start from a folder."""
+        self._root = root
+        self._listed: dict[str, frozenset[str]] = {}
+
+    def at(self, relative: str) -> Path:
+        """The photograph a path means; NeRF-synthetic leaves the suffix away."""
+        folder, _, name = relative.rpartition("/")
+        there = self._names(folder)
+        plain = self._root / relative
+        has_suffix = name.lower().endswith(IMAGE_SUFFIXES)
+        if not (has_suffix and name in there):
+            for suffix in IMAGE_SUFFIXES:
+                for spelling in (f"{name}{suffix}", f"{name}{suffix.upper()}"):
+                    if spelling in there:
+                        return self._root / folder / spelling
+        return plain if plain.suffix else self._root / folder / f"{name}.png"
+
+    def _names(self, folder: str) -> frozenset[str]:
+        if folder not in self._listed:
+            names = frozenset(path.name for path in children(self._root / folder))
+            self._listed[folder] = names
+        return self._listed[folder]
 
 
 def pose(path: Path, entry: Entry, where: str) -> Array:

@@ -15,13 +15,16 @@ from robir.capture.capture import Finding
 from robir.capture.files import children
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.masks import natural_order
-from robir.capture.refusal import note
+from robir.capture.refusal import note, refuse
+from robir.jobs.names import UnsafeNameError, checked_name
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".3gp")
 """Kinds of videos that frames are taken from."""
 
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
 _MASK_FOLDER = re.compile(r"mask|matte|alpha|segment|truth|depth|normal", re.IGNORECASE)
+
+_RENAME = "Rename it with letters and digits, or take it away."
 
 _SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)
 """Millimetres; what a "35 mm equivalent" focal length refers to."""
@@ -118,6 +121,13 @@ def _photographs_in(folder: Path) -> list[Path]:
         and path.is_file()
         and not path.name.startswith(".")
     ]
+    for path in found:
+        try:
+            checked_name(path.name)
+        except UnsafeNameError as fault:
+            raise refuse(
+                "bad-name", f"A file in {folder} cannot be named: {fault}", _RENAME
+            ) from None
     return sorted(found, key=lambda path: natural_order(path.name))
 
 

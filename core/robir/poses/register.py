@@ -16,6 +16,7 @@ from robir.capture import colmap
 from robir.capture.capture import Finding
 from robir.capture.frames import FrameSet
 from robir.capture.refusal import CaptureRefusedError
+from robir.capture.regular import regular
 from robir.capture.views import Progress
 from robir.jobs.paths import read_json, write_json
 from robir.poses.consistency import forget, hold_against_links
@@ -226,5 +227,5 @@ class _Registration:
 
 def _fact(path: Path) -> list[Any]:
     """What identifies a file: its name and contents."""
-    with path.open("rb") as file:
+    with regular(path, 1 << 36) as file:
         return [path.name, hashlib.file_digest(file, "sha256").hexdigest()]
