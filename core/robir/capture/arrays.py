@@ -4,12 +4,21 @@
 from __future__ import annotations
 
 import math
-from typing import IO
+import zipfile
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as numpy_format
+from numpy.typing import NDArray
 
 from robir.capture.frames import Array
+from robir.capture.refusal import DAMAGED_ARRAYS
+from robir.capture.regular import regular
+from robir.errors import StorageError
+
+MAX_STORED_BYTES = 1 << 31
+"""Largest set of arrays of a result that is read at once."""
 
 _HEADERS = {
     (1, 0): numpy_format.read_array_header_1_0,
@@ -46,3 +55,27 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
         raise ValueError("it ends too early")
     order = "F" if is_fortran else "C"
     return np.frombuffer(content, dtype).reshape(shape, order=order).astype(np.float64)
+
+
+def stored_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of a file of a result folder, by name.
+
+    Args:
+        path: What `numpy.savez` wrote.
+
+    Raises:
+        StorageError: If it is missing, damaged, or too large to be ours.
+    """
+    try:
+        with regular(path, MAX_STORED_BYTES) as file:
+            with zipfile.ZipFile(file) as members:
+                size = sum(member.file_size for member in members.infolist())
+            if size > MAX_STORED_BYTES:
+                raise StorageError(f"{path} holds {size} bytes and is none of ours")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files}
+    except (*DAMAGED_ARRAYS, TypeError, AttributeError) as fault:
+        raise StorageError(
+            f"{path} is missing or damaged ({fault}); run `robir reconstruct` with --resume"
+        ) from fault

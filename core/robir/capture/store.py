@@ -18,6 +18,9 @@ from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
 
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
+"""What reading a damaged file of the stage raises."""
+
 _CAPTURE = {
     "format": str,
     "source": str,
@@ -71,23 +74,44 @@ def load_capture(folder: Path) -> Capture:
     try:
         plain = read_record(folder / "capture.json", _CAPTURE)
         views = tuple(_view(folder, entry) for entry in plain["views"])
-        bounds = plain["bounds"]
         return Capture(
             source=Path(plain["source"]),
             format=plain["format"],
             views=views,
-            bounds=Bounds(
-                centre=np.array(bounds["centre"], dtype=np.float64),
-                radius=float(bounds["radius"]),
-                origin=bounds["origin"],
-            ),
+            bounds=_bounds(plain["bounds"]),
             findings=tuple(Finding.from_plain(entry) for entry in plain["findings"]),
         )
-    except (OSError, ValueError, KeyError, TypeError) as fault:
-        raise StorageError(
-            f"The capture stage's files in {folder} cannot be read ({fault}). "
-            "Run the capture stage again."
-        ) from fault
+    except _DAMAGE as fault:
+        raise _damaged(folder, fault) from fault
+
+
+def load_bounds(folder: Path) -> Bounds:
+    """The object's sphere alone, without the photographs.
+
+    Args:
+        folder: Folder of the capture stage.
+
+    Raises:
+        StorageError: If a file is missing or damaged.
+    """
+    try:
+        return _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
+    except _DAMAGE as fault:
+        raise _damaged(folder, fault) from fault
+
+
+def _damaged(folder: Path, fault: Exception) -> StorageError:
+    return StorageError(
+        f"The capture stage's files in {folder} cannot be read ({fault}). "
+        "Run the capture stage again."
+    )
+
+
+def _bounds(plain: dict[str, Any]) -> Bounds:
+    centre = np.array(plain["centre"], dtype=np.float64)
+    if centre.shape != (3,) or plain["radius"] <= 0:
+        raise ValueError("the bounds are no sphere")
+    return Bounds(centre=centre, radius=float(plain["radius"]), origin=plain["origin"])
 
 
 def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
@@ -120,7 +144,7 @@ def load_turned(paths: JobPaths) -> Capture:
     try:
         turned = read_record(paths.turned_cameras, {...: MATRIX})
         views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
-    except (OSError, ValueError, KeyError, TypeError) as fault:
+    except _DAMAGE as fault:
         raise StorageError(
             f"{paths.turned_cameras} cannot be read ({fault}). Run the geometry stage again."
         ) from fault

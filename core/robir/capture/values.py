@@ -67,6 +67,8 @@ def checked(
         return msgspec.convert(plain, kind, strict=not is_text)
     except (msgspec.ValidationError, RecursionError) as fault:
         raise refuse(code, f"{path}: {_sentence(str(fault), where)}", cure, path.name) from None
+    except UnicodeEncodeError:
+        raise refuse(code, f"{path} holds text that is none", cure, path.name) from None
 
 
 def missing_key(path: Path, key: str, where: str, cure: str) -> CaptureRefusedError:

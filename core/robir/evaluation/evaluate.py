@@ -22,11 +22,13 @@ from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.tone import tone_scores
 from robir.evaluation.truth import TrueView, Truth, load_truth
 from robir.geometry.mesh import Mesh, vertex_normals
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import JobPaths
+from robir.jobs.records import read_record
 
 Array = NDArray[np.floating[Any]]
 
 _MAX_CHAMFER_POINTS = 40_000
+_TONE_CURVE = {"family": str, "parameters": {...: float}}
 
 
 def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[str, Any]:
@@ -68,13 +70,20 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
             known.sun_direction,
         ),
         "tone_curve": tone_scores(
-            read_json(paths.stage("appearance") / "tone_curve.json"), known.scene
+            _tone_curve(paths.stage("appearance") / "tone_curve.json"), known.scene
         ),
     }
     if sheet is not None:
         scale = scores["albedo"]["scale"]["per_channel_lsq"]
         save_sheet(sheet, truth_sheet(paths, layers, known, np.array(scale)))
     return scores
+
+
+def _tone_curve(path: Path) -> dict[str, Any]:
+    try:
+        return read_record(path, _TONE_CURVE)
+    except (OSError, ValueError) as fault:
+        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
 
 
 def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:

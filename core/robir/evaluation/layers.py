@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.arrays import stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds
+from robir.capture.store import load_bounds
+from robir.errors import StorageError
 from robir.evaluation.surfaces import MeshCaster, sample_texture
 from robir.geometry.mesh import Mesh
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import JobPaths
 
 Array = NDArray[np.floating[Any]]
 
@@ -52,21 +55,31 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
     shading = paths.stage("appearance") / "normals.npz"
     if not shading.is_file():  # not every method corrects them
         return mesh
-    with np.load(shading, allow_pickle=False) as arrays:
-        return replace(mesh, normals=arrays["normals"])
+    shaded = replace(mesh, normals=stored_arrays(shading).get("normals", mesh.normals[:0]))
+    if not shaded.is_whole():
+        raise StorageError(f"{shading} is damaged; run `robir reconstruct` with --resume")
+    return shaded
 
 
 def stored_mesh(paths: JobPaths) -> Mesh:
     """The same, by the bounds that the capture stage stored."""
-    bounds = read_json(paths.stage("capture") / "capture.json")["bounds"]
-    centre = np.array(bounds["centre"])
-    return result_mesh(paths, Bounds(centre=centre, radius=bounds["radius"], origin=""))
+    return result_mesh(paths, load_bounds(paths.stage("capture")))
 
 
 def load_textures(paths: JobPaths) -> dict[str, Array]:
     """Arrays of the appearance stage's textures.npz by name."""
-    with np.load(paths.stage("appearance") / "textures.npz", allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    path = paths.stage("appearance") / "textures.npz"
+    textures = stored_arrays(path)
+    side = len(textures.get("inside", ()))
+    shapes = {"albedo_linear": (side, side, 3), "roughness": (side, side), "inside": (side, side)}
+    wrong = [
+        name
+        for name, shape in shapes.items()
+        if name not in textures or textures[name].shape != shape
+    ]
+    if wrong or not side:
+        raise StorageError(f"{path} is damaged ({wrong}); run `robir reconstruct` with --resume")
+    return textures
 
 
 def view_layers(

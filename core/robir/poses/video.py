@@ -29,8 +29,11 @@ SHARPNESS_SIDE = 480
 MAX_BYTES = 1 << 36
 """Largest video."""
 
-_CONTAINERS = dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov")
-_CONTAINERS |= {".mkv": "matroska", ".webm": "matroska", ".avi": "avi"}
+_CONTAINERS: dict[str, str] = {
+    **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
+    **dict.fromkeys((".mkv", ".webm"), "matroska"),
+    ".avi": "avi",
+}
 
 _EXCLUDED = "Save it as MP4 (H.264), or give its frames as photographs."
 
