@@ -85,7 +85,7 @@ def test_other_formats_are_not_even_asked(synthetic, kind):
     assert "r_3.png is not a photograph" in refused(synthetic)
 
 
-@pytest.mark.parametrize("size", [(13377, 13377), (178_000_000, 1), (60_000, 60_000), (9000, 9000)])
+@pytest.mark.parametrize("size", [(13377, 13377), (178_000_000, 1), (20_000, 20_000), (9000, 9000)])
 def test_pictures_too_large_are_not_decoded(synthetic, size):
     (synthetic / "train/r_3.png").write_bytes(png(*size))
     start = time.monotonic()
@@ -176,7 +176,7 @@ def test_names_that_are_none(studio, name):
 def test_names_on_the_disk_that_are_no_text(odd_shots, tmp_path, capsys):
     writers.neus(tmp_path, odd_shots)
     folder = os.fsencode(tmp_path / "image")
-    os.rename(folder + b"/000003.png", folder + b"/\xff\xfe.png")
+    os.rename(folder + b"/000003.png", folder + b"/\xff\xfe.png")  # noqa: PTH104
     assert cli.main(["check", str(tmp_path), "--progress", "plain"]) == 3
     assert "no valid text" in capsys.readouterr().out
 
@@ -234,7 +234,8 @@ def test_an_archive_that_unpacks_to_gigabytes(odd_shots, tmp_path):
 
 def test_entities_of_xml_are_refused(odd_shots, tmp_path):
     path = app_writers.metashape(tmp_path, odd_shots) / "cameras.xml"
-    path.write_text('<!DOCTYPE a [<!ENTITY b "c">]>' + path.read_text().partition("?>")[2])
+    text = path.read_text()
+    path.write_text('<!DOCTYPE a [<!ENTITY b "c">]>' + text[text.index("<document") :])
     assert "document type" in refused(tmp_path)
 
 
@@ -247,17 +248,17 @@ def test_json_that_would_not_fit_into_memory(studio):
 
 @pytest.mark.parametrize("kind", ["many", "one"])
 def test_time_is_linear_in_the_number_of_frames(studio, kind):
-    """60,000 frames of one photograph, or of as many that are missing."""
+    """20,000 frames of one photograph, or of as many that are missing."""
 
     def change(content):
         first = content["frames"][0]
-        names = [f"images/{i if kind == 'many' else 0}.png" for i in range(60_000)]
+        names = [f"images/{i if kind == 'many' else 0}.png" for i in range(20_000)]
         content["frames"] = [first | {"file_path": name} for name in names]
 
     edit(studio / "transforms.json", change)
     start = time.process_time()
-    assert "60000" in refused(studio) or kind == "one"
-    assert time.process_time() - start < 30
+    assert "20000" in refused(studio) or kind == "one"
+    assert time.process_time() - start < 20
 
 
 def test_a_film_that_is_a_list_of_other_files(tmp_path):

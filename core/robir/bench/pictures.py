@@ -43,7 +43,7 @@ def draw_result(paths: JobPaths, truth: Path, scale: list[float], picture: Path)
 
 def tile(picture: Path, name: str) -> NDArray[np.uint8]:
     """One of the tiles of a picture that `draw_result` wrote, (H, W, 3) codes."""
-    with Image.open(picture) as image:
+    with Image.open(picture, formats=["PNG"]) as image:
         codes: NDArray[Any] = np.asarray(image)
     width = codes.shape[1] // len(TILES)
     return codes[:, TILES.index(name) * width :][:, :width]

@@ -8,12 +8,15 @@ nowhere else, before the disk is asked for it.
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
 
 MAX_NAME_BYTES = 240
 """Longest name of a file that every usual file system takes, with room for a suffix of ours."""
+
+_CONTROL = re.compile("[\0-\x1f\x7f]")
 
 MAX_PATH_BYTES = 4000
 """Longest path that Linux takes, with room for a file name."""
@@ -39,10 +42,13 @@ def checked_name(name: str) -> str:
         size = len(name.encode("utf-8"))
     except UnicodeEncodeError:
         raise UnsafeNameError(f"the name {name[:40]!a} is no valid text") from None
-    if any(character < " " or character == "\x7f" for character in name):
+    if _CONTROL.search(name):
         raise UnsafeNameError(f"the name {name[:40]!a} holds control characters")
     parts = name.replace("\\", "/").split("/")
-    if size > MAX_PATH_BYTES or max(len(part.encode("utf-8")) for part in parts) > MAX_NAME_BYTES:
+    longest = max(map(len, parts))  # a letter has up to four bytes
+    if 4 * longest > MAX_NAME_BYTES:
+        longest = max(len(part.encode("utf-8")) for part in parts)
+    if size > MAX_PATH_BYTES or longest > MAX_NAME_BYTES:
         raise UnsafeNameError(f"the name {name[:40]!a}... is too long ({size} bytes)")
     return name
 
