@@ -147,7 +147,7 @@ lint: setup
 fuzz: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'atheris>=3.0'
 	@for target in $(TARGETS); do \
-	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.targets $$target $(SECONDS) || exit 1; done
+	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
 
 # Known weaknesses of the pinned versions; asks the index's database.
 audit: setup

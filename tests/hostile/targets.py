@@ -7,8 +7,6 @@ error meant for the user. Anything else is a bug.
 
 from __future__ import annotations
 
-import sys
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -105,26 +103,3 @@ def _read_picture(path: Path) -> None:
         exif_values(picture)
         orientation(picture)
     read_mask(path, (16, 16))
-
-
-def main() -> None:
-    """Fuzz one target with atheris until it crashes or time is up: TARGET SECONDS."""
-    import atheris
-
-    name, seconds = sys.argv[1:3]
-    with tempfile.TemporaryDirectory(prefix="robir-fuzz-") as folder:
-        targets = Targets(Path(folder))
-        corpus = Path(folder, "corpus")
-        corpus.mkdir()
-        for number, seed in enumerate(targets.seeds[name]):
-            (corpus / str(number)).write_bytes(seed)
-        found = CRASHES / name
-        found.mkdir(parents=True, exist_ok=True)
-        options = [f"-max_total_time={seconds}", "-timeout=15", "-rss_limit_mb=2000"]
-        options += [f"-artifact_prefix={found}/", str(corpus)]
-        atheris.Setup([sys.argv[0], *options], targets.calls[name])
-        atheris.Fuzz()
-
-
-if __name__ == "__main__":
-    main()

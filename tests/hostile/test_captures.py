@@ -95,6 +95,15 @@ def test_pictures_too_large_are_not_decoded(synthetic, size):
     assert time.monotonic() - start < 5
 
 
+def test_a_photograph_of_terabytes_is_not_even_hashed(shots, tmp_path):
+    writers.save_pictures(tmp_path, shots[:3], [f"{i}.jpg" for i in range(3)], alpha=False)
+    with (tmp_path / "a.png").open("wb") as file:
+        file.truncate(1 << 40)
+    start = time.monotonic()
+    assert refused(tmp_path)
+    assert time.monotonic() - start < 10
+
+
 def test_a_jpeg_of_endless_passes(synthetic):
     file = BytesIO()
     Image.new("L", (4000, 4000)).save(file, "JPEG", progressive=True)

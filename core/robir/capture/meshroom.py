@@ -173,7 +173,7 @@ def _points(content: _File) -> Array:
     """Sparse points, (N, 3); none if they are damaged, for they only help."""
     try:
         points = msgspec.convert(content.structure, list[_Point], strict=False)
-    except (msgspec.ValidationError, RecursionError):
+    except (msgspec.ValidationError, RecursionError, UnicodeEncodeError):
         return np.zeros((0, 3))
     found = np.array([point.x for point in points], dtype=np.float64).reshape(-1, 3)
     return found[(np.abs(found) < MAX_NUMBER).all(axis=1)]

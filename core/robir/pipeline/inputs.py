@@ -13,6 +13,7 @@ from robir.capture.frames import IMAGE_SUFFIXES
 from robir.errors import CaptureError
 from robir.jobs.names import leads_out, open_regular
 from robir.poses.register import is_video
+from robir.poses.video import MAX_BYTES
 
 _POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])
@@ -49,6 +50,8 @@ def capture_fingerprint(
     digest = hashlib.sha256()
     try:
         if is_video(source):
+            if source.stat().st_size > MAX_BYTES:
+                raise CaptureError(f"the video {source} is too large; cut it")
             digest.update(file_hash(source).encode())
             folders = [masks]
         else:

@@ -26,7 +26,7 @@ FRAMES = 100
 SHARPNESS_SIDE = 480
 """Longer side in pixels of the picture that sharpness is measured on: noise must not count."""
 
-MAX_BYTES = 1 << 36
+MAX_BYTES = 1 << 35
 """Largest video."""
 
 _CONTAINERS: dict[str, str] = {
