@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long fuzzing of one target, guided by coverage: `python -m hostile.fuzz TARGET SECONDS`.
 
-Needs atheris, which `make fuzz` installs. A crash becomes a file in `crashes`, which the tests read.
+Needs atheris, which `make fuzz` installs. A crash becomes a file in `crashes`, for the tests.
 """
 
 import sys
