@@ -26,7 +26,7 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels, sample_surfels
-from robir.transport.tracer import EmbreeTracer
+from robir.geometry.tracer import EmbreeTracer
 from robir.transport.visibility import (
     Visibility,
     lobe_directions,

@@ -15,7 +15,7 @@ from robir.geometry.surface import plain_mesh
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
-from robir.transport.tracer import make_tracer
+from robir.geometry.tracer import make_tracer
 from tests.geometry.scenes import ball, capture_of
 
 VIEWS, POINTS = 24, 600

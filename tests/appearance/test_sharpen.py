@@ -14,7 +14,7 @@ from robir.appearance.statistics import linear_observations
 from robir.capture.capture import View
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import observe
-from robir.transport.tracer import EmbreeTracer
+from robir.geometry.tracer import EmbreeTracer
 
 SQUARE = 0.12
 FINE = 8

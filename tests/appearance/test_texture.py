@@ -28,7 +28,7 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import Transport
 from robir.transport.observe import observe
 from robir.transport.surfels import sample_surfels
-from robir.transport.tracer import EmbreeTracer
+from robir.geometry.tracer import EmbreeTracer
 from robir.transport.visibility import trace_visibility
 
 SOFT, SUN = 0.5, 2.0

@@ -14,7 +14,7 @@ from robir.geometry.surface import plain_mesh
 from robir.transport.baked import Transport, bake
 from robir.transport.config import TransportConfig
 from robir.transport.surfels import Surfels, interpolate, sample_surfels
-from robir.transport.tracer import make_tracer
+from robir.geometry.tracer import make_tracer
 
 
 def uneven_mesh() -> Mesh:

@@ -9,7 +9,7 @@ from transport.shapes import mesh_of, patch
 
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.surfels import Surfels
-from robir.transport.tracer import EmbreeTracer
+from robir.geometry.tracer import EmbreeTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer, trace_visibility
 
 OFFSET = 1e-4

@@ -32,7 +32,7 @@ from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations, observe, resize_view
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -22,7 +22,7 @@ from robir.appearance.statistics import (
 )
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]

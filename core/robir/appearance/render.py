@@ -18,7 +18,7 @@ from robir.capture.capture import View
 from robir.geometry.mesh import Mesh
 from robir.transport.observe import off_axis_codes
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 

@@ -37,7 +37,7 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import AbstractTracer, make_tracer
+from robir.geometry.tracer import AbstractTracer, make_tracer
 
 REVISION = 54
 

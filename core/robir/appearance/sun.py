@@ -22,7 +22,7 @@ from robir.appearance.pair_loss import PairWeights
 from robir.appearance.problem import Problem
 from robir.appearance.statistics import Pairs, Radiance
 from robir.maths.vectors import fibonacci_sphere, tangents
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]

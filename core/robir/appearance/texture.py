@@ -36,7 +36,7 @@ from robir.appearance.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.observe import Observations, observe
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 from robir.transport.visibility import lobe_transfer
 
 Floats = NDArray[np.float32]

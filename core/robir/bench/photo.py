@@ -25,7 +25,7 @@ from robir.geometry.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import make_tracer
+from robir.geometry.tracer import make_tracer
 
 Floats = NDArray[np.floating[Any]]
 

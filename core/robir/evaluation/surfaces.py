@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from robir.capture.camera import Camera
 from robir.geometry.mesh import Mesh
-from robir.transport.tracer import make_tracer
+from robir.geometry.tracer import make_tracer
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from robir.errors import ConfigError
+from robir.geometry.refine.config import RefineConfig
+from robir.geometry.stereo.config import StereoConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,9 +22,11 @@ class GeometryConfig:
         level_steps: Steps of the fit at each of these levels.
         rays: Rays of a step.
         features: Colour features of a node of the field.
-        face_budget: Most triangles of the final mesh.
+        face_budget: Most triangles of the final mesh; below it the photographs' pixels decide.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
         refine_poses: Whether given cameras are turned where the photographs ask for it.
+        stereo: Depth maps that the fit starts from and is held to.
+        refine: The mesh's way to where photographs agree.
     """
 
     image_side: int = 200
@@ -32,9 +36,11 @@ class GeometryConfig:
     level_steps: tuple[int, ...] = (280, 220, 220)
     rays: int = 2048
     features: int = 8
-    face_budget: int = 8000
+    face_budget: int = 24000
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
         """Refuse values the stage cannot work with."""

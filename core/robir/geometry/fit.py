@@ -18,6 +18,7 @@ from robir.geometry.preview import Renderer
 from robir.geometry.rays import RaySampler
 from robir.geometry.regularise import laplacian_step
 from robir.geometry.sampling import Occupancy, march
+from robir.geometry.stereo.fusion import StereoEvidence
 from robir.maths.adam import Adam
 
 SHARPNESS = (30.0, 160.0)
@@ -143,6 +144,7 @@ def fit(
     generator: torch.Generator,
     progress: Callable[[float, Renderer], None],
     settle: Callable[[Field, ColourNetwork], None],
+    stereo: StereoEvidence | None = None,
 ) -> Field:
     """Fit a field to the rays of a capture.
 
@@ -154,6 +156,7 @@ def fit(
         progress: Called after every few steps with the share done and what renders the field.
         settle: Called with field and network at the end of every level, may change the field's
             distances in place.
+        stereo: What depth maps say, which the distances are held to, or None.
 
     Returns:
         The field of the finest level.
@@ -177,6 +180,7 @@ def fit(
         )
         field = field.refined(level)
         optimiser = _Optimiser(field, network, DISTANCE_RATE * (1.0 if done else HASTE))
+        held = None if stereo is None else stereo.on(level)
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
@@ -198,6 +202,8 @@ def fit(
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
                     smooth(field.sdf, level, done / total)
+                    if held is not None:
+                        held.pull(field.sdf)
                     field.soften()
         settle(field, network)
     return field

@@ -38,7 +38,7 @@ from robir.paper.transport import (
 )
 from robir.transport.observe import observe, resize_view
 from robir.transport.surfels import interpolate
-from robir.transport.tracer import make_tracer
+from robir.geometry.tracer import make_tracer
 
 SHARP = 10.0
 """Sharpness from which a lobe counts as a lamp, for the score of the sun's direction."""

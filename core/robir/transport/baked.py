@@ -17,7 +17,7 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.config import TransportConfig
 from robir.transport.observe import Observations, observe, resize_view, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
-from robir.transport.tracer import AbstractTracer, make_tracer
+from robir.geometry.tracer import AbstractTracer, make_tracer
 from robir.transport.visibility import Visibility, trace_visibility
 
 

@@ -16,7 +16,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.images import shrink, size_within
 from robir.maths.vectors import farthest_points
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 

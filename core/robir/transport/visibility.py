@@ -22,7 +22,7 @@ from scipy.sparse import csr_matrix
 from robir.geometry.mesh import Mesh
 from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
-from robir.transport.tracer import AbstractTracer
+from robir.geometry.tracer import AbstractTracer
 
 Floats = NDArray[np.float32]
 

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.transport.tracer import AbstractTracer, Floats, Hits
+from robir.geometry.tracer import AbstractTracer, Floats, Hits
 
 LEAF_SIZE = 4
 

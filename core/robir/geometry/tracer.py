@@ -108,6 +108,6 @@ def make_tracer(vertices: Floats, faces: NDArray[np.int32], device: str) -> Abst
     if device == "cpu":
         return EmbreeTracer(vertices, faces)
     # Not above: torch takes seconds to load and Embree does without it.
-    from robir.transport.torch_tracer import TorchTracer
+    from robir.geometry.torch_tracer import TorchTracer
 
     return TorchTracer(vertices, faces, device)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the masks' outlines ask the surface to be."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.geometry.hull import mask_distance
+from robir.geometry.mesh import Mesh
+from robir.geometry.rays import Photo
+from robir.geometry.tracer import AbstractTracer
+
+GRAZING = 0.2
+"""Cosine between normal and view below which a vertex lies on an outline."""
+
+NEAR = 3.0
+"""Distance of an outline in the picture up to which it is the vertex' own, pixels."""
+
+CLEARANCE = 2.5
+"""Pixels above the surface at which rays along the view must be free on both sides."""
+
+
+def outline_shifts(
+    mesh: Mesh, tracer: AbstractTracer, photos: list[Photo], pixel: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shifts along the normals that put vertices on the outlines they form.
+
+    Args:
+        mesh: Unit frame.
+        tracer: Tracer of it.
+        photos: Photographs with their masks.
+        pixel: Width of a pixel there, unit frame.
+
+    Returns:
+        Mean shift (Nv,), and the number of photographs (Nv,) in whose outline a vertex lies.
+    """
+    total, count = np.zeros(len(mesh.vertices)), np.zeros(len(mesh.vertices))
+    for photo in photos:
+        camera = photo.camera
+        towards = camera.position - mesh.vertices
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        rows = np.flatnonzero(np.abs(np.einsum("nd,nd->n", towards, mesh.normals)) < GRAZING)
+        places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
+        size = np.array([camera.width, camera.height])
+        held = (depth > 0) & (places > 1).all(1) & (places < size - 1).all(1)
+        rows, depth, pixels = rows[held], depth[held], places[held].astype(int)
+        away = -mask_distance(photo.coverage)[pixels[:, 1], pixels[:, 0]]
+        near = np.abs(away) < NEAR
+        rows, depth, away = rows[near], depth[near], away[near]
+        start = (mesh.vertices[rows] + CLEARANCE * pixel * mesh.normals[rows]).astype(np.float32)
+        ray = towards[rows].astype(np.float32)
+        alone = ~tracer.is_blocked(start, ray) & ~tracer.is_blocked(start, -ray)
+        total[rows[alone]] += away[alone] * depth[alone] / camera.fx
+        count[rows[alone]] += 1
+    return total / np.maximum(count, 1), count

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shifts of a mesh's vertices that photographs agree on, and that bend it little.
+
+Where photographs tell nothing, a thin plate between what is known is the likeliest surface. The
+least sum of correlation cost, bending and outlines is found by turns: every vertex looks for its
+best shift near the smooth surface, and the smooth surface is drawn to these shifts, harder each
+time (quadratic relaxation; Newcombe et al. 2011, "DTAM", eq. 11 to 14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
+
+from robir.capture.capture import View
+from robir.geometry.filtering import neighbour_mean, taubin
+from robir.geometry.mesh import Mesh
+from robir.geometry.rays import reduce_view
+from robir.geometry.refine.config import RefineConfig
+from robir.geometry.refine.consistency import correlations, pixel_size, seen_by
+from robir.geometry.refine.outlines import outline_shifts
+from robir.geometry.stereo.semiglobal import refined_minimum
+from robir.geometry.stereo.sweep import Picture
+from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import EmbreeTracer
+
+Array = NDArray[np.float64]
+
+FAIR_ROUNDS = 10
+"""Rounds of Taubin smoothing before normals are taken: patches must be tilted as the surface is."""
+
+EDGE_PIXELS = 2.0
+"""Length of the mesh's edges, pixels, above which it is subdivided."""
+
+LOOSE = 0.5
+"""How far from the smooth surface a vertex may look at first: the weight of its distance, in
+reaches squared, is one over twice this, and doubles every round."""
+
+
+MOST_ITERATIONS = 80
+"""Of conjugate gradients a round; each round begins where the last one ended."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What speaks for a vertex' shift.
+
+    Attributes:
+        shifts: (D,) tried, unit frame.
+        cost: (Nv, D), 1 less the correlation of the photographs.
+        outline: Shifts (Nv,) that outlines ask for and their weights (Nv,).
+    """
+
+    shifts: Array
+    cost: NDArray[np.float32]
+    outline: tuple[Array, Array]
+
+
+def refine(mesh: Mesh, views: tuple[View, ...], config: RefineConfig) -> Mesh:
+    """Move a mesh to where photographs agree.
+
+    Args:
+        mesh: Without texture coordinates, unit frame.
+        views: Training photographs.
+        config: Levels and weights.
+
+    Returns:
+        The mesh, finer where the photographs are.
+    """
+    for side in config.image_sides:
+        photos = [reduce_view(view, side) for view in views]
+        pictures = [Picture.of(photo) for photo in photos]
+        pixel = pixel_size([picture.camera for picture in pictures])
+        mesh = taubin(_subdivided(mesh, EDGE_PIXELS * pixel, config.most_vertices), FAIR_ROUNDS)
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        shifts = np.linspace(-config.reach, config.reach, config.offsets) * pixel
+        cosine = seen_by(mesh, tracer, pictures, pixel)
+        agreed, _ = correlations(mesh, pictures, cosine, shifts.astype(np.float32), config)
+        evidence = Evidence(
+            shifts=shifts, cost=1 - agreed, outline=outline_shifts(mesh, tracer, photos, pixel)
+        )
+        mesh = plain_mesh(best_vertices(mesh, evidence, pixel, config), mesh.faces)
+    return mesh
+
+
+def _subdivided(mesh: Mesh, edge: float, most: int) -> Mesh:
+    """A mesh whose edges are halved until they are short enough or vertices too many."""
+    import trimesh
+
+    while 4 * len(mesh.vertices) < most:
+        ends = mesh.vertices[mesh.faces[:, [0, 1]]]
+        if np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)) <= edge:
+            break
+        vertices, faces = trimesh.remesh.subdivide(mesh.vertices, mesh.faces)
+        merged = trimesh.Trimesh(vertices, faces, process=True)
+        mesh = plain_mesh(np.asarray(merged.vertices), np.asarray(merged.faces))
+    return mesh
+
+
+def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float, config: RefineConfig) -> Array:
+    """Vertices (Nv, 3) with the least sum of cost and bending.
+
+    Args:
+        mesh: Fair mesh with normals.
+        evidence: What photographs and outlines say of shifts along its normals.
+        pixel: Width of a pixel, unit frame.
+        config: Weights.
+    """
+    start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
+    shifts, cost = evidence.shifts, evidence.cost
+    reach, step = shifts[-1], shifts[1] - shifts[0]
+    plate = ThinPlate(mesh, config.crease * pixel)
+    sure = np.clip(cost.max(1) - cost.min(1), 0, 1)
+    outline, times = evidence.outline
+    at_outline = config.outline * times / reach**2
+    moved = np.zeros_like(start)
+    for turn in range(config.rounds):
+        hold = 2.0**turn / LOOSE
+        shift = np.einsum("nd,nd->n", moved, normals)
+        total = cost + 0.5 * hold * ((shifts - shift[:, None]) / reach) ** 2
+        exact = refined_minimum(total[:, None].astype(np.float32))[1][:, 0]
+        found = shifts[0] + step * exact
+        at_best = hold * sure / reach**2
+        pull = (at_best * found + at_outline * outline)[:, None] * normals
+        moved = plate.solve(
+            (start, moved),
+            (at_best + at_outline, normals, pull),
+            config.anchor / reach**2,
+            config.smoothness / reach**2,
+            has_creases=2 * turn >= config.rounds,
+        )
+    return start + moved
+
+
+class ThinPlate:
+    """Bending of a mesh as the sum of its vertices' Laplacians, creases allowed.
+
+    The square root of the squared Laplacian counts beyond a width, so that an edge costs no more
+    than the bend it makes (iteratively reweighted least squares).
+
+    Args:
+        mesh: Its connections.
+        width: Laplacian at which a crease begins, unit frame.
+    """
+
+    def __init__(self, mesh: Mesh, width: float) -> None:
+        count = len(mesh.vertices)
+        self._laplacian = scipy.sparse.csr_matrix(
+            scipy.sparse.identity(count) - neighbour_mean(mesh.faces, count)
+        )
+        self._width = width
+
+    def solve(
+        self,
+        place: tuple[Array, Array],
+        evidence: tuple[Array, Array, Array],
+        anchor: float,
+        smoothness: float,
+        *,
+        has_creases: bool,
+    ) -> Array:
+        """Motion (Nv, 3) of least bending, anchor and evidence.
+
+        Args:
+            place: Vertices (Nv, 3), and the motion (Nv, 3) to begin with.
+            evidence: Weights (Nv,) of shifts along normals (Nv, 3), and weights times shifts times
+                normals (Nv, 3).
+            anchor: Weight of the vertices as they are.
+            smoothness: Weight of the bending.
+            has_creases: Whether sharp bends of the mesh as it stands are spared: not before the
+                lumps are out that it comes with.
+        """
+        (start, moved), (weight, normals, pull) = place, evidence
+        laplacian = self._laplacian
+        bend = np.linalg.norm(laplacian @ (start + moved), axis=1) if has_creases else 0.0
+        relaxed = np.broadcast_to(
+            self._width / np.sqrt(np.square(bend) + self._width**2), len(start)
+        )
+        bending = laplacian.T @ scipy.sparse.diags(smoothness * relaxed) @ laplacian
+        diagonal = bending.diagonal()[:, None] + weight[:, None] * normals**2 + anchor
+
+        def apply(flat: Array) -> Array:
+            motion = flat.reshape(-1, 3)
+            along = (weight * np.einsum("nd,nd->n", motion, normals))[:, None] * normals
+            return (bending @ motion + along + anchor * motion).ravel()
+
+        size = 3 * len(start)
+        solved, _ = cg(
+            LinearOperator((size, size), matvec=apply, dtype=np.float64),
+            (pull - bending @ start).ravel(),
+            x0=moved.ravel(),
+            rtol=1e-3,
+            maxiter=MOST_ITERATIONS,
+            M=scipy.sparse.diags(1 / diagonal.ravel()),
+        )
+        return solved.reshape(-1, 3)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth maps that agree, fused into signed distances with how sure they are.
+
+Curless and Levoy 1996, "A volumetric method for building complex models from range images", with
+the correlation of the photographs as weight; a depth counts if other maps have it too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.capture.camera import Camera
+from robir.geometry.lattice import Lattice, resample
+from robir.geometry.mesh import Mesh
+from robir.geometry.rays import Photo
+from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.sources import angles_between, choose_sources
+from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
+from robir.geometry.surface import extract
+from robir.geometry.tracer import EmbreeTracer
+from robir.maths.vectors import farthest_points
+
+WITNESS_DEGREES = 40.0
+"""Angle at the object up to which another photograph's depths can confirm or deny one."""
+
+FULL = 0.98
+"""Share of the band's half width from which a distance says that a node is free, not how far."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoEvidence:
+    """What stereo says of the distance to the surface.
+
+    Attributes:
+        lattice: Nodes.
+        distance: (N,) signed, unit frame, cut off at the band.
+        share: (N,) in [0, 1), how much it counts against what was there before.
+        band: Half width of the band.
+    """
+
+    lattice: Lattice
+    distance: Tensor
+    share: Tensor
+    band: float
+
+    def on(self, lattice: Lattice) -> StereoEvidence:
+        """The same at the nodes of another lattice."""
+        distance, share = (
+            resample(values, self.lattice, lattice) for values in (self.distance, self.share)
+        )
+        return StereoEvidence(lattice=lattice, distance=distance, share=share, band=self.band)
+
+    def pull(self, distances: Tensor) -> None:
+        """Move signed distances (N,) of the same nodes towards what stereo says, in place."""
+        is_free = self.distance > FULL * self.band
+        wanted = torch.where(is_free, torch.maximum(distances, self.distance), self.distance)
+        distances.lerp_(wanted.to(distances.device), self.share.to(distances.device))
+
+
+def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[DepthMap]:
+    """Depth maps of at most `config.views` photographs that lie far from each other.
+
+    Args:
+        photos: Training photographs.
+        hull: Surface of the visual hull, unit frame.
+        config: Sizes and windows.
+
+    Returns:
+        Maps of those that have at least two photographs at a good angle.
+    """
+    pictures = [Picture.of(photo) for photo in photos]
+    positions = np.stack([photo.camera.position for photo in photos])
+    sources = choose_sources(positions, config.sources, config.baseline_degrees)
+    tracer = EmbreeTracer(hull.vertices, hull.faces)
+    maps = []
+    for own in farthest_points(positions, config.views):
+        picture, camera = pictures[own], pictures[own].camera
+        entry = _entry(tracer, camera)
+        if len(sources[own]) < 2 or not (picture.whole & np.isfinite(entry)).any():
+            continue
+        far = float(((hull.vertices - camera.position) @ camera.forward).max())
+        maps.append(sweep(picture, [pictures[k] for k in sources[own]], entry, far, config))
+    return maps
+
+
+def _entry(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
+    """Depth (H, W) at which a camera's rays meet a mesh; infinite where they do not."""
+    origins, directions = camera.rays(camera.pixel_centres())
+    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+    depth = hits.distance * (directions @ camera.forward)
+    return depth.reshape(camera.height, camera.width).astype(np.float32)
+
+
+def confirmed(maps: list[DepthMap], tolerance: float, config: StereoConfig) -> list[DepthMap]:
+    """The maps without depths that too few others have, or that photographs hardly agree on.
+
+    Args:
+        maps: Depth maps.
+        tolerance: Difference of depth that counts as agreement, unit frame.
+        config: How many must agree, and how well.
+    """
+    if not maps:
+        return []
+    angle = angles_between(np.stack([one.camera.position for one in maps]))
+    kept = []
+    for own, one in enumerate(maps):
+        rows, columns = np.nonzero(one.correlation > config.least_correlation)
+        points = points_at(one, rows, columns)
+        votes = np.zeros(len(points), int)
+        for other in np.flatnonzero((angle[own] < WITNESS_DEGREES) & (angle[own] > 0)):
+            depth, seen = _looked_up(maps[other], points)
+            votes += np.abs(depth - seen) < tolerance
+        depth = np.full_like(one.depth, np.nan)
+        good = votes >= config.least_agreeing
+        depth[rows[good], columns[good]] = one.depth[rows[good], columns[good]]
+        kept.append(replace(one, depth=depth))
+    return kept
+
+
+def points_at(
+    one: DepthMap, rows: NDArray[np.int64], columns: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Surface points (P, 3), unit frame, that pixels of a map show."""
+    camera = one.camera
+    depth = one.depth[rows, columns].astype(np.float64)
+    x = (columns + 0.5 - camera.cx) / camera.fx
+    y = -(rows + 0.5 - camera.cy) / camera.fy
+    local = np.stack([x, y, -np.ones_like(x)], axis=1) * depth[:, None]
+    return local @ camera.camera_to_world[:3, :3].T + camera.position
+
+
+def _looked_up(
+    one: DepthMap, points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depths (P,) of points in a map's camera, and those the map has there, NaN where none."""
+    places, depth = one.camera.project(points)
+    pixel = np.floor(places).astype(np.int64)
+    size = (one.camera.width, one.camera.height)
+    held = (depth > 0) & (pixel >= 0).all(1) & (pixel < size).all(1)
+    seen = np.full(len(points), np.nan)
+    seen[held] = one.depth[pixel[held, 1], pixel[held, 0]]
+    return depth, seen
+
+
+def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor, config: StereoConfig) -> StereoEvidence:
+    """Mean signed distance of the nodes inside the visual hull, by all maps.
+
+    Args:
+        maps: Confirmed depth maps.
+        lattice: Nodes.
+        hull: (N,) signed distance of the hull there.
+        config: Band and prior.
+
+    Returns:
+        What the maps say; a share of 0 where they say nothing.
+    """
+    band = config.tolerance[1] * lattice.cell
+    rows = (hull < lattice.cell).nonzero()[:, 0].numpy()
+    points = lattice.nodes()[rows].double().numpy()
+    total, weight = np.zeros(len(rows)), np.zeros(len(rows))
+    for one in maps:
+        places, depth = one.camera.project(points)
+        pixel = np.floor(places).astype(np.int64)
+        held = (depth > 0) & (pixel >= 0).all(1)
+        held &= (pixel < (one.camera.width, one.camera.height)).all(1)
+        near = np.flatnonzero(held)
+        column, row = pixel[near].T
+        before = one.depth[row, column] - depth[near]
+        known = before > -band  # NaN is not
+        near, before = near[known], before[known].clip(max=band)
+        trust = one.correlation[row, column][known]
+        total[near] += trust * before
+        weight[near] += trust
+    distance, share = torch.zeros(lattice.count), torch.zeros(lattice.count)
+    distance[rows] = torch.from_numpy(total / np.maximum(weight, 1e-9)).float()
+    share[rows] = torch.from_numpy(weight / (weight + config.prior)).float()
+    return StereoEvidence(lattice=lattice, distance=distance, share=share, band=band)
+
+
+def stereo_evidence(
+    photos: list[Photo], lattice: Lattice, hull: Tensor, config: StereoConfig
+) -> StereoEvidence:
+    """Depth maps of the photographs, those that agree, fused.
+
+    Args:
+        photos: Training photographs at the size they are compared at.
+        lattice: Nodes of the visual hull.
+        hull: (N,) its signed distance.
+        config: The step's settings.
+    """
+    maps = depth_maps(photos, extract(lattice, hull), config)
+    fine = Lattice.around(
+        np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell, config.cells
+    )
+    kept = confirmed(maps, config.tolerance[0] * fine.cell, config)
+    return fuse(kept, fine, resample(hull, lattice, fine), config)

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of a photograph's pixels, by a sweep of planes through the photographs beside it.
+
+Collins 1996, "A space-sweep approach to true multi-image matching": a plane parallel to the
+picture is moved through the scene, and other photographs, seen by way of it, are compared with
+this one by normalised cross-correlation, which exposure and white balance do not change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from robir.capture.camera import Camera
+from robir.geometry.rays import Photo
+from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.semiglobal import aggregate, refined_minimum
+
+Floats = NDArray[np.float32]
+
+FEWEST, MOST = 16, 128
+"""Planes of a sweep."""
+
+EARLY = 1.5
+"""Matching cost of a depth before the visual hull: more than of any that disagrees."""
+
+WHOLE = 0.95
+"""Coverage from which a pixel is object."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """A photograph as it is compared.
+
+    Attributes:
+        camera: Camera of this size, unit frame.
+        grey: (H, W) float32 display brightness of the object, 0 outside the mask.
+        whole: (H, W) bool, wholly object.
+    """
+
+    camera: Camera
+    grey: Tensor
+    whole: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, photo: Photo) -> Picture:
+        """A photograph without what lies around the object."""
+        grey = photo.premultiplied_display.mean(axis=2) / np.maximum(photo.coverage, 0.05)
+        kept = np.where(photo.coverage > 0.05, grey, 0.0).astype(np.float32)
+        return cls(camera=photo.camera, grey=torch.from_numpy(kept), whole=photo.coverage > WHOLE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthMap:
+    """Depths of a photograph's pixels.
+
+    Attributes:
+        camera: Its camera, unit frame.
+        depth: (H, W) along the viewing direction; not a number where none is known.
+        correlation: (H, W) of the photographs at that depth, 0 where there is none.
+    """
+
+    camera: Camera
+    depth: Floats
+    correlation: Floats
+
+
+def window_mean(image: Floats, half: int) -> Floats:
+    """Means (N, H, W) over square windows of 2 half + 1 pixels; mirrored at the border."""
+    size = 2 * half + 1
+    rows = uniform_filter1d(image, size, axis=1, mode="mirror")
+    return uniform_filter1d(rows, size, axis=2, mode="mirror")
+
+
+def correlation(one: Floats, other: Floats, half: int, noise: float) -> Floats:
+    """Normalised cross-correlation of windows about every pixel.
+
+    Noise counts to the variance, so that windows without texture correlate with nothing.
+
+    Args:
+        one: (1, H, W).
+        other: (N, H, W).
+        half: Half side of the windows, pixels.
+        noise: Standard deviation of what is no texture.
+
+    Returns:
+        (N, H, W), at most 1.
+    """
+    mean, means = window_mean(one, half), window_mean(other, half)
+    variance = (window_mean(one * one, half) - mean * mean).clip(min=0) + noise**2
+    variances = (window_mean(other * other, half) - means * means).clip(min=0) + noise**2
+    covariance = window_mean(one * other, half) - mean * means
+    return covariance / np.sqrt(variance * variances)
+
+
+def seen_through_planes(
+    own: Camera, other: Camera, depths: NDArray[np.float64]
+) -> tuple[Tensor, Tensor]:
+    """Where another camera sees the points of planes parallel to a camera's picture.
+
+    Args:
+        own: The camera, whose pixels the points lie on.
+        other: The other camera.
+        depths: (D,) of the planes.
+
+    Returns:
+        Places (D, H W, 2) in the other picture from -1 to 1 across it, as grid_sample has them,
+        and whether they lie in it (D, H W).
+    """
+    pixels = own.pixel_centres()
+    x, y = (pixels[:, 0] - own.cx) / own.fx, -(pixels[:, 1] - own.cy) / own.fy
+    rotation = other.camera_to_world[:3, :3]
+    rays = np.stack([x, y, -np.ones_like(x)]).T @ own.camera_to_world[:3, :3].T @ rotation
+    start = (own.position - other.position) @ rotation
+    slope, begin = (torch.from_numpy(part).float() for part in (rays.T.copy(), start))
+    depth = torch.from_numpy(depths).float()[:, None]
+    right, up, back = (slope[axis] * depth + begin[axis] for axis in range(3))
+    away = (-back).clamp(min=1e-6)
+    column = (other.fx * right / away + other.cx) * (2 / other.width) - 1
+    row = (-other.fy * up / away + other.cy) * (2 / other.height) - 1
+    inside = (column.abs() <= 1) & (row.abs() <= 1) & (back < 0)
+    return torch.stack([column, row], dim=-1), inside
+
+
+def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDArray[np.float64]:
+    """Depths of a sweep's planes, even in inverse depth, about a pixel of parallax apart.
+
+    Args:
+        near: Least depth.
+        far: Greatest depth.
+        baseline: Distance to the other cameras.
+        focal: Focal length, pixels.
+    """
+    count = int(np.clip(np.ceil((1 / near - 1 / far) * baseline * focal), FEWEST, MOST))
+    return 1 / np.linspace(1 / near, 1 / far, count)
+
+
+def sweep(
+    own: Picture, others: list[Picture], entry: Floats, far: float, config: StereoConfig
+) -> DepthMap:
+    """Depths at which a photograph agrees with others.
+
+    Args:
+        own: The photograph.
+        others: At least two beside it.
+        entry: (H, W) depth at which its rays enter the visual hull, infinite where they miss it.
+        far: Depth behind which nothing lies.
+        config: Windows, noise, penalties.
+
+    Returns:
+        Depths of the pixels that are wholly object and meet the hull.
+    """
+    camera = own.camera
+    inside = own.whole & np.isfinite(entry)
+    apart = np.linalg.norm([o.camera.position - camera.position for o in others], axis=1)
+    start = float(entry[inside].min())
+    depths = plane_depths(start, max(far, 1.01 * start), float(np.median(apart)), camera.fx)
+    agreed, grey = [], own.grey.numpy()[None]
+    for other in others:
+        places, is_seen = seen_through_planes(camera, other.camera, depths)
+        shape = (len(depths), camera.height, camera.width)
+        warped = grid_sample(
+            other.grey[None, None],
+            places.view(1, len(depths), -1, 2),
+            padding_mode="border",
+            align_corners=False,
+        ).view(shape)
+        alike = correlation(grey, warped.numpy(), config.window, config.noise)
+        agreed.append(alike * is_seen.view(shape).numpy())
+    # the better half: what lies in front of the others hides the point from some
+    kept = (len(others) + 1) // 2
+    best = torch.from_numpy(np.stack(agreed)).topk(kept, dim=0).values.mean(0).numpy()
+    cost = np.ascontiguousarray(1 - best.transpose(1, 2, 0))
+    step = (depths[1:] - depths[:-1]).max()
+    cost[depths < entry[..., None] - step] = EARLY
+    label, exact = refined_minimum(aggregate(cost, config.penalties))
+    inverse = np.interp(exact, np.arange(len(depths)), 1 / depths)
+    alike = 1 - np.take_along_axis(cost, label[..., None], axis=2)[..., 0]
+    return DepthMap(
+        camera=camera,
+        depth=np.where(inside, 1 / inverse, np.nan).astype(np.float32),
+        correlation=np.where(inside, alike.clip(0, 1), 0).astype(np.float32),
+    )
