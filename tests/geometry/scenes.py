@@ -13,11 +13,10 @@ import trimesh
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
 from robir.geometry.ground import Ground
-from robir.geometry.hull import carve
+from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.stage import hull_of
 
 
 def camera_at(azimuth: float, elevation: float, side: int, distance: float = 3.2) -> Camera:

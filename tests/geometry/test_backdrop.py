@@ -10,11 +10,10 @@ import trimesh
 
 from robir.geometry.backdrop import BINS, Backdrop, common_colour, ground_palette, hues_held
 from robir.geometry.ground import Ground
-from robir.geometry.hull import carve
+from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.stage import hull_of
 from tests.geometry.scenes import capture_of, checker, disc
 
 TOP = -0.3

@@ -22,10 +22,10 @@ from robir.geometry.backdrop import Backdrop, pixel_noise
 from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground import Ground
-from robir.geometry.hull import carve
+from robir.geometry.hull import carve, hull_of
 from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.stage import hull_of, reconstruct
+from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, checker, disc, drum
 
 NOISE = 0.03

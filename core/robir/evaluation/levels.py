@@ -29,12 +29,11 @@ from robir.evaluation.photos import Exposures, read_picture
 from robir.evaluation.sheet import cut, over_grey, save_sheet, window
 from robir.evaluation.warping import warped_views
 from robir.geometry.config import GeometryConfig
-from robir.geometry.hull import HullCarver, carve
+from robir.geometry.hull import carve, hull_of
 from robir.geometry.mesh import Mesh
 from robir.geometry.rays import reduce_view
 from robir.geometry.surface import extract
 from robir.jobs.paths import JobPaths, read_json
-from robir.maths.vectors import farthest_points
 from robir.transport.config import TransportConfig
 from robir.transport.observe import MASK_INSIDE, resize_view, spread_views
 
@@ -239,11 +238,8 @@ def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
     """
     config = GeometryConfig()
     photos = [reduce_view(view, config.image_side) for view in photographs]
-    positions = np.stack([photo.camera.position for photo in photos])
-    kept = [photos[k] for k in farthest_points(positions, config.hull_views)]
-    carver = HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
     try:
-        surface = extract(*carve(carver, config.hull_cells))
+        surface = extract(*carve(hull_of(photos, config.hull_views), config.hull_cells))
     except RobirError:
         return {}
     return _warped(surface, photographs, views)[0]

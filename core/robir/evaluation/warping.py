@@ -69,7 +69,6 @@ def warped_views(
         chosen = slice(start, start + int(one.hit.sum()))
         start = chosen.stop
         nearest, mean, known = _blended(read, position, chosen, camera.position)
-
         yield Warped(nearest=_picture(one.hit, nearest, known), mean=_picture(one.hit, mean, known))
 
 

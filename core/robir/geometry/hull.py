@@ -15,6 +15,8 @@ from torch.nn.functional import grid_sample
 from robir.capture.camera import Camera
 from robir.errors import CaptureError
 from robir.geometry.lattice import Lattice, resample
+from robir.geometry.rays import Photo
+from robir.maths.vectors import farthest_points
 
 BEHIND = -1e3
 """Signed distance a view gives to points behind its camera: no evidence."""
@@ -83,6 +85,13 @@ class HullCarver:
             )[0, 0, 0]
             scale = depth / (0.5 * (camera.fx + camera.fy))
             yield torch.where(local[2] < 0, pixels * scale, BEHIND)
+
+
+def hull_of(photos: list[Photo], views: int) -> HullCarver:
+    """The visual hull of at most `views` photographs that lie far from each other."""
+    positions = np.stack([photo.camera.position for photo in photos])
+    kept = [photos[k] for k in farthest_points(positions, views)]
+    return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
 
 
 def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:

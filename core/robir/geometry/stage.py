@@ -21,7 +21,7 @@ from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.held_out import save_field_views
-from robir.geometry.hull import HullCarver, carve
+from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.mirroring import Mirroring
@@ -206,10 +206,3 @@ def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
     positions = np.stack([view.camera.position for view in views])
     side = min(config.image_side, GROUND_SIDE)
     return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]
-
-
-def hull_of(photos: list[Photo], views: int) -> HullCarver:
-    """The visual hull of at most `views` photographs that lie far from each other."""
-    positions = np.stack([photo.camera.position for photo in photos])
-    kept = [photos[k] for k in farthest_points(positions, views)]
-    return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
