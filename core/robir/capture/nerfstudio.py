@@ -115,8 +115,9 @@ def _undoing(path: Path, content: Transforms) -> Callable[[Array], Array]:
 
     def undo(pose: Array) -> Array:
         original = np.eye(4)
-        original[:3, :3] = turn.T @ pose[:3, :3] / size
-        original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
+        with np.errstate(invalid="ignore", over="ignore"):  # poses without finite numbers go later
+            original[:3, :3] = turn.T @ pose[:3, :3] / size
+            original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
         return original
 
     return undo
