@@ -8,6 +8,9 @@ from dataclasses import replace
 
 from robir.config import RunConfig
 
+EVERYTHING = 1 << 15
+"""Longer side, pixels, that no photograph has."""
+
 
 def draft() -> RunConfig:
     """Minutes on two CPU cores; every default of every room."""
@@ -19,7 +22,7 @@ def standard() -> RunConfig:
     base = draft()
     return replace(
         base,
-        capture=replace(base.capture, max_side=800),
+        capture=replace(base.capture, max_side=1600),
         geometry=replace(
             base.geometry,
             image_side=400,
@@ -32,7 +35,11 @@ def standard() -> RunConfig:
             base.transport, num_surfels=32000, num_directions=1024, observation_side=320
         ),
         appearance=replace(
-            base.appearance, num_solve_surfels=10000, iterations=400, texture_size=1024
+            base.appearance,
+            num_solve_surfels=10000,
+            iterations=400,
+            shading_size=1024,
+            texture_size=4096,
         ),
         export=replace(base.export, render_samples=128, render_max_side=800),
     )
@@ -43,7 +50,7 @@ def high() -> RunConfig:
     base = standard()
     return replace(
         base,
-        capture=replace(base.capture, max_side=1600),
+        capture=replace(base.capture, max_side=EVERYTHING),
         geometry=replace(
             base.geometry,
             image_side=800,
@@ -55,7 +62,10 @@ def high() -> RunConfig:
         ),
         transport=replace(base.transport, num_surfels=64000, observation_side=640, max_views=96),
         appearance=replace(
-            base.appearance, num_solve_surfels=20000, iterations=800, texture_size=2048
+            base.appearance,
+            num_solve_surfels=20000,
+            iterations=800,
+            texture_size=8192,
         ),
         export=replace(base.export, render_samples=256, render_max_side=1600),
     )

@@ -10,10 +10,10 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.blocks import blocks_of, mean_of
+from robir.appearance.blocks import mean_of
 from robir.appearance.light import MEAN_ALBEDO
 from robir.appearance.plain_lead import PlainLead, mismatch_table
-from robir.appearance.problem import make_problem
+from robir.appearance.problem import blocks_of, make_problem
 from robir.appearance.statistics import Radiance
 from robir.maths.tone import curve_from_name
 

@@ -21,7 +21,12 @@ from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage, upwards
 from robir.capture.exposure import check_settings, exposure_offsets
 from robir.capture.findings import check_place
-from robir.capture.moving_light import background_likeness, check_light, light_of_camera
+from robir.capture.moving_light import (
+    background_likeness,
+    check_light,
+    check_turntable,
+    light_of_camera,
+)
 from robir.capture.sharpness import check_sharpness
 from robir.capture.sightings import sight
 
@@ -131,7 +136,8 @@ def test_fixed_light_explains_nothing_in_the_camera_frame(sunlit):
 
 
 def test_a_turntable_shows_by_its_background(sunlit, detail):
-    finding = the(check_light(photographs("lamp", behind=detail), BOUNDS))
+    turned = photographs("lamp", behind=detail)
+    finding = the(check_turntable(turned, turned, BOUNDS))
     assert (finding.code, finding.level) == ("turntable", "warning")
     assert "camera at rest" in finding.message
     # A room that the camera walked through, and a plain wall with vignetting.
@@ -139,12 +145,13 @@ def test_a_turntable_shows_by_its_background(sunlit, detail):
     for shift, view in enumerate(walked):
         behind = view.mask == 0
         view.image_display[behind] = np.roll(detail, 5 * shift, axis=1)[behind]
-    likeness = background_likeness(walked, BOUNDS)
+    likeness = background_likeness(walked, walked, BOUNDS)
     assert likeness is not None
     assert likeness < 0.3
     y, x = np.mgrid[-1:1:80j, -1:1:80j]
     wall = np.repeat((180 - 50 * (x**2 + y**2))[:, :, None], 3, axis=2).astype(np.uint8)
-    assert background_likeness(photographs("sun", 12, wall), BOUNDS) is None
+    plain = photographs("sun", 12, wall)
+    assert background_likeness(plain, plain, BOUNDS) is None
 
 
 def test_coverage_names_the_widest_gap():

@@ -15,7 +15,14 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion, Frame, Lens
-from robir.capture.images import fitted_mask, read_mask, read_photo, shrink, undistort
+from robir.capture.images import (
+    fitted_mask,
+    open_photo,
+    read_mask,
+    shrink,
+    straightened,
+    undistort,
+)
 from robir.capture.recognise import read_capture, read_frames
 from robir.capture.views import load_views
 from robir.errors import CaptureError
@@ -30,6 +37,11 @@ DISTORTIONS = {
 }
 
 
+def read_photo(path, declared, is_upright=False):
+    with open_photo(path, declared, is_upright) as stored:
+        return stored.read()
+
+
 def test_exif_orientation_is_applied_where_no_size_is_declared(tmp_path):
     upright = np.zeros((20, 30, 3), dtype=np.uint8)
     upright[:10, :15] = (200, 0, 0)
@@ -38,11 +50,11 @@ def test_exif_orientation_is_applied_where_no_size_is_declared(tmp_path):
     path = tmp_path / "turned.png"
     Image.fromarray(np.ascontiguousarray(np.rot90(upright))).save(path, exif=exif)
     photo = read_photo(path, None)
-    assert photo.is_turned
+    assert photo.orientation == 6
     assert np.array_equal(photo.image_display, upright)
     assert read_photo(path, (30, 20)).size == (30, 20)
     stored = read_photo(path, (20, 30))
-    assert not stored.is_turned
+    assert stored.orientation == 1
     assert stored.size == (20, 30)
 
 
@@ -79,7 +91,6 @@ def test_kinds_of_masks(kind, tmp_path):
 def test_masks_of_a_preview_size_are_fitted():
     mask = np.zeros((43, 57), dtype=np.uint8)
     assert fitted_mask(mask, (114, 86)).shape == (86, 114)
-    assert fitted_mask(mask, (86, 114)) is None
 
 
 def test_shrinking_is_a_mean_weighted_by_the_mask():
@@ -136,7 +147,8 @@ def test_distortion_round_trip(name):
         x, y = x - 0.7 * (ax - xd), y - 0.7 * (ay - yd)
     image = np.rint(_pattern(x, y)).astype(np.uint8).reshape(120, 160, 3)
     mask = np.where(x**2 + y**2 < 0.16, 255, 0).astype(np.uint8).reshape(120, 160)
-    straight, straight_mask, pinhole = undistort(image, mask, camera, lens)
+    pinhole = straightened(camera, lens)
+    straight, straight_mask = undistort(image, mask, camera, lens, pinhole)
     sx = (pixels[:, 0] - pinhole.cx) / pinhole.fx
     sy = (pixels[:, 1] - pinhole.cy) / pinhole.fy
     expected = _pattern(sx, sy).reshape(120, 160, 3)
@@ -150,12 +162,7 @@ def test_distortion_round_trip(name):
 def test_a_lens_that_folds_is_refused():
     camera = cameras(1)[0]
     with pytest.raises(CaptureError, match="folds"):
-        undistort(
-            np.zeros((48, 48, 3), np.uint8),
-            np.zeros((48, 48), np.uint8),
-            camera,
-            Distortion(radial=(-40.0, 0.0, 0.0, 0.0)),
-        )
+        straightened(camera, Distortion(radial=(-40.0, 0.0, 0.0, 0.0)))
 
 
 COLMAP_LENSES = {
@@ -286,10 +293,10 @@ def test_photographs_are_read_one_at_a_time(tmp_path):
         for i in range(6)
     ]
     tracemalloc.start()
-    loaded = load_views(frames[:1], {}, CaptureConfig(), lambda share, text: None)
+    loaded = load_views(frames[:1], {}, 400, lambda share, text: None)
     one = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
-    loaded = load_views(frames, {}, CaptureConfig(), lambda share, text: None)
+    loaded = load_views(frames, {}, 400, lambda share, text: None)
     many = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert loaded.views[0].image_display.shape == (300, 400, 3)

@@ -8,6 +8,7 @@ import trimesh
 from robir.capture.camera import Camera
 from robir.evaluation import surfaces
 from robir.evaluation.layers import view_layers
+from robir.geometry.atlas import sample_texture
 from robir.geometry.mesh import Mesh, vertex_normals
 
 
@@ -70,7 +71,7 @@ def test_texture_coordinates_are_seen_upright():
     texture = np.random.default_rng(0).random((8, 8, 3))
     seen = surfaces.MeshCaster(mesh).cast(camera)
     assert seen.hit.all()
-    looked_up = surfaces.sample_texture(texture, seen.uv.reshape(-1, 2))
+    looked_up = sample_texture(texture, seen.uv.reshape(-1, 2))
     assert looked_up.reshape(8, 8, 3) == pytest.approx(texture, abs=1e-4)
 
 
@@ -99,12 +100,12 @@ def test_texture_sampling_is_linear_and_blind_to_empty_texels():
     rows, columns = np.mgrid[:16, :16] + 0.5
     texture = np.stack([columns / 16, 1 - rows / 16], axis=-1)
     uv = np.random.default_rng(1).uniform(0.1, 0.9, (200, 2))
-    assert surfaces.sample_texture(texture, uv) == pytest.approx(uv, abs=1e-9)
+    assert sample_texture(texture, uv) == pytest.approx(uv, abs=1e-9)
     inside = np.ones((16, 16), bool)
     inside[:, 8:] = False
     texture[~inside] = 1e6
     near = np.array([[0.4999, 0.5], [0.48, 0.5]])
-    value = surfaces.sample_texture(texture, near, inside)[:, 0]
+    value = sample_texture(texture, near, inside)[:, 0]
     assert value == pytest.approx([7.5 / 16, 7.5 / 16], abs=0.02)
 
 

@@ -151,7 +151,7 @@ def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_pat
     assert reconstruct(capture, tmp_path / "out", *words) == 0
     config = folder.read_config(JobPaths(tmp_path / "out"))
     assert (config.seed, config.geometry.rays, config.geometry.features) == (4, 900, 6)
-    assert config.capture.max_side == 800
+    assert config.capture.max_side == 1600
     assert read_json(JobPaths(tmp_path / "out").run)["preset"] == "standard"
 
 

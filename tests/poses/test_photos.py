@@ -12,7 +12,7 @@ from poses.room import photograph, ring
 from scipy import ndimage
 
 from robir.capture.decode import exif_values, opened, orientation, upright
-from robir.capture.images import read_photo
+from robir.capture.images import Photo, open_photo
 from robir.capture.refusal import CaptureRefusedError
 from robir.pipeline.inputs import capture_fingerprint
 from robir.poses.pairs import all_pairs, sequence_pairs
@@ -57,6 +57,11 @@ def test_photographs_are_found_where_people_keep_them(tmp_path: Path):
 def test_focal_length_of_exif(exif, focal):
     found = lens_of(exif, (4000, 3000)).focal
     assert found is None if focal is None else found == pytest.approx(focal, rel=1e-4)
+
+
+def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = False) -> Photo:
+    with open_photo(path, declared, is_upright) as stored:
+        return stored.read()
 
 
 @pytest.mark.parametrize("turn", range(1, 9))

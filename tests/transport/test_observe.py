@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.transport.observe import MIN_COSINE, observe, resize_view, spread_views
+from robir.capture.images import resize_view
+from robir.transport.observe import MIN_COSINE, observe, spread_views
 from robir.transport.tracer import EmbreeTracer
 
 PLATE_HEIGHT, PLATE_HALF = 0.4, 0.25

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.problem import Scene
-
 Floats = NDArray[np.floating[Any]]
 Table = tuple[Floats, Floats]
 """Of every block: sum of the weighted values, and sum of the weights."""
@@ -26,12 +24,6 @@ def block_numbers(position: NDArray[np.float32]) -> NDArray[np.int64]:
     """Block number of points (N, 3) in the unit frame, from 0 without gaps."""
     cell = np.floor(position / BLOCK).astype(np.int64)
     return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def blocks_of(scene: Scene) -> NDArray[np.int64]:
-    """Block number of the first sample of every ordered pair, (2 P,)."""
-    block = block_numbers(scene.transport.surfels.position[scene.rows])
-    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
 
 
 def table_of(blocks: NDArray[np.int64], value: Floats, weight: Floats) -> Table:

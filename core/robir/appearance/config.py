@@ -28,7 +28,9 @@ class AppearanceConfig:
         iterations: Adam steps of the last light solve; trial solves take a third.
         parsimony_weight: Weight of "few distinct albedos" once the suns stand.
         num_materials: Patches of like albedo and place that share one roughness.
-        texture_size: Side of the square textures, texels.
+        shading_size: Side of the square atlas, texels, on which light and paint are told apart.
+        texture_size: Largest side of the textures, texels: they are as fine as the photographs
+            resolve, a multiple of `shading_size` by a power of two.
     """
 
     families: tuple[str, ...] = FAMILIES
@@ -39,7 +41,8 @@ class AppearanceConfig:
     iterations: int = 240
     parsimony_weight: float = 0.1
     num_materials: int = 40
-    texture_size: int = 512
+    shading_size: int = 512
+    texture_size: int = 2048
 
     def __post_init__(self) -> None:
         """Refuse unknown families and sizes that cannot work."""
@@ -56,6 +59,7 @@ class AppearanceConfig:
             ("num_solve_surfels", 500),
             ("iterations", 20),
             ("num_materials", 1),
+            ("shading_size", 32),
             ("texture_size", 32),
         ):
             if getattr(self, name) < low:

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.light import log_ratio
-from robir.appearance.problem import PAIR_REACHES, PARTNERS, Problem, Scene, make_problem
+from robir.appearance.problem import PAIR_REACHES, PARTNERS, Problem, Scene, blocks_of, make_problem
 from robir.appearance.solver import Light, fit
 from robir.appearance.statistics import neighbour_pairs
 from robir.maths.tone import powered

@@ -11,7 +11,8 @@ judged under a plain one, as any curve makes the same photographs brighter; how 
 solved anew under every curve that is tried.
 
 Gains are taken only where they are larger than gloss feigns them, and explain most of what the
-points differ by; a falloff towards the corners by the same rule, before them.
+points differ by: other points of the same photographs would prove the sheen of a ground as well. A
+falloff towards the corners, common to all photographs, is proven by those it was not solved by.
 """
 
 from __future__ import annotations
@@ -25,13 +26,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.other_light import find_unlike, unlike
+from robir.appearance.proof import Proof, fitted_views
 from robir.appearance.robust import Weighing, deviation, solve_views
 from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import Capture, View
+from robir.capture.images import resize_view
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
-from robir.transport.observe import Observations, observe, resize_view
+from robir.transport.observe import Observations, observe
 from robir.transport.tracer import AbstractTracer
 
 Array = NDArray[np.float64]
@@ -136,7 +139,7 @@ class Exposures:
         normals, off_axis = self.normals[kept], self.observations.off_axis[kept]
         falloff = NO_FALLOFF
         if self.has_falloff:
-            falloff = solve_falloff(log, normals, off_axis).falloff
+            falloff = solve_falloff(log, normals, off_axis)
             log = log - falloff.log(off_axis)[..., None]
         if not self.are_apart:
             return Gains({}, falloff)
@@ -218,15 +221,57 @@ def compare_photographs(
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
-    """The falloff under a plain tone curve, of strength 0 where none is needed.
+    """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
+
+    Solved by the fitted views, it must let the points that these show predict the kept ones better,
+    each of those at its own exposure.
 
     Args:
         log: (P, V, 3) log radiance from `comparable`.
         normals: (P, 3) of the points.
         off_axis: (P, V) as in `Observations.off_axis`.
     """
-    fit = solve_falloff(log, normals, off_axis)
-    return fit.falloff if fit.is_needed else NO_FALLOFF
+    is_fitted = fitted_views(log.shape[1])
+    enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= FEWEST_VIEWS
+    if enough.sum() < FEWEST_POINTS:
+        return NO_FALLOFF
+    log, normals, off_axis = log[enough], normals[enough], off_axis[enough]
+    falloff = solve_falloff(log[:, is_fitted], normals, off_axis[:, is_fitted])
+    if falloff.strength <= 0:
+        return NO_FALLOFF
+    view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))[1]
+    plain, rich = (
+        _kept_errors(log, normals, model.log(off_axis), is_fitted)
+        for model in (NO_FALLOFF, falloff)
+    )
+    is_proven = Proof.of(plain, rich, (view,)).is_given
+    return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
+
+
+def _kept_errors(
+    log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
+) -> Array:
+    """Squared display errors (M,) of what kept views show, predicted by the fitted ones.
+
+    Args:
+        log: (P, V, 3) log radiance, NaN where a view does not show a point.
+        normals: (P, 3) of the points.
+        dimming: (P, V) log radiance against the middle of a photograph.
+        is_fitted: (V,).
+    """
+    evened = log - dimming[..., None]
+    gains, _ = solve_gains(evened[:, is_fitted], normals)
+    points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
+    apart = evened[:, ~is_fitted] - points[:, None]
+    apart -= np.nanmedian(apart, axis=0)
+    shown = log[:, ~is_fitted]
+    known = np.isfinite(shown[..., 0])
+    curve = curve_from_name("standard")
+    seen, predicted = (
+        curve.display_from_linear(torch.from_numpy(np.exp(values[known])))
+        for values in (shown, shown - apart)
+    )
+    return ((seen - predicted) ** 2).mean(1).numpy()
 
 
 def are_uneven(gains: Array, explained: float) -> bool:

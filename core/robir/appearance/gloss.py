@@ -22,6 +22,7 @@ from torch import Tensor
 from robir.appearance.choice import Choice
 from robir.appearance.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.metal import metal_errors, metal_parts, metal_samples, neighbourhoods
+from robir.appearance.metal_proof import proven_parts
 from robir.appearance.problem import Problem
 from robir.appearance.reflections import (
     TILTS,
@@ -35,6 +36,7 @@ from robir.appearance.roughness import Patches, choose_roughness
 from robir.appearance.seen import Seen, dense, looked_at
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
+from robir.appearance.trial import Trial
 
 Floats = NDArray[np.float32]
 
@@ -215,8 +217,10 @@ def estimate_gloss(
     seen = np.flatnonzero(problem.radiance.seen.numpy())
     in_solve = np.isin(seen, problem.scene.rows[::step])
     rows = seen[in_solve]
-    reflections, rays, shown, valid = looked_at(problem, light, rows)
-    highlights, dielectric = _costs(reflections, rays, shown, valid)
+    looked = looked_at(problem, light, rows)
+    reflections, rays, shown, _ = looked
+    highlights, dielectric = _costs(*looked)
+    trial = Trial(reflections=reflections, rays=rays, seen=shown)
     features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
     normal, paint = surfels.normal[seen], features[:, :3]
     points = np.concatenate(
@@ -231,16 +235,14 @@ def estimate_gloss(
     place = surfels.position[rows], hue, spacing
     observed = reflections, rays, shown.linear
     parts = metal_parts((likely, certain), place, observed, errors)
+    by_camera = problem.scene.by_camera
+    parts, metal_choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
     cluster = clusters(features, num_patches, seed)
-    patches = Patches(
-        features=_means(features, cluster),
-        number=cluster[in_solve][~is_metal],
-        position=surfels.position[rows][~is_metal],
-    )
-    choice = choose_roughness(highlights.of(~is_metal), patches)
+    patches = Patches(features=_means(features, cluster), number=cluster[in_solve])
+    choice = choose_roughness(highlights, patches, trial, ~is_metal, by_camera=by_camera)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
@@ -263,7 +265,7 @@ def estimate_gloss(
             metal=metal,
             has_highlights=choice.has_highlights,
             table=table,
-            choices=choice.choices,
+            choices=(*choice.choices, metal_choice),
         ),
         diffuse,
     )

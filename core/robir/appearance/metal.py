@@ -275,6 +275,8 @@ def metal_parts(
     log, count = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
     kept = _alike(log, count)
     part = np.where(part >= 0, np.where(kept, np.cumsum(kept) - 1, -1)[part], -1)
+    if not kept.any():
+        return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
     log, count = log[kept], count[kept]
     everywhere = 0.5 * ((count * log).sum(0) / count.sum() + np.log(LIKELY_METAL))
     weight = count / (count + METAL_PRIOR)

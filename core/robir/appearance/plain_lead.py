@@ -34,6 +34,10 @@ tell. Photographs that are not rolled off and use the range of the display have 
 so where the errors cannot tell, the shoulder is the likelier. The lead was 1.3 at most on 14
 captures under Filmic and 2.9 at least on the two under Standard without white (docs/tone.md)."""
 
+CAMERA_MARGIN = -2.0
+"""The same of photographs: cameras apply the plain curve, with a shoulder of their own that none of
+the others is, and one of those must lead it as clearly."""
+
 MISMATCH_CAP = 1.0
 """Mismatch beyond which a pair is of two materials and says nothing more."""
 
@@ -86,11 +90,13 @@ class PlainLead:
         shoulder: Name of that curve.
         shadows: By mismatch of albedo between light and shade.
         highlights: By display error near highlights, codes; None if none are seen.
+        margin: Standard errors by which the plain curve must lead.
     """
 
     shoulder: str
     shadows: Lead
     highlights: Lead | None
+    margin: float = PLAIN_MARGIN
 
     @property
     def total(self) -> float:
@@ -101,7 +107,7 @@ class PlainLead:
     @property
     def is_clear(self) -> bool:
         """Whether the photographs were made by the plain curve."""
-        return self.total > PLAIN_MARGIN
+        return self.total > self.margin
 
     @classmethod
     def of(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.blocks import block_numbers
 from robir.appearance.exposure import Exposures, Gains
 from robir.appearance.light import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.statistics import (
@@ -64,6 +65,7 @@ class Scene:
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
+        by_camera: Whether cameras took the photographs, and no renderer.
     """
 
     transport: Transport
@@ -73,6 +75,7 @@ class Scene:
     rows: NDArray[np.int64]
     pairs: Pairs
     exposures: Exposures | None = None
+    by_camera: bool = False
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -137,6 +140,12 @@ def make_scene(
     rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
     pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, PARTNERS, rng)
     return Scene(transport, tracer, soft, offset, rows, pairs)
+
+
+def blocks_of(scene: Scene) -> NDArray[np.int64]:
+    """Block number of the first sample of every ordered pair, (2 P,)."""
+    block = block_numbers(scene.transport.surfels.position[scene.rows])
+    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was chosen about tone curve, lights, metal and cameras, in words for the report."""
+"""What was chosen about tone curve, lights and cameras, in words for the report."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
-from robir.appearance import other_light, vignetting
+from robir.appearance import other_light
 from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
-from robir.appearance.gloss import Gloss
-from robir.appearance.metal import LEAST_SHARE as LEAST_METAL_SHARE
-from robir.appearance.plain_lead import PLAIN_MARGIN
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
 
@@ -22,15 +19,12 @@ GREY, BY_MEAN, BY_HIGHLIGHTS = (
 )
 
 
-def light_choices(
-    tone: ToneChoice, light: Light, gloss: Gloss, seconds: dict[str, float]
-) -> tuple[Choice, ...]:
-    """On the tone curve, the suns and metal.
+def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
+    """On the tone curve and the light.
 
     Args:
         tone: The curves that were compared.
         light: The solved light.
-        gloss: Specular material.
         seconds: Processor time by task: "tone_curve", "light".
     """
     candidates, evidence = tone.candidates, tone.evidence
@@ -39,7 +33,6 @@ def light_choices(
         False: "bright pixels thin out towards code 255: the curve rolls off",
         None: "too little is white, or nearly so, to tell; all families were compared",
     }[evidence.verdict]
-    metal = sum(material["share"] for material in gloss.table if material["metallic"] > 0.5)
     return (
         Choice(
             choice="tone curve",
@@ -76,13 +69,6 @@ def light_choices(
             why="paint returns 4% of a light as a highlight, however bright it is itself; where "
             "these do not tell, the mean albedo is taken to be that of common scenes",
         ),
-        Choice(
-            choice="metal",
-            chosen=f"{metal:.0%} of the surface",
-            alternatives=("none",),
-            why="a part is metal where its views differ more than those of paint and metal "
-            f"explains them about as well, on at least {LEAST_METAL_SHARE:.0%} of it better",
-        ),
     )
 
 
@@ -115,7 +101,7 @@ def _lead(tone: ToneChoice) -> str:
         f"; {PLAIN} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
         f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
         f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
-        f"{PLAIN_MARGIN:g}"
+        f"{lead.margin:g}"
     )
 
 
@@ -178,8 +164,6 @@ def camera_choices(
             choice="corners of the photographs",
             chosen=darker if steps else even,
             alternatives=(even if steps else "darker than the middle",),
-            why=f"corners are darker where that explains at least {vignetting.LEAST_SHARE:.0%} of "
-            "what photographs differ by at the same points of the surface, and the outermost that "
-            f"is seen is more than {vignetting.LEAST_STEPS} steps darker",
+            why="corners are darker where photographs that had no part in that prove it",
         ),
     )

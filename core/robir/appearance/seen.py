@@ -15,6 +15,9 @@ from robir.appearance.reflections import Reflections, ViewRays, view_rays
 from robir.appearance.solver import Light
 from robir.maths.tone_curve import AbstractToneCurve
 
+MOST_ERROR = 0.15
+"""Display error beyond which the mesh is wrong, whatever the material, and more says no more."""
+
 
 @dataclass(frozen=True, slots=True)
 class Seen:
@@ -47,10 +50,15 @@ class Seen:
         """Display error (M,) of a predicted radiance (M, 3)."""
         return self.counted(self.excess(prediction), prediction)
 
+    def squared(self, prediction: Tensor) -> NDArray[np.float64]:
+        """Squared display error (M,) of a predicted radiance (M, 3), for proofs."""
+        off = self.excess(prediction).masked_fill(self.clipped & (prediction > self.linear), 0)
+        return (off**2).mean(1).clamp(max=MOST_ERROR**2).double().numpy()
+
     def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
         """The same where the excess (M, 3) is known."""
         shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
-        return shown.clamp(max=0.15).mean(1)
+        return shown.clamp(max=MOST_ERROR).mean(1)
 
 
 def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:

@@ -128,6 +128,25 @@ def weighted_radiance(observations: Observations, linear: Tensor, share: Tensor)
     return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=torch.from_numpy(seen))
 
 
+def display_mean(radiance: Tensor, weight: Tensor, curve: AbstractToneCurve) -> Tensor:
+    """Radiance (N, 3) whose display colour is the weighted mean over views (N, V, 3).
+
+    Of all that are the same from everywhere it repeats the photographs best: the mean has the least
+    squares, and these are taken where results are judged, in display codes.
+
+    Args:
+        radiance: (N, V, 3) linear Rec.709.
+        weight: (N, V) float32, 0 where a view shows nothing; rows of zeros give 0.
+        curve: Tone curve.
+    """
+    known = weight > 0
+    shown = torch.zeros(radiance.shape)
+    shown[known] = curve.display_from_linear(radiance[known]).float()
+    share = weight / weight.sum(1, keepdim=True).clamp(min=1e-9)
+    mean = torch.einsum("nvc,nv->nc", shown, share)
+    return curve.linear_from_display(mean.clamp(0, 1)).float()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
     """Pairs of samples whose albedos are compared.

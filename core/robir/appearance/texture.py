@@ -10,7 +10,7 @@ say: RobIR's regularised visibility estimation (METHOD 2.7), per texel and witho
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from robir.appearance.sharpen import sharpened
 from robir.appearance.solver import Light
 from robir.appearance.statistics import (
     darker_view_weights,
+    display_mean,
     linear_observations,
     sharpest_views,
     weighted_radiance,
@@ -178,11 +179,11 @@ def texel_albedo(
     sun = light.amplitudes.sharp.numpy()
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve, problem.gains)
-    sharpest = replace(seen, weight=sharpest_views(seen.weight))
-    share = darker_view_weights(linear, torch.from_numpy(sharpest.weight > 0))
-    radiance = weighted_radiance(sharpest, linear, share)
+    share = _shares(seen, linear, texels, gloss)
+    radiance = weighted_radiance(seen, linear, share)
+    shown = radiance.linear if gloss.has_highlights else display_mean(linear, share, problem.curve)
     read = (linear.numpy(), share.numpy(), seen.weight)
-    total = sharpened(radiance.linear.numpy(), read, texels.position, views)
+    total = sharpened(shown.clamp(min=1e-5).numpy(), read, texels.position, views)
     irradiance = soft + narrow @ sun
     below = np.maximum(total - floor, 0.1 * total)
     exitant = np.pi * below / kept
@@ -219,6 +220,19 @@ def texel_albedo(
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),
     )
+
+
+def _shares(seen: Observations, linear: Tensor, texels: Texels, gloss: Gloss) -> Tensor:
+    """What each view counts in a texel's radiance, (N, V); rows sum to 1 where one shows it.
+
+    Below a specular layer the darker views show what is diffuse. Where there is none all views do,
+    each by the number of its pixels on the texel, and their mean repeats the photographs best.
+    """
+    if gloss.has_highlights:
+        return darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
+    apart = seen.positions[None] - texels.position[:, None]
+    pixels = torch.from_numpy(seen.weight / np.einsum("nvd,nvd->nv", apart, apart))
+    return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
 
 
 def _on_edges(

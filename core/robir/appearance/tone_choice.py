@@ -23,12 +23,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.blocks import Table, blocks_of, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.display_power import PowerChoice, choose_power
 from robir.appearance.light import log_ratio
-from robir.appearance.plain_lead import PlainLead, mismatch_table
-from robir.appearance.problem import Problem, Scene, make_problem
+from robir.appearance.plain_lead import CAMERA_MARGIN, PlainLead, mismatch_table
+from robir.appearance.problem import Problem, Scene, blocks_of, make_problem
 from robir.appearance.reach import unable
 from robir.appearance.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.solver import Light, find_suns, fit
@@ -87,17 +87,22 @@ class ClippingEvidence:
     Attributes:
         clipped_share: Observations with a channel at code 255.
         bright_share: Observations with their brightest channel at 245 to 254.
+        by_camera: Whether cameras took the photographs: these roll off a little whatever their
+            curve, so that this tells nothing.
     """
 
     clipped_share: float
     bright_share: float
+    by_camera: bool = False
 
     @property
     def verdict(self) -> bool | None:
         """True for a clipping curve, False for one that rolls off, None if white does not tell."""
         if self.clipped_share > max(CLIPPED_SHARE, SPIKE_RATIO * self.bright_share):
             return True
-        if self.bright_share > max(BRIGHT_SHARE, self.clipped_share / ROLLED_RATIO):
+        if not self.by_camera and self.bright_share > max(
+            BRIGHT_SHARE, self.clipped_share / ROLLED_RATIO
+        ):
             return False
         if self.clipped_share > max(FEW_CLIPPED, LONE_RATIO * self.bright_share):
             return True
@@ -175,7 +180,8 @@ class ToneChoice:
         evidence: Of the histogram.
         beyond: Shares of the observations whose colours no light gives under a curve, by the names
             of the curves that these rule out.
-        power: The power of the display codes, None where the curve was given.
+        power: The power of the display codes, None where the curve was given or cameras took the
+            photographs, which have their own.
         plain_lead: Of the plain curve against those with a shoulder, None where not both were
             compared.
     """
@@ -202,14 +208,17 @@ def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> Tone
         Candidates and evidence.
     """
     allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
+    if scene.by_camera:
+        allowed = [curve for curve in allowed if curve.name != NEUTRAL] or allowed
     observations = scene.transport.observations
-    evidence = clipping_evidence(observations)
+    evidence = replace(clipping_evidence(observations), by_camera=scene.by_camera)
     beyond = unable(allowed, observations)
     fitting = _fitting(allowed, evidence, beyond)
     # Filmic lies between the families, so its suns start all of them.
     first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
     found = find_suns(make_problem(scene, first), config, seed)
-    choice = None if len(allowed) == 1 else choose_power(scene, first, found, seed)
+    is_asked = len(allowed) > 1 and not scene.by_camera
+    choice = choose_power(scene, first, found, seed) if is_asked else None
     if choice is not None and choice.power != 1.0:
         evidence = clipping_evidence(observations, choice.power)
         toned = [powered(curve, choice.power) for curve in allowed]
@@ -290,7 +299,8 @@ class Judged:
         two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
         mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
         highlights = highlight_tables((two[0], two[1]), seed)
-        return PlainLead.of(two[1][0].curve.name, (mine, other), highlights)
+        lead = PlainLead.of(two[1][0].curve.name, (mine, other), highlights)
+        return replace(lead, margin=CAMERA_MARGIN) if two[0][0].scene.by_camera else lead
 
 
 def _ranked(

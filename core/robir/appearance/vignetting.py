@@ -20,24 +20,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.robust import Weighing, deviation, solve_views
+from robir.appearance.robust import Weighing, solve_views
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 
-LEAST_STEPS = 0.08
-"""Darkening, steps, of the outermost parts that are seen, from which a falloff is taken; gloss and
-errors of the mesh feign up to 0.04."""
-
-LEAST_SHARE = 0.04
-"""Share of the points' deviations between photographs that the falloff alone must explain; where
-there is none it explains up to 0.01."""
-
 PRIOR = 1.0
 """Standard deviation of the strength before anything is seen."""
-
-OUTERMOST = 0.98
-"""Rank of the distance from the middle up to which the falloff is seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,27 +58,7 @@ NO_FALLOFF = Falloff()
 """Corners as bright as the middle."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FalloffFit:
-    """A falloff and what speaks for it.
-
-    Attributes:
-        falloff: As solved.
-        edge_steps: Steps by which the outermost parts that are seen are darker.
-        explained: Share of the points' median deviation, after the gains, that it explains.
-    """
-
-    falloff: Falloff
-    edge_steps: float
-    explained: float
-
-    @property
-    def is_needed(self) -> bool:
-        """Whether photographs are darker outside by more than gloss feigns."""
-        return self.edge_steps > LEAST_STEPS and self.explained > LEAST_SHARE
-
-
-def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> FalloffFit:
+def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:
     """Falloff of all views by the points they share.
 
     Args:
@@ -99,7 +68,7 @@ def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> 
         off_axis: (P, V) codes as in `Observations.off_axis`.
 
     Returns:
-        The falloff, needed or not.
+        The falloff, proven or not.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
@@ -109,15 +78,7 @@ def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> 
     for _ in weighing.rounds():
         strength, gains, points = _least_squares(values, square, weighing)
         weighing.renew(np.abs(values + strength * square - gains - points[:, None]))
-    falloff = Falloff(strength)
-    evened = log - gains[:, None]
-    before, after = deviation(evened), deviation(evened - falloff.log(off_axis)[..., None])
-    reach = float(np.quantile(square[known], OUTERMOST))
-    return FalloffFit(
-        falloff=falloff,
-        edge_steps=falloff.corner_steps * reach,
-        explained=1 - after / max(before, 1e-9),
-    )
+    return Falloff(strength)
 
 
 def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[float, Array, Array]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robir.appearance.texel_size import solved_side
 from robir.capture.capture import Capture
 from robir.capture.store import load_turned
 from robir.config import RunConfig
@@ -44,7 +45,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     """
     capture = load_turned(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
-    face, barycentric = rasterise_atlas(mesh, config.appearance.texture_size)
+    face, barycentric = rasterise_atlas(mesh, solved_side(config.appearance))
     inside = face >= 0
     position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
     albedo, coverage = _blended(capture, mesh, position, normal, config.transport.ray_offset)

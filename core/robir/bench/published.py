@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from robir.appearance.texel_size import solved_side
 from robir.capture.store import load_capture
 from robir.config import RunConfig
 from robir.evaluation.photos import mean_scores, photo_scores
@@ -49,7 +50,7 @@ def reconstruct_published(
     work: dict[str, Callable[[], None]] = {
         "geometry": lambda: run_geometry(job, config.geometry),
         "transport": lambda: run_transport(job),
-        "appearance": lambda: run_appearance(job, config.appearance.texture_size),
+        "appearance": lambda: run_appearance(job, solved_side(config.appearance)),
     }
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -116,9 +116,9 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
     for view in views:
         pixels, depth = view.camera.project(points)
         row, column = _indices(view.camera, pixels)
-        in_frame = _in_frame(view.camera, pixels, depth)
-        seen += in_frame
-        inside += in_frame & (view.mask[row, column] >= INSIDE)
+        seen += view.camera.in_photograph(pixels, depth)
+        framed = view.camera.in_picture(pixels, depth)
+        inside += framed & (view.mask[row, column] >= INSIDE)
     kept = points[(seen >= 2) & (inside >= 0.9 * seen)]
     if len(kept) < 20:
         return None
@@ -275,10 +275,6 @@ def _indices(camera: Camera, pixels: Array) -> tuple[NDArray[np.int64], NDArray[
     return row, column
 
 
-def _in_frame(camera: Camera, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-    return (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
-
-
 def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) -> Array:
     """Share of each mask's pixels whose rays meet a kept cell, (V,).
 
@@ -289,7 +285,7 @@ def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) ->
         camera = silhouette.camera
         pixels, depth = camera.project(cells)
         row, column = _indices(camera, pixels)
-        visible = _in_frame(camera, pixels, depth)
+        visible = camera.in_picture(pixels, depth)
         empty = np.ones((camera.height, camera.width), dtype=bool)
         empty[row[visible], column[visible]] = False
         inside = silhouette.distance == 0

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+Box = tuple[int, int, int, int]
+"""Left, top, right and bottom edge of a part of a picture, whole pixels."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
@@ -28,6 +31,9 @@ class Camera:
         cx: Principal point from the left edge, pixels.
         cy: Principal point from the top edge, pixels.
         camera_to_world: 4x4 rigid transform, OpenGL axes.
+        whole: Left, top, right and bottom edge of the photograph that this picture was cut from,
+            in pixels of the picture; None if it is the whole photograph. What lies between the
+            picture's edges and these is known to be background.
     """
 
     width: int
@@ -37,6 +43,7 @@ class Camera:
     cx: float
     cy: float
     camera_to_world: Array
+    whole: tuple[float, float, float, float] | None = None
 
     @property
     def position(self) -> Array:
@@ -47,6 +54,17 @@ class Camera:
     def forward(self) -> Array:
         """Viewing direction, unit, world, shape (3,)."""
         return -self.camera_to_world[:3, 2]
+
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom edge of the whole photograph, pixels of this picture."""
+        return self.whole or (0.0, 0.0, float(self.width), float(self.height))
+
+    @property
+    def whole_size(self) -> tuple[float, float]:
+        """Width and height of the whole photograph, pixels of this picture."""
+        left, top, right, bottom = self.edges
+        return right - left, bottom - top
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
         """Rays through image points.
@@ -91,17 +109,71 @@ class Camera:
         y = -self.fy * local[:, 1] / safe + self.cy
         return np.stack([x, y], axis=1), depth
 
+    def in_picture(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+        """Which image points (N, 2) at depths (N,) the picture shows."""
+        return (depth > 0) & ((pixels >= 0) & (pixels < (self.width, self.height))).all(axis=1)
+
+    def in_photograph(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+        """Which image points (N, 2) at depths (N,) the whole photograph shows."""
+        left, top, right, bottom = self.edges
+        inside = (pixels >= (left, top)) & (pixels < (right, bottom))
+        return (depth > 0) & inside.all(axis=1)
+
     def off_axis(self, pixels: Array) -> Array:
         """Squared distances (N,) of points (N, 2), pixels, from the lens's axis.
 
-        A corner's is 1 where the axis is in the middle of the picture; more counts as 1.
+        A corner of the whole photograph has 1 where the axis is in its middle; more counts as 1.
         """
         away = pixels - [self.cx, self.cy]
-        return ((away**2).sum(1) * 4 / (self.width**2 + self.height**2)).clip(max=1.0)
+        width, height = self.whole_size
+        return ((away**2).sum(1) * 4 / (width**2 + height**2)).clip(max=1.0)
+
+    def part(self, box: Box) -> Camera:
+        """The camera of a part of the picture."""
+        left, top, right, bottom = box
+        a, b, c, d = self.edges
+        return replace(
+            self,
+            width=right - left,
+            height=bottom - top,
+            cx=self.cx - left,
+            cy=self.cy - top,
+            whole=(a - left, b - top, c - left, d - top),
+        )
+
+    def uncut(self) -> Camera:
+        """The camera of the whole photograph at the resolution of this picture."""
+        if self.whole is None:
+            return self
+        left, top, _, _ = self.whole
+        width, height = (max(1, round(side)) for side in self.whole_size)
+        here = replace(self, cx=self.cx - left, cy=self.cy - top, whole=None)
+        return replace(here, width=width, height=height)
+
+    def cut_like(self, other: Camera) -> Camera:
+        """This camera of a whole photograph, cut and reduced as another was.
+
+        Args:
+            other: Camera of a part of the same photograph, at any resolution.
+        """
+        left, top, _, _ = other.edges
+        wide, high = other.whole_size
+        sx, sy = wide / self.width, high / self.height
+        return replace(
+            other,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx + left,
+            cy=self.cy * sy + top,
+            camera_to_world=self.camera_to_world,
+        )
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with another number of pixels over the same field of view."""
         sx, sy = width / self.width, height / self.height
+        whole = self.whole
+        if whole is not None:
+            whole = (whole[0] * sx, whole[1] * sy, whole[2] * sx, whole[3] * sy)
         return replace(
             self,
             width=width,
@@ -110,6 +182,7 @@ class Camera:
             fy=self.fy * sy,
             cx=self.cx * sx,
             cy=self.cy * sy,
+            whole=whole,
         )
 
     def normalised(self, centre: Array, radius: float) -> Camera:

@@ -14,21 +14,24 @@ class CaptureConfig:
     """How photographs are taken in; the defaults are the preset draft.
 
     Attributes:
-        max_side: Longer side of a photograph in pixels, at least 16; larger photographs are
-            averaged down to it, smaller ones stay as they are.
+        max_side: Longer side, in pixels, of what is kept of a photograph about the object, at
+            least 16; what is larger is averaged down to it, what is smaller stays as it is.
         held_out_every: Every how many-th view is kept aside, at least 2; used only if the
             capture brings no test views of its own.
         max_held_out: Number of views kept aside at most, at least 1.
         ground: What becomes of the table where masks have to be guessed: "cut" removes it,
             "keep" leaves a disc of it around the object.
+        outside: What becomes of photographs and masks that lie outside the capture's folder, by
+            the paths its files hold or by links: "refuse" them, or "take" them.
         box: Where the object is, for captures without masks: centre x, y, z and sides x, y, z
             along the axes of the capture's own frame, in its unit; empty to look for it.
     """
 
-    max_side: int = 400
+    max_side: int = 800
     held_out_every: int = 8
     max_held_out: int = 8
     ground: Literal["keep", "cut"] = "cut"
+    outside: Literal["refuse", "take"] = "refuse"
     box: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:

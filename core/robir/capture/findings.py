@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Bounds, Finding, View
+from robir.capture.files import children
 from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.refusal import error, note, warning
 
@@ -74,20 +76,21 @@ def check_frames(frames: FrameSet) -> list[Finding]:
                 *missing,
             )
         )
-    return found + _check_unposed(frames) + _check_poses(everything) + _check_lenses(everything)
+    unposed = [] if missing else _check_unposed(frames)
+    return found + unposed + _check_poses(everything) + _check_lenses(everything)
 
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
-    posed = {frame.image.resolve() for frame in frames.frames}
-    masks = {frame.mask.resolve() for frame in frames.frames if frame.mask is not None}
-    suffixes = {path.suffix.lower() for path in posed}
+    images = [frame.image for frame in frames.frames]
+    masks = [frame.mask for frame in frames.frames if frame.mask is not None]
+    used = {os.path.normpath(path) for path in (*images, *masks)}
+    suffixes = {path.suffix.lower() for path in images}
     beside = [
         path.name
-        for folder in sorted({path.parent for path in posed})
-        if folder.is_dir()
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in suffixes and path.resolve() not in posed | masks
+        for folder in sorted({path.parent for path in images})
+        for path in children(folder)
+        if path.suffix.lower() in suffixes and os.path.normpath(path) not in used
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.
@@ -187,6 +190,16 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
                     *names,
                 )
             )
+    if len(same) == 1 < len(views):
+        found.append(
+            error(
+                "same-photograph",
+                f"All {len(views)} photographs are the same one, pixel by pixel, with different "
+                "poses: nothing tells how far away anything is",
+                "Give the photographs that the poses belong to.",
+                views[0].name,
+            )
+        )
     if found:
         return found
     twins = [name for names in same.values() if len(names) > 1 for name in names]
@@ -242,8 +255,8 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
     Returns:
         Findings.
     """
-    shares = {view.name: float((view.mask >= _OBJECT).mean()) for view in views}
-    border = {view.name: _border_share(view.mask) for view in views}
+    shares = {view.name: _share_of(view, float((view.mask >= _OBJECT).sum())) for view in views}
+    border = {view.name: _border_share(view) for view in views}
     empty = [name for name, share in shares.items() if share == 0]
     full = [name for name, share in shares.items() if share > 0.999]
     tiny = [name for name, share in shares.items() if 0 < share < 0.005]
@@ -355,7 +368,7 @@ def clipped_share(views: Iterable[View]) -> float:
 
 def mask_share(views: Iterable[View]) -> float:
     """Mean share of the photographs that the masks cover."""
-    return float(np.mean([view.mask.mean() / 255 for view in views]))
+    return float(np.mean([_share_of(view, float(view.mask.sum()) / 255) for view in views]))
 
 
 def has_spike(views: Iterable[View]) -> bool:
@@ -373,6 +386,14 @@ def _object_pixels(view: View) -> NDArray[np.uint8]:
     return view.image_display[inside] if inside.any() else view.image_display.reshape(-1, 3)
 
 
-def _border_share(mask: NDArray[np.uint8]) -> float:
-    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    return float((border >= _OBJECT).mean())
+def _share_of(view: View, pixels: float) -> float:
+    """Share of the whole photograph that some of its pixels are."""
+    width, height = view.camera.whole_size
+    return pixels / (width * height)
+
+
+def _border_share(view: View) -> float:
+    """Share of the whole photograph's border that is object; none of it is where it was cut."""
+    mask = view.mask >= _OBJECT
+    on = sum(float(side.sum()) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+    return on / (2.0 * sum(view.camera.whole_size))

@@ -3,20 +3,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy import ndimage
 
 from robir.capture.camera import Camera
-from robir.capture.decode import opened, orientation, upright
+from robir.capture.capture import View
+from robir.capture.decode import header, load, opened, orientation, reduce, upright
 from robir.capture.frames import Distortion
 from robir.capture.refusal import refuse
+from robir.masking.opencv import cv2
 
 Bytes = NDArray[np.uint8]
+
+MESH = 8
+"""Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,16 +34,13 @@ class Photo:
         image_display: (H, W, 3) uint8, display-referred, straight.
         alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
         orientation: EXIF orientation that was applied, 1 to 8; 1 if none was.
+        reduction: How many pixels of the file, along rows and columns, went into one of these.
     """
 
     image_display: Bytes
     alpha: Bytes | None
     orientation: int
-
-    @property
-    def is_turned(self) -> bool:
-        """Whether an EXIF orientation was applied."""
-        return self.orientation != 1
+    reduction: int = 1
 
     @property
     def size(self) -> tuple[int, int]:
@@ -44,8 +48,46 @@ class Photo:
         return self.image_display.shape[1], self.image_display.shape[0]
 
 
-def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = False) -> Photo:
-    """Read a photograph.
+@dataclass(frozen=True, slots=True)
+class StoredPhoto:
+    """A photograph that is open and not yet decoded.
+
+    Attributes:
+        picture: As the file holds it.
+        path: Its file.
+        orientation: EXIF orientation to apply, 1 to 8.
+    """
+
+    picture: Image.Image
+    path: Path
+    orientation: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, turned upright, before it is decoded."""
+        width, height = self.picture.size
+        return (height, width) if self.orientation >= 5 else (width, height)
+
+    def read(self, reduction: int = 1) -> Photo:
+        """Decode it, once.
+
+        Args:
+            reduction: 1, 2, 4 or 8: by how much it may be reduced if that spares decoding.
+
+        Raises:
+            CaptureError: If the pixels are damaged or are no display values.
+        """
+        applied = reduce(self.picture, reduction)
+        load(self.picture, self.path)
+        turned = upright(self.picture, self.orientation)
+        return replace(pixels_of(turned, self.path, self.orientation), reduction=applied)
+
+
+@contextmanager
+def open_photo(
+    path: Path, declared: tuple[int, int] | None, is_upright: bool = False
+) -> Iterator[StoredPhoto]:
+    """Open a photograph.
 
     Programs that write poses with an image size ignore the EXIF orientation, so it is applied
     only if the pixels as stored do not have the declared size, or none is declared; or if the
@@ -56,15 +98,15 @@ def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = 
         declared: (width, height) that belongs to the pose, or None.
         is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
 
-    Returns:
+    Yields:
         The photograph; its size may still differ from the declared one.
 
     Raises:
-        CaptureError: If the file is missing, truncated or no photograph.
+        CaptureError: If the file is missing or no photograph.
     """
-    with opened(path) as picture:
+    with header(path) as picture:
         turn = orientation(picture) if is_upright or picture.size != declared else 1
-        return pixels_of(upright(picture, turn), path, turn)
+        yield StoredPhoto(picture, path, turn)
 
 
 def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
@@ -94,20 +136,18 @@ def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
     return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
 
 
-def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes | None:
-    """A mask brought to the size of its photograph, or None if their shapes differ.
+def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes:
+    """A mask brought to the size of its photograph, whose shape it has.
 
     Args:
         mask: (h, w) uint8.
         size: Width and height of the photograph.
 
     Returns:
-        (H, W) uint8; smaller or larger masks of the same shape (within a pixel) are resampled.
+        (H, W) uint8, resampled where it was smaller or larger.
     """
     if mask.shape[::-1] == size:
         return mask
-    if not same_shape((mask.shape[1], mask.shape[0]), size):
-        return None
     return np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
 
 
@@ -141,49 +181,70 @@ def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, B
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
 
-    def average(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-        resized = Image.fromarray(layer).resize((width, height), Image.Resampling.BOX)
-        return np.asarray(resized)
-
+    layers = np.empty((*mask.shape, 4), np.float32)
     # A grain of weight keeps the picture where there is no object at all.
-    weight = mask.astype(np.float32) + np.float32(1e-3)
-    total = average(weight)
-    layers = [average(image[:, :, c] * weight) / total for c in range(3)]
-    return _bytes(np.stack(layers, axis=2)), _bytes(total)
+    np.add(mask, np.float32(1e-3), out=layers[:, :, 3])
+    np.multiply(image, layers[:, :, 3:], out=layers[:, :, :3])
+    small = cv2.resize(layers, (width, height), interpolation=cv2.INTER_AREA)
+    small[:, :, :3] /= small[:, :, 3:]
+    codes = _bytes(small)
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+
+
+def resize_view(view: View, max_side: int) -> View:
+    """The view at no more than `max_side` pixels; area averages of the object, camera included."""
+    size = size_within((view.camera.width, view.camera.height), max_side)
+    image, mask = shrink(view.image_display, view.mask, *size)
+    return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
+
+
+def straightened(camera: Camera, distortion: Distortion) -> Camera:
+    """The camera of the photograph without its lens distortion, of the same size.
+
+    The field of view shrinks just so much that no pixel lies outside the photograph.
+
+    Args:
+        camera: Camera of the photograph, distortion aside.
+        distortion: Lens distortion.
+
+    Raises:
+        CaptureError: If the distortion folds the picture over itself.
+    """
+    lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    zoom = _zoom_without_gaps(lens, distortion)
+    return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
 
 
 def undistort(
-    image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion
-) -> tuple[Bytes, Bytes, Camera]:
+    image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion, straight: Camera
+) -> tuple[Bytes, Bytes]:
     """Take out the lens distortion by bilinear remapping.
-
-    The field of view shrinks just so much that no pixel lies outside the photograph.
 
     Args:
         image: (H, W, 3) uint8 as photographed.
         mask: (H, W) uint8.
         camera: Its camera, distortion aside.
         distortion: Lens distortion.
+        straight: The camera of the picture that is wanted: as `straightened` has it, or of a
+            part of that.
 
     Returns:
-        Undistorted image, mask and camera, of the same size.
-
-    Raises:
-        CaptureError: If the distortion folds the picture over itself.
+        Image and mask of that camera's size.
     """
-    zoom = _zoom_without_gaps(camera, distortion)
-    straight = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
-    at = _distorted_pixels(straight.pixel_centres(), straight, camera, distortion)
-    rows_columns = (at - 0.5).T[::-1].reshape(2, camera.height, camera.width)
-
-    def remap(layer: Bytes) -> Bytes:
-        moved = np.empty(rows_columns.shape[1:], dtype=np.float32)
-        ndimage.map_coordinates(
-            layer.astype(np.float32), rows_columns, output=moved, order=1, mode="nearest"
-        )
-        return _bytes(moved)
-
-    return np.dstack([remap(image[:, :, c]) for c in range(3)]), remap(mask), straight
+    # exact in the middle of every few pixels, and one such square beyond the border
+    columns, rows = (
+        MESH * (np.arange(-1, -(-side // MESH) + 1) + 0.5)
+        for side in (straight.width, straight.height)
+    )
+    middles = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
+    at = _distorted_pixels(middles, straight, camera, distortion) - 0.5
+    at = at.reshape(len(rows), len(columns), 2).astype(np.float32)
+    fine = cv2.resize(at, (MESH * len(columns), MESH * len(rows)), interpolation=cv2.INTER_LINEAR)
+    where = fine[MESH : MESH + straight.height, MESH : MESH + straight.width]
+    codes = cv2.remap(
+        np.dstack([image, mask]), where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
 
 
 def _distorted_pixels(
@@ -196,8 +257,20 @@ def _distorted_pixels(
     return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=1)
 
 
-def _zoom_without_gaps(camera: Camera, distortion: Distortion) -> float:
-    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph."""
+@lru_cache
+def _zoom_without_gaps(
+    lens: tuple[int, int, float, float, float, float], distortion: Distortion
+) -> float:
+    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph.
+
+    Args:
+        lens: Width, height, fx, fy, cx and cy of a camera: many photographs share them.
+        distortion: Lens distortion.
+    """
+    width, height, fx, fy, cx, cy = lens
+    camera = Camera(
+        camera_to_world=np.eye(4), width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
+    )
     u = np.linspace(0.0, camera.width, 65)
     v = np.linspace(0.0, camera.height, 65)
     border = np.concatenate(

@@ -53,6 +53,29 @@ _BREAKS = (
 _CURE = "Leave object and lamps where they are and walk round the object, without flash."
 
 
+def check_turntable(
+    views: Sequence[View], overviews: Sequence[View], bounds: Bounds
+) -> list[Finding]:
+    """Find an object that was turned before a camera at rest, by its background.
+
+    Args:
+        views: Photographs, poses as they are used.
+        overviews: The same photographs with all that surrounds the object.
+        bounds: The object's sphere.
+
+    Returns:
+        At most one finding.
+    """
+    likeness = background_likeness(views, overviews, bounds)
+    if likeness is None or likeness <= STATIC:
+        return []
+    message = (
+        "The poses go round the object, but the background stays the same in the picture "
+        f"(correlation {likeness:.2f}): it was turned before a camera at rest; {_BREAKS}"
+    )
+    return [warning("turntable", message, _CURE, likeness=round(likeness, 3))]
+
+
 def check_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     """Find light that moves with the camera, or else changes between photographs.
 
@@ -63,13 +86,6 @@ def check_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     Returns:
         At most one finding.
     """
-    likeness = background_likeness(views, bounds)
-    if likeness is not None and likeness > STATIC:
-        message = (
-            "The poses go round the object, but the background stays the same in the picture "
-            f"(correlation {likeness:.2f}): it was turned before a camera at rest; {_BREAKS}"
-        )
-        return [warning("turntable", message, _CURE, likeness=round(likeness, 3))]
     sightings = sight(views, bounds)
     light = light_of_camera(sightings)
     if light is None or light.share < MOVING or light.steps < _STEPS:
@@ -87,25 +103,28 @@ def check_light(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     ]
 
 
-def background_likeness(views: Sequence[View], bounds: Bounds) -> float | None:
+def background_likeness(
+    views: Sequence[View], overviews: Sequence[View], bounds: Bounds
+) -> float | None:
     """Median correlation of the backgrounds of views from different directions.
 
     Args:
-        views: Photographs with masks.
+        views: Photographs, poses as they are used.
+        overviews: The same photographs with all that surrounds the object.
         bounds: The object's sphere.
 
     Returns:
         Correlation in [-1, 1] of fine detail, so that vignetting and plain walls do not count;
         None if no background has detail, or no views are apart.
     """
-    if len({(view.camera.width, view.camera.height) for view in views}) > 1:
+    if len({view.mask.shape for view in overviews}) > 1:
         return None
     directions = directions_to(views, bounds)
     first, second = np.nonzero(np.triu(directions @ directions.T < np.cos(np.radians(_APART)), 1))
     if len(first) == 0:
         return None
     chosen = np.linspace(0, len(first) - 1, min(_PAIRS, len(first))).astype(int)
-    details, behind = zip(*(_background(view) for view in views), strict=True)
+    details, behind = zip(*(_background(view) for view in overviews), strict=True)
     found = []
     for one, other in zip(first[chosen], second[chosen], strict=True):
         common = behind[one] & behind[other]

@@ -9,7 +9,7 @@ import numpy as np
 
 from robir.capture.bounds import Hull, bounds_of, sphere_from_masks, sphere_from_points
 from robir.capture.capture import Bounds, Finding, View
-from robir.capture.frames import FrameSet, rigid
+from robir.capture.frames import FrameSet, posed_otherwise
 from robir.capture.refusal import error, note, warning
 
 Views = tuple[View, ...]
@@ -99,11 +99,5 @@ def _hull(frames: FrameSet, views: Views) -> Hull | None:
 def _with_other_poses(frames: FrameSet, views: Views) -> Views:
     by_name = {frame.name: frame for frame in frames.other_order}
     return tuple(
-        replace(
-            view,
-            camera=by_name[view.name].lens.camera(
-                rigid(by_name[view.name].camera_to_world), view.camera.width, view.camera.height
-            ),
-        )
-        for view in views
+        replace(view, camera=posed_otherwise(view.camera, by_name[view.name])) for view in views
     )

@@ -8,7 +8,7 @@ the mask,
 
 with G_s a Gaussian of s pixels. How much texture a side of the object has cancels, so that a plain
 side does not pass for a blurred one, and the worst of four directions finds motion, too. Measured
-at the size that is used, at which slight blur of a large photograph does not matter.
+on small copies, in which slight blur of a large photograph does not matter.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy import ndimage
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.coverage import directions_to
 from robir.capture.frames import Array
+from robir.capture.images import resize_view
 from robir.capture.refusal import warning
 
 BLURRED = 0.76
@@ -40,6 +41,9 @@ TEXTURED = 0.25
 Photographs blurred by 4 pixels keep 0.3 and more; plain sides have 0.14 and less.
 """
 
+SIDE = 400
+"""Longer side of the photographs that are compared, pixels, at most."""
+
 _FINE, _COARSE = 0.5, 1.5
 _DIRECTIONS = np.array([[0.0, 1.0], [1.0, 0.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
 _MARGIN = 4
@@ -58,17 +62,8 @@ def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     Returns:
         At most one finding.
     """
-    values = np.array([sharpness(view) for view in views])
-    measured = [i for i, value in enumerate(values) if np.isfinite(value).all()]
-    if len(measured) <= _NEIGHBOURS // 2:
-        return []
-    directions, values = directions_to(views, bounds)[measured], values[measured]
-    near = np.argsort(-(directions @ directions.T), axis=1)[:, 1 : _NEIGHBOURS + 1]
-    relative = values / np.median(values[near], axis=1)
-    # Glitter on one side does not make the other side blurred.
-    ratios = np.where(values < SOFT, relative, np.inf)[:, :-1].min(axis=1)
-    is_blurred = (ratios < BLURRED) & (relative[:, -1] > TEXTURED)
-    blurred = sorted((ratios[i], views[measured[i]].name) for i in np.flatnonzero(is_blurred))
+    ratios = relative_sharpness([resize_view(view, SIDE) for view in views], bounds)
+    blurred = sorted((ratios[i], views[i].name) for i in np.flatnonzero(ratios < BLURRED))
     if not blurred:
         return []
     return [
@@ -82,6 +77,30 @@ def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
             sharpness=[round(float(ratio), 3) for ratio, _ in blurred],
         )
     ]
+
+
+def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
+    """How sharp photographs are at the object against those from similar directions.
+
+    Args:
+        views: Photographs with masks.
+        bounds: The object's sphere.
+
+    Returns:
+        (V,) ratios; infinite where nothing can be said.
+    """
+    values = np.array([sharpness(view) for view in views]).reshape(-1, len(_DIRECTIONS) + 1)
+    ratios = np.full(len(views), np.inf)
+    measured = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if len(measured) <= _NEIGHBOURS // 2:
+        return ratios
+    directions, values = directions_to(views, bounds)[measured], values[measured]
+    near = np.argsort(-(directions @ directions.T), axis=1)[:, 1 : _NEIGHBOURS + 1]
+    relative = values / np.median(values[near], axis=1)
+    # Glitter on one side does not make the other side blurred.
+    worst = np.where(values < SOFT, relative, np.inf)[:, :-1].min(axis=1)
+    ratios[measured] = np.where(relative[:, -1] > TEXTURED, worst, np.inf)
+    return ratios
 
 
 def sharpness(view: View) -> Array:

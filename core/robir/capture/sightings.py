@@ -16,9 +16,13 @@ from scipy import ndimage
 
 from robir.capture.capture import Bounds, View
 from robir.capture.frames import Array
+from robir.capture.images import resize_view
 
 POWER = 2.2
 """Of display values, that stands for the tone curve while it is not known."""
+
+SIDE = 400
+"""Longer side of the photographs that are looked at, pixels, at most."""
 
 _GRID = 40
 _POINTS = 1500
@@ -54,6 +58,7 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
     Returns:
         What was seen, of about 1500 points at most.
     """
+    views = [resize_view(view, SIDE) for view in views]
     inside = _hull(views, bounds)
     half = bounds.radius / _GRID
     cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
@@ -73,7 +78,7 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
             along = np.rint(cells + step * towards).astype(np.int64)
             within = ((along >= 0) & (along < _GRID)).all(axis=1)
             seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
-        row, column, framed = _pixels(view, points)
+        row, column, framed, _ = _pixels(view, points)
         seen &= framed & (view.mask[row, column] >= 250)
         grey = ((view.image_display / 255.0) ** POWER).mean(axis=2)
         grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
@@ -83,14 +88,13 @@ def sight(views: Sequence[View], bounds: Bounds) -> Sightings:
 
 def _pixels(
     view: View, points: Array
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Row and column of points, and whether they are in the picture."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Row and column of points, and whether they are in the picture and in the photograph."""
     camera = view.camera
     pixels, depth = camera.project(points)
-    framed = (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
     limits = (camera.width - 1, camera.height - 1)
     column, row = np.clip(pixels, 0, limits).astype(np.int64).T
-    return row, column, framed
+    return row, column, camera.in_picture(pixels, depth), camera.in_photograph(pixels, depth)
 
 
 def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
@@ -99,8 +103,8 @@ def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     seen, against = np.zeros(len(grid)), np.zeros(len(grid))
     for view in views:
-        row, column, framed = _pixels(view, grid + bounds.centre)
-        seen += framed
-        against += framed & (view.mask[row, column] < 64)
+        row, column, framed, known = _pixels(view, grid + bounds.centre)
+        seen += known
+        against += known & ~(framed & (view.mask[row, column] >= 64))
     kept = (seen >= 0.25 * len(views)) & (against <= 0.05 * seen)
     return kept.reshape(_GRID, _GRID, _GRID)

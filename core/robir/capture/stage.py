@@ -12,7 +12,7 @@ from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
 
-REVISION = 1
+REVISION = 2
 """Raised by hand when the results of this stage change."""
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -13,8 +13,8 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
-from robir.capture.frames import Array, Distortion, Frame, FrameSet, rigid
-from robir.capture.images import Bytes, read_photo
+from robir.capture.frames import Array, Distortion, Frame, FrameSet, Lens, posed_otherwise
+from robir.capture.images import Bytes, Photo
 from robir.capture.masks import HOW_TO_SUPPLY
 from robir.capture.refusal import error, note, warning
 from robir.capture.views import Loaded, Progress, load_views, unheard
@@ -35,27 +35,26 @@ def with_guessed_masks(
     frames: FrameSet,
     chosen: Sequence[tuple[Frame, Split]],
     loaded: Loaded,
-    config: CaptureConfig,
-    folder: Path | None,
+    how: tuple[CaptureConfig, Path | None],
     progress: Progress = unheard,
 ) -> tuple[Loaded, list[Finding]]:
-    """Guess the masks of photographs that have none.
+    """Guess the masks of photographs that have none, and read the photographs again with them.
 
     Args:
         frames: What the format says.
         chosen: Frames that were read, with their split.
         loaded: The photographs read from them, none with a mask.
-        config: Settings of the stage.
-        folder: Where the masks are written at the photographs' full size and read again, or None
-            to make them at the size of the views only and keep no files.
+        how: Settings of the stage, and the folder where the masks are written, or None to keep no
+            files.
         progress: Told the share of this work.
 
     Returns:
         Photographs with masks, and findings; an error among them where no masks could be made,
         and the photographs are then as they came.
     """
+    config, folder = how
     progress(0.0, "looking for the object")
-    seen, guess, fault = _guess(frames, chosen, loaded.views, config, progress)
+    seen, guess, fault = _guess(frames, loaded.views, config, progress)
     if guess is None:
         return loaded, [
             error(
@@ -71,30 +70,79 @@ def with_guessed_masks(
     if config.ground == "keep" and plane is not None:
         rim = disc_about(guess.volume, plane)
     by_name = {frame.name: frame for frame, _ in chosen}
-    written: dict[str, Path] = {}
-    views = []
-    for done, (view, belief) in enumerate(zip(seen, guess.masks, strict=True)):
+    cuts: dict[str, GuessedMask] = {}
+    for view, belief in zip(seen, guess.masks, strict=True):
+        frame = by_name[view.name]
         small = view.camera.resized(belief.shape[1], belief.shape[0])
-        disc = None if rim is None else disc_picture(rim, small)
-        if folder is None:
-            views.append(replace(view, mask=_finished(view.image_display, belief, disc)))
-        else:
-            frame = by_name[view.name]
-            written[view.name] = _mask_path(folder, frame.relative)
-            _write(written[view.name], _full_mask(frame, small, belief, disc))
-        progress(0.6 + 0.2 * (done + 1) / len(loaded.views), f"cutting out {view.name}")
-    about = _account(guess, loaded.views, config, folder)
-    if folder is None:
-        return replace(loaded, views=tuple(views), maskless=()), about
+        cuts[view.name] = GuessedMask(
+            lens=frame.lens,
+            camera=small,
+            belief=belief,
+            disc=None if rim is None else disc_picture(rim, small),
+            path=None if folder is None else _mask_path(folder, frame.relative),
+        )
     again = load_views(
-        chosen, written, config, lambda share, text: progress(0.8 + 0.2 * share, text)
+        chosen,
+        cuts,
+        config.max_side,
+        lambda share, text: progress(0.6 + 0.4 * share, text),
     )
-    return again, about
+    return again, _account(guess, loaded.views, config, folder)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuessedMask:
+    """A guess that is finished once its photograph is decoded.
+
+    Attributes:
+        lens: Lens of the photograph.
+        camera: Camera of the layers, undistorted.
+        belief: (h, w) in [0, 1].
+        disc: (h, w), the ground that is kept, or None.
+        path: File the mask is written to, or None.
+    """
+
+    lens: Lens
+    camera: Camera
+    belief: Layer
+    disc: Layer | None
+    path: Path | None
+
+    def outline(self, size: tuple[int, int]) -> Bytes:
+        """The guess itself, as photographed."""
+        belief, disc = self._bent(size)
+        whole = belief if disc is None else np.maximum(belief, disc)
+        return np.where(whole > 0.5, np.uint8(255), np.uint8(0))
+
+    def of(self, photo: Photo, size: tuple[int, int]) -> Bytes:
+        """The mask at the size the photograph was decoded to; written where it shall be."""
+        belief, disc = self._bent(size)
+        mask = sharpened(photo.image_display, belief)
+        if disc is not None:
+            ground = cv2.resize(disc, photo.size, interpolation=cv2.INTER_LINEAR) > 0.5
+            mask = np.where(ground, np.uint8(255), mask)
+        if self.path is not None:
+            _write(self.path, mask)
+        return mask
+
+    def _bent(self, size: tuple[int, int]) -> tuple[Layer, Layer | None]:
+        """The layers with the distortion of the photograph."""
+        if self.lens.distortion.is_null:
+            return self.belief, self.disc
+        pinhole = self.lens.camera(self.camera.camera_to_world, *size)
+        pinhole = pinhole.resized(self.camera.width, self.camera.height)
+        x, y = _straight_pixels(pinhole, self.camera, self.lens.distortion)
+
+        def bent(layer: Layer) -> Layer:
+            return cv2.remap(
+                layer, x, y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+
+        return bent(self.belief), None if self.disc is None else bent(self.disc)
 
 
 def _guess(
     frames: FrameSet,
-    chosen: Sequence[tuple[Frame, Split]],
     views: tuple[View, ...],
     config: CaptureConfig,
     progress: Progress,
@@ -102,7 +150,7 @@ def _guess(
     """The views with the poses used, and their masks or why there are none."""
     points = frames.points
     if len(points) < _ENOUGH_POINTS:
-        views, points = _triangulated(frames, chosen, views, config)
+        views, points = _triangulated(frames, views)
     cameras = [view.camera for view in views]
     if config.box:
         region = region_of_box(config.box, cameras, points)
@@ -119,36 +167,24 @@ def _guess(
     return views, (guess if fault is None else None), fault or ""
 
 
-def _triangulated(
-    frames: FrameSet,
-    chosen: Sequence[tuple[Frame, Split]],
-    views: tuple[View, ...],
-    config: CaptureConfig,
-) -> tuple[tuple[View, ...], Array]:
+def _triangulated(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View, ...], Array]:
     """Surface points; the views get the order of poses that yields more of them."""
-    every = np.linspace(0, len(chosen) - 1, min(len(chosen), matching.MAX_VIEWS))
-    some = [chosen[k] for k in np.unique(every.round().astype(int))]
-    larger = replace(config, max_side=max(config.max_side, matching.SIDE))
-    features = matching.features(load_views(some, {}, larger, unheard).views)
+    every = np.linspace(0, len(views) - 1, min(len(views), matching.MAX_VIEWS))
+    features = matching.features([views[k] for k in np.unique(every.round().astype(int))])
     points = matching.triangulated(features)
     if not frames.other_order:
         return views, points
     others = {frame.name: frame for frame in frames.other_order}
 
-    def turned(name: str, width: int, height: int) -> Camera:
-        return others[name].lens.camera(rigid(others[name].camera_to_world), width, height)
-
+    turned = {view.name: posed_otherwise(view.camera, others[view.name]) for view in views}
     moved = [
-        replace(each, camera=turned(each.name, each.camera.width, each.camera.height))
+        replace(each, camera=turned[each.name].resized(each.camera.width, each.camera.height))
         for each in features
     ]
     other_points = matching.triangulated(moved)
     if len(other_points) <= len(points):
         return views, points
-    views = tuple(
-        replace(view, camera=turned(view.name, view.camera.width, view.camera.height))
-        for view in views
-    )
+    views = tuple(replace(view, camera=turned[view.name]) for view in views)
     return views, other_points
 
 
@@ -190,34 +226,6 @@ def _account(
     return [*found, note("ground", ground)]
 
 
-def _finished(image_display: Bytes, belief: Layer, disc: Layer | None) -> Bytes:
-    """Mask of a photograph, with the disc of ground if one is kept."""
-    mask = sharpened(image_display, belief)
-    if disc is None:
-        return mask
-    size = (mask.shape[1], mask.shape[0])
-    ground = cv2.resize(disc, size, interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.where(ground, np.uint8(255), mask)
-
-
-def _full_mask(frame: Frame, small: Camera, belief: Layer, disc: Layer | None) -> Bytes:
-    """Mask at the size and with the distortion of the photograph itself."""
-    photo = read_photo(frame.image, frame.lens.size, frame.is_upright)
-    lens = frame.lens
-    if not lens.distortion.is_null:
-        pinhole = lens.camera(small.camera_to_world, *photo.size)
-        pinhole = pinhole.resized(small.width, small.height)
-        x, y = _straight_pixels(pinhole, small, lens.distortion)
-
-        def bent(layer: Layer) -> Layer:
-            return cv2.remap(
-                layer, x, y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-
-        belief, disc = bent(belief), None if disc is None else bent(disc)
-    return _finished(photo.image_display, belief, disc)
-
-
 def _straight_pixels(
     camera: Camera, straight: Camera, distortion: Distortion
 ) -> tuple[Layer, Layer]:
@@ -228,7 +236,10 @@ def _straight_pixels(
     x, y = bent_x, bent_y
     for _ in range(30):  # x = x' - (distortion of x), which contracts for every usable lens
         there_x, there_y = distortion.apply(x, y)
-        x, y = x + bent_x - there_x, y + bent_y - there_y
+        step_x, step_y = bent_x - there_x, bent_y - there_y
+        x, y = x + step_x, y + step_y
+        if max(np.abs(step_x).max(), np.abs(step_y).max()) < 1e-6:
+            break
     shape = (camera.height, camera.width)
     columns = (x * straight.fx + straight.cx - 0.5).reshape(shape)
     rows = (y * straight.fy + straight.cy - 0.5).reshape(shape)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,17 +11,16 @@ import numpy as np
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
-from robir.capture.frames import Frame, rigid
-from robir.capture.images import (
-    fitted_mask,
-    read_mask,
-    read_photo,
-    same_shape,
-    shrink,
-    size_within,
-    undistort,
-)
+from robir.capture.decode import stored_size
+from robir.capture.frames import Frame
+from robir.capture.reading import MaskSource, read_view
 from robir.capture.refusal import CaptureRefusedError, note, refuse
+
+HARMLESS_PIXELS = 16_000_000
+"""A photograph of so many pixels is decoded in a second, whatever the others have."""
+
+MAX_RATIO = 16
+"""Times the pixels of a capture's usual photograph that one may have."""
 
 Progress = Callable[[float, str], None]
 """Told the share of the work done, in [0, 1], and what is being done."""
@@ -38,11 +37,13 @@ class Loaded:
 
     Attributes:
         views: In the order of the frames; a view without a mask has a full one.
+        overviews: The same photographs, uncut and small.
         maskless: Names of the views without a mask.
         findings: One error a photograph that could not be read, and notes.
     """
 
     views: tuple[View, ...]
+    overviews: tuple[View, ...]
     maskless: tuple[str, ...]
     findings: tuple[Finding, ...]
 
@@ -82,32 +83,31 @@ def _thinned(indices: list[int], most: int) -> list[int]:
 
 def load_views(
     chosen: Sequence[tuple[Frame, Split]],
-    masks: dict[str, Path],
-    config: CaptureConfig,
+    masks: Mapping[str, Path | MaskSource],
+    max_side: int,
     progress: Progress,
 ) -> Loaded:
-    """Read, undistort and shrink photographs one by one.
+    """Read photographs one by one: undistorted, cut to the object and reduced.
 
     Args:
         chosen: Frames with their split; poses without fault.
-        masks: Mask files by frame name; they win over the format's own and over alpha.
-        config: Settings of the stage.
+        masks: Masks or their files by frame name; they win over the format's own and over alpha.
+        max_side: Longer side that is kept of what shows the object, pixels.
         progress: Told after every photograph.
 
     Returns:
         What could be read, and what could not.
     """
-    views, maskless, findings, turned = [], [], [], []
+    readings, findings = [], []
+    most = _most_pixels(chosen)
     for done, (frame, split) in enumerate(chosen):
         try:
-            view, has_mask, is_turned = _load(frame, split, masks.get(frame.name), config)
+            _refuse_odd_size(frame, most)
+            readings.append(read_view(frame, split, masks.get(frame.name), max_side))
         except CaptureRefusedError as refusal:
             findings.extend(refusal.findings)
-        else:
-            views.append(view)
-            maskless += [] if has_mask else [frame.name]
-            turned += [frame.name] if is_turned else []
         progress((done + 1) / len(chosen), f"reading {frame.name}")
+    turned = [reading.view.name for reading in readings if reading.is_turned]
     if turned:
         findings.append(
             note(
@@ -118,60 +118,28 @@ def load_views(
         )
     if any(not frame.lens.distortion.is_null for frame, _ in chosen):
         findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
-    return Loaded(views=tuple(views), maskless=tuple(maskless), findings=tuple(findings))
+    return Loaded(
+        views=tuple(reading.view for reading in readings),
+        overviews=tuple(reading.overview for reading in readings),
+        maskless=tuple(reading.view.name for reading in readings if not reading.has_mask),
+        findings=tuple(findings),
+    )
 
 
-def _load(
-    frame: Frame, split: Split, mask_path: Path | None, config: CaptureConfig
-) -> tuple[View, bool, bool]:
-    """A view, whether it has a mask, and whether EXIF turned it."""
-    declared = frame.lens.size
-    photo = read_photo(frame.image, declared, frame.is_upright)
-    width, height = photo.size
-    if (
-        declared is not None
-        and photo.size != declared
-        and not (frame.lens.is_scalable and same_shape(photo.size, declared))
-    ):
+def _most_pixels(chosen: Sequence[tuple[Frame, Split]]) -> float:
+    """Pixels that a photograph of this capture may have, by what most of them have."""
+    sizes = [frame.lens.size or stored_size(frame.image) for frame, _ in chosen]
+    pixels = [width * height for width, height in filter(None, sizes)]
+    return max(HARMLESS_PIXELS, MAX_RATIO * float(np.median(pixels)) if pixels else 0.0)
+
+
+def _refuse_odd_size(frame: Frame, most: float) -> None:
+    """Refuse a photograph that has nothing to do with the others, before it is decoded."""
+    size = stored_size(frame.image)
+    if size is not None and size[0] * size[1] > most:
         raise refuse(
             "wrong-size",
-            f"{frame.image} is {width}x{height} pixels, but its pose is for "
-            f"{declared[0]}x{declared[1]}",
-            "Give the photographs the poses were made for, or correct the stated size.",
+            f"{frame.image} is {size[0]}x{size[1]} pixels, many times as large as the others",
+            "Give the photographs the poses were made for.",
             frame.image.name,
         )
-    mask_path = mask_path or frame.mask
-    mask = photo.alpha
-    if mask_path is not None:
-        drawn = read_mask(mask_path, photo.size, photo.orientation)
-        mask = fitted_mask(drawn, photo.size)
-        if mask is None:
-            raise refuse(
-                "wrong-size",
-                f"The mask {mask_path} is {drawn.shape[1]}x{drawn.shape[0]} pixels, but its "
-                f"photograph {frame.image.name} is {width}x{height}",
-                "Draw the mask on the photograph itself, uncropped.",
-                mask_path.name,
-            )
-    has_mask = mask is not None
-    if mask is None:
-        mask = np.full((height, width), 255, dtype=np.uint8)
-    image = photo.image_display
-    camera = frame.lens.camera(rigid(frame.camera_to_world), width, height)
-    target = size_within((width, height), config.max_side)
-    if not frame.lens.distortion.is_null:
-        # Remapping at twice the final size costs little and blurs nothing that will be kept.
-        between = (min(width, 2 * target[0]), min(height, 2 * target[1]))
-        image, mask = shrink(image, mask, *between)
-        image, mask, camera = undistort(
-            image, mask, camera.resized(*between), frame.lens.distortion
-        )
-    image, mask = shrink(image, mask, *target)
-    view = View(
-        name=frame.name,
-        image_display=image,
-        mask=mask,
-        camera=camera.resized(*target),
-        split=split,
-    )
-    return view, has_mask, photo.is_turned

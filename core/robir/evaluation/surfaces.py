@@ -82,36 +82,6 @@ class MeshCaster:
         )
 
 
-def sample_texture(texture: Array, uv: Array, inside: Mask | None = None) -> Array:
-    """Bilinear texture look-up; texels outside the charts take no part.
-
-    Args:
-        texture: (T, T, C), row 0 at v = 1, texel centres at half integers.
-        uv: (N, 2) in [0, 1], v upwards.
-        inside: (T, T) texels that hold something, or None for all. A point with none of them
-            about it takes the nearest texel as it is.
-
-    Returns:
-        (N, C).
-    """
-    size = np.array(texture.shape[1::-1])
-    place = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1) * size - 0.5
-    low = np.floor(place).astype(np.int64)
-    part = place - low
-    total, weight_sum = np.zeros((len(uv), texture.shape[2])), np.zeros((len(uv), 1))
-    for dx in (0, 1):
-        for dy in (0, 1):
-            x = np.clip(low[:, 0] + dx, 0, size[0] - 1)
-            y = np.clip(low[:, 1] + dy, 0, size[1] - 1)
-            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
-            if inside is not None:
-                weight = weight * inside[y, x]
-            total += weight[:, None] * texture[y, x]
-            weight_sum += weight[:, None]
-    x, y = (np.clip(np.round(place[:, i]).astype(np.int64), 0, size[i] - 1) for i in (0, 1))
-    return np.where(weight_sum > 1e-6, total / np.maximum(weight_sum, 1e-6), texture[y, x])
-
-
 def surface_distance(points: Array, vertices: Array, faces: NDArray[np.integer[Any]]) -> Array:
     """Distance of points to a triangle mesh.
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import Capture, View
 from robir.capture.findings import clipped_share
+from robir.capture.images import resize_view
 from robir.evaluation.surfaces import MeshCaster, intersection_over_union
 from robir.geometry.mesh import Mesh
 from robir.transport.observe import spread_views
@@ -26,6 +27,9 @@ Array = NDArray[np.floating[Any]]
 
 _MAX_VIEWS = 12
 """Views that are looked at; more say the same."""
+
+_OUTLINE_SIDE = 400
+"""Longer side of the pictures in which outlines are compared, pixels, at most."""
 
 _OBJECT = 127
 
@@ -144,6 +148,7 @@ def signs(
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:
     """Overlap of the surface as the cameras see it with the masks, all views together."""
     caster = MeshCaster(mesh)
+    views = tuple(resize_view(view, _OUTLINE_SIDE) for view in views)
     ours = np.concatenate([caster.cast(view.camera).hit.ravel() for view in views])
     masks = np.concatenate([(view.mask > _OBJECT).ravel() for view in views])
     return intersection_over_union(ours, masks)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from robir.capture.capture import Capture
+from robir.capture.images import resize_view
 from robir.geometry.config import GeometryConfig
 from robir.geometry.field import Field
 from robir.geometry.mesh import Mesh
@@ -36,7 +37,7 @@ from robir.paper.transport import (
     random_hits,
     surface_hits,
 )
-from robir.transport.observe import observe, resize_view
+from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
 from robir.transport.tracer import make_tracer
 

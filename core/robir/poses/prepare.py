@@ -12,7 +12,7 @@ from pathlib import Path
 from PIL import Image
 
 from robir.capture.capture import Finding
-from robir.capture.decode import exif_values, opened, orientation, upright
+from robir.capture.decode import exif_values, header, load, orientation, reduce, upright
 from robir.capture.images import pixels_of, size_within
 from robir.capture.refusal import CaptureRefusedError, error, note, warning
 from robir.capture.views import Progress
@@ -125,11 +125,14 @@ def prepare(
 
 def _copy(root: Path, path: Path, target: Path) -> _Copy:
     """Copy one photograph."""
-    with opened(path) as picture:
+    with header(path) as picture:
         exif = exif_values(picture)
         turn = orientation(picture)
         lens = None if exif is None else lens_of(exif, picture.size)
         stored_size = picture.size
+        spare = max(stored_size) // (2 * FEATURE_SIDE)
+        reduce(picture, max(factor for factor in (1, 2, 4, 8) if factor <= max(1, spare)))
+        load(picture, path)
         pixels = pixels_of(upright(picture, turn), path)
     grey = Image.fromarray(pixels.image_display).convert("L")
     size = size_within(grey.size, FEATURE_SIDE)

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from robir.capture.capture import View
+from robir.capture.images import resize_view
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import replacing
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.config import TransportConfig
-from robir.transport.observe import Observations, observe, resize_view, spread_views
+from robir.transport.observe import Observations, observe, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
 from robir.transport.tracer import AbstractTracer, make_tracer
 from robir.transport.visibility import Visibility, trace_visibility

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.capture.images import shrink, size_within
 from robir.maths.vectors import farthest_points
 from robir.transport.tracer import AbstractTracer
 
@@ -87,13 +86,6 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     return tuple(views[index] for index in farthest_points(positions, count))
 
 
-def resize_view(view: View, max_side: int) -> View:
-    """The view at no more than `max_side` pixels; area averages of the object, camera included."""
-    size = size_within((view.camera.width, view.camera.height), max_side)
-    image, mask = shrink(view.image_display, view.mask, *size)
-    return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
-
-
 def observe(
     tracer: AbstractTracer,
     position: Floats,
@@ -135,7 +127,7 @@ def observe(
         rays = towards[chosen] / distance[chosen, None]
         free = ~tracer.is_blocked(start, rays)
         chosen, pixels = chosen[free], pixels[free]
-        colour, top, whole = _bilinear(view, _clean_pixels(tracer, view), pixels)
+        colour, top, whole = _bilinear(view, clean_pixels(tracer, view)[0], pixels)
         kept = chosen[whole]
         display[kept, index] = colour[whole]
         clipped[kept, index] = top[whole]
@@ -157,11 +149,21 @@ def off_axis_codes(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.ui
     return np.rint(255 * camera.off_axis(pixels)).astype(np.uint8)
 
 
-def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
-    """Object pixels that no outline of a nearer part runs through, (H, W).
+def clean_pixels(
+    tracer: AbstractTracer, view: View
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Object pixels that no outline of a nearer part runs through, and what they see.
 
     The inverse of depth is linear across the image of a plane, so its second difference marks
     jumps of depth and leaves slanted planes and creases alone.
+
+    Args:
+        tracer: Tracer of the mesh.
+        view: Photograph.
+
+    Returns:
+        (H, W) bool, and (H, W) the inverse of the surface's depth along the viewing direction, 0
+        where there is none.
     """
     inside = view.mask > MASK_INSIDE
     rows, columns = np.nonzero(inside)
@@ -176,7 +178,7 @@ def _clean_pixels(tracer: AbstractTracer, view: View) -> NDArray[np.bool_]:
         margin = [(1, 1) if axis == side else (0, 0) for side in (0, 1)]
         jump = np.maximum(jump, np.pad(bend, margin, mode="edge"))
     # d(1/z) = dz / z^2: a jump of dz bends the inverse depth by that much.
-    return inside & (jump < DEPTH_JUMP * inverse**2)
+    return inside & (jump < DEPTH_JUMP * inverse**2), inverse
 
 
 def pixels_about(

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one proof by which anything enters the model that plain paint in plain light does not need.
+
+Some of the training views take no part in the fit of a candidate, or each view's part in what is
+predicted of it is left out. A candidate is proven where it predicts photographs so better than the
+plainer model does, by more than one standard error. Errors are squared differences of display
+codes, the unit in which results are judged, and are compared in pairs: photographs differ in what
+they show, but both models are asked about the same, so the difference is averaged over views, or
+whatever else errs together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.appearance.blocks import difference_error, mean_of, table_of
+
+Floats = NDArray[np.floating[Any]]
+Rows = NDArray[np.int64]
+
+EVERY = 5
+"""One view in so many takes no part in a fit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proof:
+    """By how much a candidate predicts photographs better that it was not fitted to.
+
+    Attributes:
+        plain: Root mean square error of the plainer model, display codes.
+        rich: The same of the candidate.
+        gain: Difference of the mean squared errors, of codes in 0..1.
+        error: Its standard error.
+    """
+
+    plain: float
+    rich: float
+    gain: float
+    error: float
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the candidate enters the model."""
+        return self.gain > self.error
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the contrary is not proven."""
+        return self.gain > -self.error
+
+    @property
+    def words(self) -> str:
+        """For the report."""
+        times = self.gain / self.error if np.isfinite(self.error) and self.error > 0 else 0.0
+        return (
+            f"photographs that had no part in the fit are predicted with an error of "
+            f"{self.rich:.2f} codes instead of {self.plain:.2f}, {times:+.1f} standard errors; "
+            "more than one is asked for"
+        )
+
+    @classmethod
+    def of(cls, plain: Floats, rich: Floats, groupings: tuple[Rows, ...]) -> Proof:
+        """From errors of both models at the same observations.
+
+        Args:
+            plain: (M,) squared display errors, codes in 0..1, of the plainer model.
+            rich: (M,) of the candidate.
+            groupings: Numbers (M,) of what errs together, such as views and blocks.
+        """
+        ones = np.ones(len(plain))
+        error, means = float("inf"), (0.0, 0.0)
+        if len(plain):
+            pairs = [(table_of(g, plain, ones), table_of(g, rich, ones)) for g in groupings]
+            error = max(difference_error(*pair) for pair in pairs)
+            means = mean_of(pairs[0][0]), mean_of(pairs[0][1])
+        roots = [255 * float(np.sqrt(mean)) for mean in means]
+        return cls(plain=roots[0], rich=roots[1], gain=means[0] - means[1], error=error)
+
+
+def fitted_views(count: int) -> NDArray[np.bool_]:
+    """Which of the views (count,) are fitted to; the others are kept for proofs.
+
+    Photographs are taken and rendered along paths or at random, so one in so many lies between
+    those that are fitted, in all directions.
+    """
+    return np.arange(count) % EVERY != EVERY // 2

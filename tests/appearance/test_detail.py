@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paint finer than the solved texels, from photographs of a floor whose paint is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from transport.shapes import looking_at, mesh_of, patch
+
+from robir.appearance.detail import agreed, finer
+from robir.appearance.texel_size import pixel_width, texture_side
+from robir.appearance.texture import TexelAlbedo
+from robir.capture.capture import View
+from robir.geometry.mesh import Mesh
+from robir.geometry.unwrap import rasterise_atlas
+from robir.maths.tone import curve_from_name
+from robir.transport.surfels import interpolate
+from robir.transport.tracer import EmbreeTracer
+
+SOLVED, SIDE = 64, 256
+CURVE = curve_from_name("standard", {})
+LIGHT = 0.8
+
+
+def paint_at(points: np.ndarray) -> np.ndarray:
+    """Albedo (N, 3): 25 and 18 waves a unit, which solved texels blur, and 2.5, which not."""
+    x, y = points[:, 0], points[:, 1]
+    wave = 0.5 + 0.15 * np.sin(2 * np.pi * 25 * x) + 0.12 * np.sin(2 * np.pi * 18 * y)
+    wave += 0.12 * np.sin(2 * np.pi * 2.5 * x)
+    return (wave[:, None] * np.stack([0.6 + 0 * x, 0.5 + 0.1 * x, 0.4 - 0.1 * y], axis=1)).clip(
+        0.02
+    )
+
+
+def floor() -> Mesh:
+    mesh = mesh_of(patch((-1, -1, 0), (2, 0, 0), (0, 2, 0), 6))
+    uvs = 0.02 + 0.96 * 0.5 * (mesh.vertices[:, :2] + 1.0)
+    return replace(mesh, uvs=uvs.astype(np.float32), uv_faces=mesh.faces)
+
+
+def photograph(position, name: str, gloss=None, dimmed: float = 1.0, size: int = 500) -> View:
+    """The floor under even light, at its own exposure; `gloss` adds radiance to points (N, 3)."""
+    camera = looking_at(position, size=size, focal=1.1)
+    fine = camera.resized(2 * size, 2 * size)
+    origins, directions = fine.rays(fine.pixel_centres())
+    points = origins - directions * (origins[:, 2:] / directions[:, 2:])
+    radiance = LIGHT * paint_at(points) + (0.0 if gloss is None else gloss(points))
+    mean = (dimmed * radiance).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
+    shown = CURVE.display_from_linear(torch.from_numpy(mean.astype(np.float32))).numpy()
+    held = (np.abs(points[:, :2]) < 1).all(1).reshape(size, 2, size, 2).all(axis=(1, 3))
+    return View(
+        name=name,
+        image_display=np.rint(255 * shown).clip(0, 255).astype(np.uint8),
+        mask=np.where(held, 255, 0).astype(np.uint8),
+        camera=camera,
+        split="train",
+    )
+
+
+def solved(mesh: Mesh) -> tuple[np.ndarray, TexelAlbedo]:
+    """The paint as means over the solved texels."""
+    face, barycentric = rasterise_atlas(mesh, 8 * SOLVED)
+    position, _ = interpolate(mesh, face[face >= 0], barycentric[face >= 0])
+    full = np.zeros((8 * SOLVED, 8 * SOLVED, 4))
+    full[face >= 0] = np.concatenate([paint_at(position), np.ones((len(position), 1))], axis=1)
+    sums = full.reshape(SOLVED, 8, SOLVED, 8, 4).sum(axis=(1, 3))
+    means = sums[..., :3] / np.maximum(sums[..., 3:], 1.0)
+    inside = rasterise_atlas(mesh, SOLVED)[0] >= 0
+    count = int(inside.sum())
+    flat = np.full(count, 0.25, np.float32)
+    return inside, TexelAlbedo(
+        albedo=means[inside].astype(np.float32),
+        coverage=np.full(count, 7),
+        disagreement=flat,
+        read=means[inside].astype(np.float32),
+        unknown=flat,
+        uncertainty=flat,
+        roughness=flat,
+        metallic=np.zeros(count, np.float32),
+    )
+
+
+PLACES = [(0.3, 0.2, 2.2), (1.2, 0.3, 1.9), (-0.9, 0.8, 1.9), (0.2, -1.1, 2.0), (-0.6, -0.5, 2.1)]
+
+
+def made_finer(views: list[View]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the logarithm of albedo, well inside the floor: as solved, and made finer."""
+    mesh = floor()
+    inside, values = solved(mesh)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    face, barycentric = rasterise_atlas(mesh, SIDE)
+    position, _ = interpolate(mesh, face[face >= 0], barycentric[face >= 0])
+    truth = np.log(paint_at(position))
+    middle = (np.abs(position) < 0.8).all(1)
+    before = finer(values, inside, (mesh, tracer), ([], CURVE), SIDE)[1].albedo
+    held, after = finer(values, inside, (mesh, tracer), (views, CURVE), SIDE)
+    assert (held == (face >= 0)).all()
+    assert set(after.coverage) == {7}
+    errors = [np.abs(np.log(albedo) - truth)[middle].mean(1) for albedo in (before, after.albedo)]
+    return errors[0], errors[1]
+
+
+def test_detail_comes_back_whatever_the_exposure():
+    exposures = (1.0, 0.7, 0.85, 0.6, 0.9)
+    places = zip(PLACES, exposures, strict=True)
+    views = [photograph(place, str(n), dimmed=d) for n, (place, d) in enumerate(places)]
+    before, after = made_finer(views)
+    assert before.mean() > 0.1
+    assert after.mean() < 0.35 * before.mean()
+
+
+def test_a_highlights_edge_is_no_paint():
+    """One view has a hard highlight that the others do not have there."""
+
+    def spot(points):
+        return 0.1 * (np.hypot(points[:, 0] - 0.2, points[:, 1]) < 0.3)[:, None]
+
+    views = [photograph(p, str(n), spot if n == 0 else None) for n, p in enumerate(PLACES)]
+    before, after = made_finer(views)
+    assert after.mean() < 0.4 * before.mean()
+
+
+def test_the_few_that_agree_win():
+    detail = np.zeros((1, 4, 3), np.float32)
+    detail[0, :, 0] = [0.3, 0.31, 0.29, -0.9]
+    weight = np.array([[1.0, 0.8, 0.7, 1.0]], np.float32)
+    assert agreed(weight, detail)[0, 0] == pytest.approx(0.3, abs=0.05)
+    assert agreed(np.zeros((1, 4), np.float32), detail).tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_textures_that_are_fine_enough_stay_as_they_are():
+    mesh = floor()
+    inside, values = solved(mesh)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    assert finer(values, inside, (mesh, tracer), ([], CURVE), SOLVED) == (inside, values)
+
+
+def test_a_texel_is_as_wide_as_a_pixel():
+    """A camera straight above at distance 2 with 100 pixels of focal length: 0.02 a pixel."""
+    camera = looking_at((0, 0, 2), size=100, focal=1.0)
+    far = looking_at((0, 0, 4), size=100, focal=1.0)
+    spots = np.zeros((5, 3), np.float32)
+    facing = [[1.0, 1.0], [0.64, 1.0], [0.64, 0.0], [0.25, 0.0], [0.0, 0.0]]
+    seen = SimpleNamespace(weight=np.array(facing), views=("near", "far"))
+    transport = SimpleNamespace(
+        observations=seen, surfels=SimpleNamespace(position=spots, normal=spots)
+    )
+    width = pixel_width(transport, {"near": camera, "far": far})  # type: ignore[arg-type]
+    assert width == pytest.approx(0.02 / 0.8)
+
+
+def test_a_texture_has_a_texel_for_every_pixel():
+    """The floor is 2 wide and takes .48 of the atlas along a side: 2 / .02 / .48 = 208 texels."""
+    mesh = floor()
+    mesh = replace(mesh, uvs=0.5 * mesh.uvs)
+    assert texture_side(mesh, 0.02, (32, 512)) == 256
+    assert texture_side(mesh, 0.02, (32, 200)) == 128
+    assert texture_side(mesh, 0.02, (512, 1024)) == 512
+    assert texture_side(mesh, 0.02, (256, 128)) == 128
+    assert texture_side(mesh, np.inf, (32, 512)) == 32
