@@ -256,7 +256,9 @@ def _stored(file: Path) -> Pictures:
     if not file.is_file():
         return {}
     pictures = stored_arrays(file)
-    if any(a.ndim != 3 or a.dtype != np.uint8 or a.shape[2] != 4 for a in pictures.values()):
+    if any(
+        a.ndim != 3 or a.dtype != np.uint8 or a.shape[2] not in (3, 4) for a in pictures.values()
+    ):
         raise StorageError(f"{file} is damaged; run `robir reconstruct` with --resume")
     return pictures
 
