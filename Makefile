@@ -4,6 +4,8 @@
 # make test                        everything the project checks about itself
 # make addon                       the Blender extension: dist/robir-VERSION.zip and dist/repository
 # make setup                       only the environment; .venv/bin/robir is then the command
+# make fuzz [SECONDS=300]          hostile bytes for every reader, with atheris
+# make audit                       known weaknesses of the pinned versions
 # make blenders                    further Blender versions, for the tests of the extension
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
@@ -13,13 +15,19 @@ STAMP := $(VENV)/.installed
 DEMO ?= demo
 VALIDATOR := 2.0.0-dev.3.10
 
+SECONDS ?= 300
+TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
+  colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
+  worker_log run manifest capture_json arrays
+
+SHIPPED := core/robir robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py
 
 # What Blender's wheel links against and a bare Debian lacks.
 SYSTEM_LIBRARIES := libXrender.so.1 libXfixes.so.3 libXi.so.6 libxkbcommon.so.0 libSM.so.6 libGL.so.1
 SYSTEM_PACKAGES := libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1
 
-.PHONY: setup demo addon blenders validator test fast lint system-packages
+.PHONY: setup demo addon blenders validator test fast lint fuzz audit system-packages
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -140,6 +148,18 @@ lint: setup
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml $(SHIPPED)
+
+# Hostile bytes for every reader, SECONDS each; what crashes one is kept in tests/hostile/crashes.
+fuzz: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'atheris>=3.0'
+	@for target in $(TARGETS); do \
+	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
+
+# Known weaknesses of the pinned versions; asks the index's database.
+audit: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip-audit>=2.7'
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps
 
 # The Khronos validator of glTF files, beside the environment's own node.
 validator: setup

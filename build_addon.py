@@ -11,7 +11,9 @@ lies in the bpy wheel and needs no Blender to run. The same tree gives the same 
 import argparse
 import hashlib
 import importlib.util
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -19,10 +21,12 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 SOURCE = ROOT / "robir_addon"
 EPOCH = (1980, 1, 1, 0, 0, 0)
+BILL = "sbom.cdx.json"
 COMPILED = (".so", ".pyd", ".dll", ".dylib")
 
 
@@ -141,6 +145,8 @@ def _stage(stage: Path, wheel: Path) -> None:
     shutil.copyfile(wheel, stage / "wheels" / wheel.name)
     shutil.copyfile(ROOT / "constraints.txt", stage / "engine" / "constraints.txt")
     shutil.copyfile(ROOT / "LICENSES" / "GPL-3.0-or-later.txt", stage / "LICENSE")
+    bill = json.dumps(_bill_of_materials(wheel), indent=2) + "\n"
+    (stage / BILL).write_text(bill, encoding="utf-8")
     manifest = stage / "blender_manifest.toml"
     text = manifest.read_text(encoding="utf-8")
     blank, filled = (
@@ -150,6 +156,45 @@ def _stage(stage: Path, wheel: Path) -> None:
     if text.count(blank) != 1:
         raise BuildError(f"{SOURCE / manifest.name} has no line {blank.strip()} to fill in")
     manifest.write_text(text.replace(blank, filled), encoding="utf-8")
+
+
+def _bill_of_materials(wheel: Path) -> dict[str, Any]:
+    """What the zip holds and what its engine is installed from, in CycloneDX 1.5.
+
+    Without a serial number and a date, so that equal trees give equal bytes.
+    """
+    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    core = _component("robir", wheel.name.split("-")[1], "required")
+    core["hashes"] = [{"alg": "SHA-256", "content": digest}]
+    pins = [line.partition("#")[0].strip() for line in _constraints()]
+    needed = []
+    for pin in filter(None, pins):
+        requirement, _, marker = pin.partition(";")
+        name, _, version = requirement.strip().partition("==")
+        component = _component(name, version, "optional")
+        if marker:
+            component["properties"] = [{"name": "python:marker", "value": marker.strip()}]
+        needed.append(component)
+    version = _version(wheel)
+    addon = {"type": "application", "bom-ref": "robir-addon", "name": "RobIR for Blender"}
+    return {
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.5",
+        "version": 1,
+        "metadata": {"component": {**addon, "version": version}},
+        "components": [core, *needed],
+    }
+
+
+def _component(name: str, version: str, scope: str) -> dict[str, Any]:
+    """A package of the Python index; optional is what the engine downloads."""
+    address = f"pkg:pypi/{re.sub('[-_.]+', '-', name).lower()}@{version.replace('+', '%2B')}"
+    facts = {"type": "library", "name": name, "version": version}
+    return {"bom-ref": address, "purl": address, "scope": scope, **facts}
+
+
+def _constraints() -> list[str]:
+    return (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
 
 
 def _repack(draft: Path, archive: Path) -> None:

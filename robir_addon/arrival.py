@@ -7,7 +7,7 @@ import bpy
 
 from .blocks import MARK
 from .gateway import JobPaths
-from .importer import import_result, read_json
+from .importer import import_result, read_tone_curve
 from .startup import put_aside
 from .view_transform import view_name, view_transform_differs
 
@@ -27,7 +27,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     """
     scene = context.scene
     settings = scene.robir
-    curve = read_json(JobPaths(root).tone_curve)
+    curve = read_tone_curve(JobPaths(root))
     imported = import_result(root, scene, use_sun_lamp=settings.use_sun_lamp)
     settings.result = str(root)
     settings.rotation = 0.0

@@ -5,9 +5,8 @@ import bpy
 import numpy as np
 
 from .comparison import rendered_view
-from .errors import ResultError
 from .gateway import JobPaths, __version__
-from .importer import read_json
+from .importer import read_cameras, read_run
 
 PREVIEW_SIDE = 256
 
@@ -24,12 +23,9 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
     Raises:
         ResultError: If the result folder says nothing about the run.
     """
-    run = read_json(paths.run)
-    try:
-        facts = {"preset": run["preset"], "device": run["device"], "seed": run["seed"]}
-    except KeyError as fault:
-        raise ResultError(f"{paths.run} lacks {fault}; reconstruct again") from fault
-    table = read_json(paths.cameras)
+    run = read_run(paths)
+    facts = {"preset": run["preset"], "device": run["device"], "seed": run["seed"]}
+    table = read_cameras(paths)
     picture = preview_codes(rendered_view(paths, table).picture)
     asset.asset_mark()
     data = asset.asset_data

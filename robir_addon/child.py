@@ -34,7 +34,7 @@ def blender_command(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         Python that imports the same modules as this one.
     """
     if bpy.app.binary_path:
-        start = [bpy.app.binary_path, "--background", "--addons", __package__]
+        start = [bpy.app.binary_path, "--background", "--disable-autoexec", "--addons", __package__]
         return [*start, "--command", "robir_scene", *words], dict(os.environ)
     # Blender's own scripts would stand in front of the module that brings them
     own = Path(bpy.utils.resource_path("LOCAL"))

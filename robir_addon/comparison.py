@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One view of a result as four pictures side by side: photograph, re-render, albedo, roughness."""
 
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,10 @@ MAX_SIDE = 400
 
 _MARGIN = 0.04
 _GAP = 0.02
+
+
+_DAMAGE = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged file of arrays raises."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,7 @@ def _own_renders(paths: JobPaths) -> dict[str, np.ndarray]:
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return {name: _with_alpha(arrays[name][::-1] / 255.0) for name in arrays.files}
-    except (OSError, ValueError) as fault:
+    except _DAMAGE as fault:
         raise ResultError(f"{file} is damaged ({fault}); reconstruct again") from fault
 
 

@@ -73,16 +73,23 @@ _require_ours()
 
 from robir import __version__
 from robir.jobs import client
+from robir.jobs.names import file_in, leads_out
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
+from robir.jobs.records import CAMERA, NUMBERS, read_record
 from robir.jobs.status import Status, read_status
 
 __all__ = [
+    "CAMERA",
+    "NUMBERS",
     "STAGES",
     "JobPaths",
     "Status",
     "__version__",
     "client",
+    "file_in",
+    "leads_out",
     "read_json",
+    "read_record",
     "read_status",
     "replacing",
     "write_json",

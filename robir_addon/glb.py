@@ -53,21 +53,31 @@ def read_glb(path: Path) -> GlbMesh:
         position = _z_up(arrays["POSITION"])
         normal, uv = _z_up(arrays["NORMAL"]), arrays["TEXCOORD_0"]
         extensions = document["materials"][primitive["material"]].get("extensions", {})
-        specular = extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0)
-    except (OSError, ValueError, KeyError, IndexError, struct.error) as fault:
+        specular = float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
+        _check(arrays, corners)
+        name = str(mesh["name"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, struct.error) as fault:
         raise ResultError(
             f"{path} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
             "--resume to export it again"
         ) from fault
     vertices, welded = np.unique(position, axis=0, return_inverse=True)
     return GlbMesh(
-        name=mesh["name"],
+        name=name,
         vertices=vertices,
         faces=welded.reshape(-1)[corners].astype(np.int32),
         corner_normals=normal[corners],
         corner_uvs=np.stack([uv[corners][..., 0], 1.0 - uv[corners][..., 1]], axis=-1),
-        specular=float(specular),
+        specular=specular,
     )
+
+
+def _check(arrays: dict[str, np.ndarray], corners: np.ndarray) -> None:
+    """Refuse arrays of unlike length, and corners that are not there."""
+    count = len(arrays["POSITION"])
+    lengths = {len(arrays[key]) for key in ("NORMAL", "TEXCOORD_0")}
+    if lengths != {count} or not len(corners) or corners.max() >= count:
+        raise ValueError("its vertices do not fit together")
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:

@@ -18,8 +18,8 @@ import bpy
 
 from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
-from .gateway import JobPaths
-from .importer import import_result, read_json
+from .gateway import JobPaths, file_in
+from .importer import import_result, read_tone_curve
 from .lights import show_environment, turn_light
 from .lut import ToneTable, read_tone_table
 from .rendering import prepare_scene, render_still, set_threads, write_film
@@ -49,7 +49,7 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     _say(reports, {"progress": 0.0, "message": "importing the asset"})
     imported = import_result(options.out, scene)
     paths = JobPaths(options.out.resolve())
-    notes = match_view_transform(scene, read_json(paths.tone_curve))
+    notes = match_view_transform(scene, read_tone_curve(paths))
     prepare_scene(scene)
     photos = {c.data.background_images[0].image for c in imported.cameras.values()}
     for image in bpy.data.images:
@@ -78,7 +78,7 @@ def render_views(
         message = f"rendering view {camera[VIEW]}"
         _say(reports, {"progress": index / len(cameras), "message": message})
         use_camera(scene, camera, options.max_side)
-        files.append(paths.renders / f"rerender_{camera[VIEW]}.png")
+        files.append(_picture(paths.renders, f"rerender_{camera[VIEW]}.png"))
         render_still(scene, files[-1], table)
     return files, ()
 
@@ -98,7 +98,7 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
         message = f"relighting view {camera[VIEW]} with {environment.name}"
         _say(reports, {"progress": index / len(cameras), "message": message})
         use_camera(scene, camera, options.max_side)
-        files.append(paths.renders / f"relit_{environment.stem}_{camera[VIEW]}.png")
+        files.append(_picture(paths.renders, f"relit_{environment.stem}_{camera[VIEW]}.png"))
         render_still(scene, files[-1], table)
     return files, ()
 
@@ -114,6 +114,7 @@ def _turntable(
     paths = JobPaths(options.out.resolve())
     renders, table = paths.renders, _tone_table(paths)
     name = f"turntable_{environment.stem}_{camera[VIEW]}"
+    _picture(renders, name)
     use_camera(scene, camera, options.max_side)
     show_environment(scene, scene.world, environment)
     frames = []
@@ -133,16 +134,24 @@ def _open_scene(options: argparse.Namespace, reports: TextIO) -> tuple[JobPaths,
     paths = JobPaths(options.out.resolve())
     if not paths.scene.is_file():
         build_scene(options, reports)
-    bpy.ops.wm.open_mainfile(filepath=str(paths.scene), load_ui=False)
+    bpy.ops.wm.open_mainfile(filepath=str(paths.scene), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
     scene.cycles.samples = options.samples
     set_threads(scene)
     return paths, scene
 
 
+def _picture(folder: Path, name: str) -> Path:
+    """A file of renders; views are named by the scene, which may have been tampered with."""
+    try:
+        return file_in(folder, name)
+    except ValueError as fault:
+        raise ResultError(f"a view of the scene cannot be rendered: {fault}") from fault
+
+
 def _tone_table(paths: JobPaths) -> ToneTable | None:
     """The recovered curve where it is none of Blender's view transforms."""
-    if read_json(paths.tone_curve)["blender_view_transform"]:
+    if read_tone_curve(paths)["blender_view_transform"]:
         return None
     return read_tone_table(paths.tone_lut)
 

@@ -7,7 +7,6 @@ World; the World it had before is remembered. Importing the same folder again re
 first time made, and nothing that the user made is touched.
 """
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +17,23 @@ import bpy
 from .blocks import MARK, remove_marked, with_mark
 from .cameras import add_camera, use_camera
 from .errors import ResultError
-from .gateway import JobPaths
+from .gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record
 from .glb import read_glb
 from .lights import add_lamps, give_back_world, make_world, show_recovered_light, turn_light
 from .materials import add_asset, texture_sockets
 
 _ROLE = "robir_role"
+
+_CAMERAS = {"views": [CAMERA | {"image": str}], "bounds": {"centre": NUMBERS, "radius": float}}
+_LAMP = {"irradiance": NUMBERS, "direction": NUMBERS, "angular_diameter": float}
+_LIGHT = {"sun_lamps?": [_LAMP]}
+_TONE_CURVE = {
+    "family": str,
+    "exposure": float,
+    "blender_view_transform": (None, str),
+    "blender_gamma?": float,
+}
+_RUN = {"preset": str, "device": str, "seed": int}
 
 
 @dataclass(frozen=True)
@@ -67,10 +77,10 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     """
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
-    table = read_json(paths.cameras)
+    table = read_cameras(paths)
     views, centre = table["views"], table["bounds"]["centre"]
     # results of before there were lamps have none
-    suns = read_json(paths.light).get("sun_lamps", [])
+    suns = _read(paths.light, _LIGHT).get("sun_lamps", [])
     mesh = read_glb(paths.asset)
     needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
     missing = next((file for file in needed if not file.is_file()), None)
@@ -120,10 +130,48 @@ def asset_of(root: Path) -> bpy.types.Object | None:
     return next((o for o in with_mark(bpy.data.objects, mark_of(root)) if o.type == "MESH"), None)
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_cameras(paths: JobPaths) -> dict[str, Any]:
+    """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
+
+    Raises:
+        ResultError: If it is missing or damaged, or names what lies outside the result.
+    """
+    table = _read(paths.cameras, _CAMERAS)
+    for view in table["views"]:
+        try:
+            file_in(paths.renders, view["name"])
+            is_strange = leads_out(paths.cameras.parent / view["image"], [paths.root])
+        except ValueError as fault:
+            raise ResultError(f"{paths.cameras} holds a view that cannot be: {fault}") from fault
+        if is_strange or min(view[key] for key in ("width", "height", "fx", "fy")) <= 0:
+            raise ResultError(f"{paths.cameras}: the view {view['name']!a} cannot be")
+    if not table["views"]:
+        raise ResultError(f"{paths.cameras} holds no views; export the result again")
+    return table
+
+
+def read_tone_curve(paths: JobPaths) -> dict[str, Any]:
+    """Contents of tone_curve.json, as far as Blender is concerned.
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    return _read(paths.tone_curve, _TONE_CURVE)
+
+
+def read_run(paths: JobPaths) -> dict[str, Any]:
+    """Contents of run.json, as far as an asset is concerned.
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    return _read(paths.run, _RUN)
+
+
+def _read(path: Path, form: dict[str, Any]) -> dict[str, Any]:
     """Contents of one of the result folder's JSON files; damage is a ResultError."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_record(path, form)
     except (OSError, ValueError) as fault:
         raise ResultError(
             f"{path} cannot be read ({fault}); choose a folder that `robir reconstruct` finished"

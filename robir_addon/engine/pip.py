@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs pip in the engine's environment: progress while it works, a sentence when it fails."""
 
+import os
 import re
 import signal
 import subprocess
@@ -131,9 +132,9 @@ class Pip:
         self, words: Sequence[str], on_line: Callable[[str], object] = str
     ) -> tuple[int, Sequence[str]]:
         """Run pip; the code it ended with and its last lines. Stopped when this is stopped."""
-        # A file of settings may say `user = true`, which no virtual environment accepts.
+        # A file of settings may name another folder, another Python or another index.
         environment = clean_environment() | {
-            "PIP_USER": "0",
+            "PIP_CONFIG_FILE": os.devnull,
             "PIP_DISABLE_PIP_VERSION_CHECK": "1",
             "PYTHONUTF8": "1",
         }

@@ -15,8 +15,17 @@ CHOOSE_EXISTING = "choose an existing environment in the add-on's preferences"
 
 _ADDON = Path(__file__).parents[1]
 
-_LEAKS = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "__PYVENV_LAUNCHER__")
-"""Variables besides Python's own that would make pip install elsewhere."""
+_LEAKS = ("__PYVENV_LAUNCHER__",)
+"""Variables besides Python's and pip's own that lead another Python astray."""
+
+_PIP_KEEPS = frozenset(
+    f"PIP_{name}"
+    for name in (
+        *("CERT", "CLIENT_CERT", "PROXY", "TIMEOUT", "DEFAULT_TIMEOUT", "RETRIES"),
+        *("INDEX_URL", "TRUSTED_HOST"),
+    )
+)
+"""What pip is told of the network it is in; nothing else of its settings is passed on."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,9 @@ def clean_environment(environment: Mapping[str, str] = os.environ) -> dict[str, 
     return {
         name: value
         for name, value in environment.items()
-        if not name.upper().startswith("PYTHON") and name.upper() not in _LEAKS
+        if not name.upper().startswith("PYTHON")
+        and name.upper() not in _LEAKS
+        and (not name.upper().startswith("PIP_") or name.upper() in _PIP_KEEPS)
     }
 
 

@@ -9,7 +9,7 @@ from bpy.props import StringProperty
 from ..arrival import bring_in
 from ..comparison import compare
 from ..errors import ResultError
-from ..importer import mark_of, read_json, remove_result
+from ..importer import mark_of, read_cameras, read_tone_curve, remove_result
 from ..pictures import put_image, read_codes, show_image
 from ..startup import bring_back
 from ..support import support_report
@@ -97,7 +97,7 @@ class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Make one image of the four."""
         paths = result_paths(context)
-        found = compare(paths, read_json(paths.cameras), self.view)
+        found = compare(paths, read_cameras(paths), self.view)
         image = put_image(COMPARISON, found.codes, mark_of(paths.root))
         show_image(context, image)
         self.report(
@@ -131,7 +131,7 @@ class ROBIR_OT_match_view_transform(ResultOperator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Set the scene's colour management."""
-        curve = read_json(result_paths(context).tone_curve)
+        curve = read_tone_curve(result_paths(context))
         for note in match_view_transform(context.scene, curve):
             self.report({"WARNING"}, note)
 

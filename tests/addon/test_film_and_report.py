@@ -100,9 +100,9 @@ def test_what_cycles_rendered_comes_first(result, tmp_path):
 
     from robir_addon.comparison import rendered_view
     from robir_addon.errors import ResultError
-    from robir_addon.importer import read_json
+    from robir_addon.importer import read_cameras
 
-    table = read_json(result.cameras)
+    table = read_cameras(result)
     assert rendered_view(result, table).rendered_by == "RobIR"
     result.renders.mkdir(exist_ok=True)
     file = result.renders / "rerender_held_out_001.png"

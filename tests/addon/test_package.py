@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -258,8 +259,20 @@ def test_what_the_zip_holds(extension_zip):
     assert wheel.removeprefix("./") in files
     assert files["engine/constraints.txt"] == (ROOT / "constraints.txt").read_bytes()
     assert {"__init__.py", "gateway.py", "LICENSE"} <= set(files)
-    allowed = (".py", ".toml", ".txt", ".whl", "LICENSE")
+    allowed = (".py", ".toml", ".txt", ".whl", "LICENSE", "sbom.cdx.json")
     assert [name for name in files if not name.endswith(allowed)] == []
+
+
+def test_the_zip_says_what_it_is_made_of(extension_zip):
+    files = contents(extension_zip)
+    bill = json.loads(files["sbom.cdx.json"])
+    assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
+    core, *needed = bill["components"]
+    (wheel,) = (name for name in files if name.endswith(".whl"))
+    assert core["hashes"][0]["content"] == hashlib.sha256(files[wheel]).hexdigest()
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = {line.partition(";")[0].strip() for line in pins if "==" in line}
+    assert {f"{part['name']}=={part['version']}" for part in needed} == pinned
 
 
 def test_the_same_tree_gives_the_same_zip(newer_tree, tmp_path):

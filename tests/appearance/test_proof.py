@@ -8,6 +8,9 @@ import pytest
 import torch
 from appearance import synthetic
 
+from robir.appearance.highlights import LEVELS
+from robir.appearance.metal import MetalParts
+from robir.appearance.metal_proof import proven_parts
 from robir.appearance.problem import make_problem
 from robir.appearance.proof import EVERY, Proof, fitted_views
 from robir.appearance.seen import looked_at
@@ -112,3 +115,18 @@ def test_no_view_takes_part_in_its_own_prediction(trials):
     trial.seen.linear[rays] = seen.linear
     np.testing.assert_allclose(after[fold == fold[0]], before[fold == fold[0]], atol=1e-9)
     assert (np.abs(after - before) > 1e-6)[fold != fold[0]].all()
+
+
+def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials):
+    trial, count = trials[0]
+    parts = MetalParts(
+        part=np.where(np.arange(count) % 3 == 0, np.arange(count) % 2, -1),
+        base=np.full((2, 3), 0.7, np.float32),
+        roughness=np.array([0.2, 0.3]),
+    )
+    dielectric = np.zeros((count, len(LEVELS)), np.float32)
+    for by_camera, number in ((True, 0), (False, 2)):
+        kept, choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
+        assert len(kept.roughness) == len(kept.base) == number
+        assert len(np.unique(kept.part)) == number + 1
+        assert choice.chosen == ("0% of the surface" if by_camera else "33% of the surface")

@@ -65,12 +65,12 @@ def test_a_pose_that_is_no_number(form, few, tmp_path):
     match form:
         case "polycam":
             edit(path, lambda content: content.update(t_12="far"))
-            refused(tmp_path, "4000000048.json", "t_12", "'far'", "Polycam")
+            refused(tmp_path, "4000000048.json", "t_12", "number", "Polycam")
         case "realityscan":
             lines = path.read_text().splitlines()
             lines[4] = lines[4].replace(",", ",x", 1)
             path.write_text("\n".join(lines))
-            refused(tmp_path, "cameras.csv", '"x" of IMG 02.png', "CSV")
+            refused(tmp_path, "cameras.csv", '"x" of the row of IMG 02.png', "CSV")
         case "metashape":
             swap(path, ("<transform>", "<transform>a "))
             refused(tmp_path, "cameras.xml", "transform of DSC0001", "16 numbers", "Agisoft XML")
@@ -85,8 +85,6 @@ def test_poses_of_nan(form, few, tmp_path):
     match form:
         case "polycam":
             edit(path, lambda content: content.update(t_12=float("nan")))
-            refused(tmp_path, "t_12", "finite")
-            return
         case "realityscan":
             lines = path.read_text().splitlines()
             fields = lines[4].split(",")
@@ -118,7 +116,8 @@ def test_focal_lengths_that_make_no_sense(form, few, tmp_path):
             swap(path, ("<f>60.0", "<f>-60.0"))
         case "meshroom":
             edit(path, lambda content: content["intrinsics"][0].update(focalLength="nan"))
-    refused(tmp_path, path.name, "focal length")
+    word = {"polycam": '"fx"', "meshroom": '"focalLength"'}.get(form, "focal length")
+    refused(tmp_path, path.name, word)
 
 
 def test_realityscan_exported_without_intrinsics(few, tmp_path):
@@ -216,14 +215,14 @@ def test_meshroom_files_that_are_not_read(change, words, few, tmp_path):
 def test_applied_transforms_that_cannot_be_undone(keys, few, tmp_path):
     writers.nerfstudio(tmp_path, few)
     edit(tmp_path / "transforms.json", lambda content: content.update(keys))
-    refused(tmp_path, "transforms.json", "applied_transform", "3x4")
+    refused(tmp_path, "transforms.json", "applied_")
 
 
 @pytest.mark.parametrize("values", [[1, 2, "x"], [1] * 7, {"k1": 1}, [1, float("nan")]])
 def test_lists_of_lens_parameters_that_make_no_sense(values, few, tmp_path):
     writers.nerfstudio(tmp_path, few)
     edit(tmp_path / "transforms.json", lambda content: content.update(distortion_params=values))
-    refused(tmp_path, "distortion_params", "frame 0")
+    refused(tmp_path, "distortion_params", "transforms.json")
 
 
 @pytest.mark.parametrize("form", FILES)

@@ -163,7 +163,7 @@ def test_poses_that_are_no_matrix(synthetic, matrix):
         content["frames"][6]["transform_matrix"] = matrix
 
     edit(synthetic / "transforms_train.json", change)
-    refused(synthetic, "transform_matrix", "frame 6", "4x4")
+    refused(synthetic, "transform_matrix", "frame 6")
 
 
 def test_wrong_image_size(studio):

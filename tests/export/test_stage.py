@@ -310,11 +310,11 @@ FAKE_BLENDER = """
 import json, sys
 print("Blender 9.9.9 LTS", flush=True)
 print("{not json}")
-if sys.argv[6:] == ["unknown"]:
+if sys.argv[7:] == ["unknown"]:
     sys.stderr.write('Unrecognized command: "robir_scene"\\n'); sys.exit(1)
-if sys.argv[6:] == ["fail"]:
+if sys.argv[7:] == ["fail"]:
     sys.stderr.write("error: no such view\\nBlender is sorry\\n"); sys.exit(2)
-if sys.argv[6:] != ["silent"]:
+if sys.argv[7:] != ["silent"]:
     print(json.dumps({"progress": 0.5, "message": "half"}))
     print(json.dumps({"files": sys.argv[1:], "notes": []}))
 print("Blender quit")
@@ -335,8 +335,8 @@ def test_a_whole_blender_takes_the_place_of_the_wheel(fake_blender, monkeypatch)
     seen = []
     outcome = blender.run_headless(["go", "a b"], lambda f, m: seen.append((f, m)))
     assert seen == [(0.5, "half")]
-    start = ["--background", "--addons", "bl_ext.user_default.robir", "--command", "robir_scene"]
-    assert [str(file) for file in outcome.files] == [*start, "go", "a b"]
+    start = ["--background", "--disable-autoexec", "--addons", "bl_ext.user_default.robir"]
+    assert [str(file) for file in outcome.files] == [*start, "--command", "robir_scene", "go", "a b"]
     monkeypatch.setenv("ROBIR_ADDON", "bl_ext.studio.robir")
     assert "bl_ext.studio.robir" in map(str, blender.run_headless(["go"], lambda f, m: None).files)
 

@@ -235,13 +235,14 @@ def estimate_gloss(
     place = surfels.position[rows], hue, spacing
     observed = reflections, rays, shown.linear
     parts = metal_parts((likely, certain), place, observed, errors)
-    parts, metal_choice = proven_parts(parts, trial, dielectric)
+    by_camera = problem.scene.by_camera
+    parts, metal_choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
     cluster = clusters(features, num_patches, seed)
     patches = Patches(features=_means(features, cluster), number=cluster[in_solve])
-    choice = choose_roughness(highlights, patches, trial, ~is_metal)
+    choice = choose_roughness(highlights, patches, trial, ~is_metal, by_camera=by_camera)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)

@@ -74,7 +74,12 @@ class Patches:
 
 
 def choose_roughness(
-    highlights: Highlights, patches: Patches, trial: Trial, paint: NDArray[np.bool_]
+    highlights: Highlights,
+    patches: Patches,
+    trial: Trial,
+    paint: NDArray[np.bool_],
+    *,
+    by_camera: bool,
 ) -> RoughnessChoice:
     """Roughness of every patch, as many as there are.
 
@@ -83,6 +88,8 @@ def choose_roughness(
         patches: That they lie on.
         trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
+        by_camera: Whether a camera took the photographs. Those of a rendering may differ from patch
+            to patch without proof, as they mostly do.
 
     Returns:
         The choice.
@@ -94,11 +101,12 @@ def choose_roughness(
     plain = trial.paint_errors(kept, None)
     single, several = (trial.paint_errors(kept, level) for level in levels)
     many = trial.proof(kept, single, several)
-    gloss = trial.proof(kept, plain, several if many.is_given else single)
+    is_likely = many.is_given or not by_camera
+    gloss = trial.proof(kept, plain, several if is_likely else single)
     of_paint = each[patches.number[paint]]
     is_alike = not len(of_paint) or float(of_paint.std()) < NO_DIFFERENCE
     is_dull = not gloss.is_given
-    is_one = is_dull or is_alike or not many.is_given
+    is_one = is_dull or is_alike or not is_likely
     roughness = np.full(len(each), MATTE if is_dull else _stepped(one)) if is_one else each
     choices = (
         Choice(

@@ -207,7 +207,7 @@ def _load(source: Path, split: str) -> Photographs:
     names = [Path(frame["file_path"]).name for frame in table["frames"]]
     pictures = []
     for name in names:
-        with Image.open(source / split / f"{name}.png") as image:
+        with Image.open(source / split / f"{name}.png", formats=["PNG"]) as image:
             pictures.append(np.asarray(image.convert("RGBA")))
     return Photographs(
         table=table,

@@ -141,7 +141,7 @@ def _save(tiles: Sequence[Picture], picture: Path) -> None:
 
 def tile(picture: Path, name: str, names: Sequence[str] = TILES) -> NDArray[np.uint8]:
     """One of the tiles of a picture by its name, (H, W, 3) codes; `names` are those of all."""
-    with Image.open(picture) as image:
+    with Image.open(picture, formats=["PNG"]) as image:
         codes: NDArray[Any] = np.asarray(image)
     width = codes.shape[1] // len(names)
     return codes[:, names.index(name) * width :][:, :width]

@@ -143,7 +143,7 @@ def compress(photographs: Photographs, quality: float, _rng: np.random.Generator
     def change(picture: Picture) -> Picture:
         stream = io.BytesIO()
         Image.fromarray(picture[..., :3]).save(stream, format="JPEG", quality=int(quality))
-        with Image.open(stream) as image:
+        with Image.open(stream, formats=["JPEG"]) as image:
             return np.dstack([np.asarray(image), picture[..., 3]])
 
     return photographs.with_pictures(change)

@@ -10,11 +10,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
-from robir.capture.files import IMAGE_FOLDERS
+from robir.capture.files import IMAGE_FOLDERS, children
 from robir.capture.frames import (
     MAX_NUMBER,
     OPENGL_FROM_OPENCV,
@@ -27,6 +30,8 @@ from robir.capture.frames import (
     unique_names,
 )
 from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.capture.regular import regular
+from robir.capture.values import Side, checked
 
 FORMAT = "colmap"
 
@@ -53,6 +58,17 @@ _MODELS = {
 """Camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)."""
 
 
+_MAX_BYTES = 1 << 29
+"""Largest file of a model: every photograph's observations stand in it."""
+
+_MAX_POINTS = 1_000_000
+"""Sparse points that are read; they only help to find the object."""
+
+_CURE = "Export the model again."
+_Parameters = Annotated[list[float], Meta(max_length=16)]
+_Sides = tuple[Side, Side]
+
+
 @dataclass(frozen=True, slots=True)
 class _Model:
     folder: Path
@@ -69,7 +85,7 @@ def find_models(source: Path) -> list[Path]:
         child
         for place in places[1:]
         if place.is_dir()
-        for child in sorted(place.iterdir())
+        for child in children(place)
         if child.is_dir()
     ]
     return [folder for folder in folders if _suffix(folder)]
@@ -91,6 +107,7 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
     names = [name for name, _, _ in model.images]
+    shorts = unique_names(names)
     images = images or _image_folder(source, model.folder, names)
     frames = tuple(
         Frame(
@@ -100,7 +117,7 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
             lens=_lens_of(model, number, relative),
             camera_to_world=pose,
         )
-        for short, (relative, number, pose) in zip(unique_names(names), model.images, strict=True)
+        for short, (relative, number, pose) in zip(shorts, model.images, strict=True)
     )
     findings = []
     if len(models) > 1:
@@ -138,7 +155,7 @@ def _lens_of(model: _Model, number: int, relative: str) -> Lens:
         raise refuse(
             "bad-colmap",
             f"{model.folder}: {relative} was taken with camera {number}, which is not listed",
-            "Export the model again.",
+            _CURE,
         )
     return model.lenses[number]
 
@@ -159,7 +176,7 @@ def _read_model(folder: Path) -> _Model:
         raise refuse(
             "bad-colmap",
             f"The COLMAP model in {folder} is truncated or damaged ({fault})",
-            "Export the model again.",
+            _CURE,
             cameras.name,
             images.name,
         ) from None
@@ -167,7 +184,7 @@ def _read_model(folder: Path) -> _Model:
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
-    with path.open("rb") as file:
+    with regular(path) as file:
         (count,) = struct.unpack("<Q", file.read(8))
         for _ in range(count):
             number, model, width, height = struct.unpack("<iiQQ", file.read(24))
@@ -177,7 +194,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
 
 
 def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
-    content = path.read_bytes()
+    content = _bytes(path)
     (count,) = struct.unpack_from("<Q", content, 0)
     at = 8
     for _ in range(count):
@@ -196,8 +213,9 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
     for line in _lines(path):
         if line:
             number, name, width, height, *values = line.split()
-            lens = _lens(path, name, int(width), int(height), tuple(map(float, values)))
-            yield int(number), lens
+            values = checked(path, values, _Parameters, _CURE, where=name[:80], is_text=True)
+            sides = checked(path, [width, height], _Sides, _CURE, where=name[:80], is_text=True)
+            yield int(number), _lens(path, name, *sides, tuple(values))
 
 
 def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
@@ -207,15 +225,21 @@ def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
             continue
         _, qw, qx, qy, qz, tx, ty, tz, number, name = line.split(maxsplit=9)
         next(lines, None)  # the observations, which may be an empty line
-        rotation = tuple(map(float, (qw, qx, qy, qz)))
-        yield name, int(number), _pose(rotation, tuple(map(float, (tx, ty, tz))))
+        values = [qw, qx, qy, qz, tx, ty, tz]
+        numbers = checked(path, values, list[float], _CURE, where=name[:80], is_text=True)
+        yield name, int(number), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
 
 
 def _lines(path: Path) -> Iterator[str]:
-    with path.open(encoding="utf-8") as file:
+    with regular(path, _MAX_BYTES) as file:
         for line in file:
-            if not line.startswith("#"):
-                yield line.strip()
+            if not line.startswith(b"#"):
+                yield line.decode("utf-8").strip()
+
+
+def _bytes(path: Path) -> bytes:
+    with regular(path, _MAX_BYTES) as file:
+        return file.read()
 
 
 def _read_points(path: Path) -> Array:
@@ -223,12 +247,13 @@ def _read_points(path: Path) -> Array:
     points = []
     try:
         if path.suffix == ".txt":
-            points = [list(map(float, line.split()[1:4])) for line in _lines(path) if line]
+            lines = (line for line in _lines(path) if line)
+            points = [list(map(float, line.split()[1:4])) for line in islice(lines, _MAX_POINTS)]
         else:
-            content = path.read_bytes()
+            content = _bytes(path)
             (count,) = struct.unpack_from("<Q", content, 0)
             at = 8
-            for _ in range(count):
+            for _ in range(min(count, _MAX_POINTS)):
                 points.append(struct.unpack_from("<3d", content, at + 8))
                 (track,) = struct.unpack_from("<Q", content, at + 43)
                 at += 51 + 8 * track

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture files of every kind, opened and decoded: Pillow's own, HEIC and RAW by optional packages.
+"""The one door for photographs and masks: which files are opened, how large, and by what.
+
+A file counts only if it is a regular one and holds one of a few formats, told by content: PNG,
+JPEG, TIFF, BMP, WebP, or, under its own suffix, HEIC or RAW, which optional packages decode. Its
+size is looked at before a pixel is decoded. Nothing else of Pillow's is ever asked, for it knows
+formats that start other programs.
 
 Where a package is missing, the refusal says how to install it. EXIF data never stops a photograph:
 what is damaged there counts as absent.
@@ -10,12 +15,14 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.capture.regular import regular
 
 HEIF_SUFFIXES = (".heic", ".heif")
 """Photographs of phones, decoded by pillow-heif."""
@@ -26,7 +33,22 @@ RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2")
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
 """The cure for a missing optional package, in one place."""
 
-_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
+MAX_PIXELS = 100_000_000
+"""Largest photograph: decoding takes up to sixteen bytes a pixel."""
+
+MAX_SIDE = 65_535
+"""Longest side of a JPEG; other formats allow pictures that are a billion wide and one high."""
+
+MAX_FILE_BYTES = 1 << 30
+"""Largest file of a photograph."""
+
+MAX_DECODED = 2_000_000_000
+"""Pixels that a JPEG may make the decoder go over: each of its scans goes over all of them."""
+
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+_SCAN = b"\xff\xda"
+
+_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
 """What Pillow raises for broken files."""
 
 _BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
@@ -67,8 +89,11 @@ def load(picture: Image.Image, path: Path) -> None:
     """Decode the pixels of an open picture.
 
     Raises:
-        CaptureError: If they are damaged.
+        CaptureError: If they are damaged, or take too long.
     """
+    whole = stored_size(path) if picture.format in ("JPEG", "MPO") else None
+    if whole is not None:
+        _check_scans(path, whole[0] * whole[1])
     try:
         picture.load()
     except _DAMAGE as fault:
@@ -126,20 +151,28 @@ def header(path: Path) -> Iterator[Image.Image]:
     Args:
         path: Any kind of `IMAGE_SUFFIXES`.
 
+    Yields:
+        The picture as stored, of a size that can be decoded.
+
     Raises:
-        CaptureError: As `opened`.
+        CaptureError: As `opened`, but for damage to the pixels.
     """
     suffix = path.suffix.lower()
-    if suffix in RAW_SUFFIXES:
-        yield _developed(path)
-        return
+    formats = _FORMATS
     if suffix in HEIF_SUFFIXES:
         _register_heif(path)
-    with warnings.catch_warnings():
-        # Damaged EXIF data and pictures of 50 to 180 megapixels are no reason to stop.
+        formats = (*_FORMATS, "HEIF")
+    with ExitStack() as stack:
+        # Damaged EXIF data and pictures of 50 to 100 megapixels are no reason to stop.
+        stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore")
         try:
-            picture = Image.open(path)
+            file = stack.enter_context(regular(path, MAX_FILE_BYTES))
+            if suffix in RAW_SUFFIXES:
+                picture = _developed(path, file)
+            else:
+                picture = Image.open(file, formats=formats)
+            _check_size(path, *picture.size)
         except FileNotFoundError:
             raise refuse(
                 "missing-images", f"{path} does not exist", "Put it there.", path.name
@@ -153,8 +186,34 @@ def header(path: Path) -> Iterator[Image.Image]:
             ) from None
         except _DAMAGE as fault:
             raise _damaged(path, fault) from None
-    with picture:
-        yield picture
+        yield stack.enter_context(picture)
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS or max(width, height) > MAX_SIDE:
+        raise refuse(
+            "too-large",
+            f"{path} is {width}x{height} pixels; photographs of up to "
+            f"{MAX_PIXELS // 1_000_000} megapixels are read",
+            "Save it smaller.",
+            path.name,
+        )
+
+
+def _check_scans(path: Path, pixels: int) -> None:
+    """Refuse a JPEG that goes over its pixels again and again, as no camera's does."""
+    scans, last = 0, b""
+    with regular(path, MAX_FILE_BYTES) as file:
+        while block := file.read(1 << 20):
+            scans += (last + block).count(_SCAN)
+            last = block[-1:]
+    if scans > 1 and scans * pixels > MAX_DECODED:
+        raise refuse(
+            "too-large",
+            f"{path} stores its picture in {scans} passes, which takes too long to decode",
+            "Save it again.",
+            path.name,
+        )
 
 
 def exif_values(picture: Image.Image) -> dict[int, object] | None:
@@ -197,7 +256,7 @@ def _register_heif(path: Path) -> None:
     pillow_heif.register_heif_opener()
 
 
-def _developed(path: Path) -> Image.Image:
+def _developed(path: Path, file: BinaryIO) -> Image.Image:
     """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
 
     Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
@@ -212,7 +271,8 @@ def _developed(path: Path) -> Image.Image:
             path.name,
         ) from None
     try:
-        with rawpy.imread(str(path)) as raw:
+        with rawpy.imread(file) as raw:
+            _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
             pixels = raw.postprocess(
                 half_size=True, use_camera_wb=True, no_auto_bright=True, output_bps=8
             )
@@ -220,7 +280,8 @@ def _developed(path: Path) -> Image.Image:
         raise _damaged(path, fault) from None
     picture = Image.fromarray(pixels)
     # Most RAW files are TIFF as well, so the lens can be read; the picture is upright already.
-    with suppress(UnidentifiedImageError, *_BAD_EXIF), Image.open(path) as stored:
+    file.seek(0)
+    with suppress(UnidentifiedImageError, *_BAD_EXIF), Image.open(file, formats=["TIFF"]) as stored:
         exif = stored.getexif()
         exif.get_ifd(ExifTags.IFD.Exif)
         exif.pop(ExifTags.Base.Orientation, None)

@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.coverage import directions_to
+from robir.capture.decode import exif_values, header
 from robir.capture.frames import Array
-from robir.capture.refusal import warning
+from robir.capture.refusal import CaptureRefusedError, warning
 from robir.capture.sightings import POWER, Sightings
 
 SETTINGS_SPREAD = 0.15
@@ -32,7 +32,6 @@ Captures under one light and exposure reach 0.1, and 0.15 where the visual hull 
 object; exposures off by up to half a step reach 0.24.
 """
 
-_EXIF = 0x8769
 _TIME, _APERTURE, _SPEED, _FLASH = 33434, 33437, 34855, 37385
 _FIRED = 1
 _FEWEST_VIEWS = 18
@@ -87,15 +86,13 @@ def check_settings(photographs: Sequence[Path]) -> list[Finding]:
 def _settings(path: Path) -> tuple[float | None, bool]:
     """Exposure in steps (log2 of time times sensitivity over squared aperture), and the flash."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # damaged EXIF data count as none
-            with Image.open(path) as picture:
-                tags = picture.getexif().get_ifd(_EXIF)
+        with header(path) as picture:
+            tags: dict[int, Any] = exif_values(picture) or {}
         flash = bool(int(tags.get(_FLASH, 0)) & _FIRED)
         speed = tags.get(_SPEED)
         speed = speed[0] if isinstance(speed, tuple) else speed
         gain = float(tags[_TIME]) * float(speed or 0) / float(tags[_APERTURE]) ** 2
-    except (OSError, ValueError, TypeError, KeyError, ArithmeticError, SyntaxError, IndexError):
+    except (CaptureRefusedError, ValueError, TypeError, LookupError, ArithmeticError):
         return None, False
     return (float(np.log2(gain)) if 0 < gain < np.inf else None), flash
 

@@ -4,22 +4,39 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
-from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER
+from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.refusal import refuse
+from robir.capture.regular import regular
+from robir.jobs.names import open_regular
 
 IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
 """Where photographs usually lie, the likeliest first."""
+
+MAX_VALUES_BYTES = 1 << 30
+"""Memory that the values of a JSON file may come to."""
 
 _NO_PHOTOGRAPHS = ("mask", "matte", "alpha", "depth", "normal", "thumb", "confidence", "seg")
 """How folders begin that hold other pictures of the same names."""
 
 _DEPTH = 3
 """Folders below the capture's own that are searched for photographs."""
+
+
+def read_text(path: Path) -> str:
+    """Content of a text file of poses, UTF-8 with or without a mark at its beginning.
+
+    Raises:
+        OSError: If it cannot be read, see `regular`.
+        ValueError: If it is no UTF-8.
+    """
+    with regular(path) as file:
+        return file.read().decode("utf-8-sig")
 
 
 def load_json(path: Path) -> Any:
@@ -29,13 +46,13 @@ def load_json(path: Path) -> Any:
         path: The file.
 
     Returns:
-        Whatever it holds.
+        Whatever it holds; whole numbers of absurd size as floating-point ones.
 
     Raises:
         CaptureError: If it cannot be read as JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(_bounded(read_text(path)), parse_int=_whole)
     except (OSError, ValueError, RecursionError) as fault:
         raise refuse(
             "bad-json",
@@ -45,20 +62,43 @@ def load_json(path: Path) -> Any:
         ) from None
 
 
-def is_number(value: object) -> TypeGuard[int | float]:
-    """Whether a value is a finite number of sane size, and no truth value."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < MAX_NUMBER
+def _bounded(text: str) -> str:
+    """JSON whose values will fit into memory."""
+    # What Python needs for a table, a list and an entry of either.
+    if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
+        raise ValueError("it holds too many values")
+    return text
+
+
+def _whole(text: str) -> int | float:
+    return int(text) if len(text) < 18 else float(text)
 
 
 def head(path: Path, length: int = 65536) -> str:
     """The beginning of a text file, empty if there is none; for telling formats apart."""
     try:
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
-            return file.read(length)
+        with os.fdopen(open_regular(path), "rb") as file:
+            return file.read(length).decode("utf-8-sig", errors="replace")
     except OSError:
         return ""
+
+
+def children(folder: Path) -> list[Path]:
+    """What lies in a folder, sorted by name; nothing where it cannot be read.
+
+    Links to folders do not count, so that no search leaves the capture or goes in circles; but for
+    those named like folders of photographs.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            found = sorted(
+                entry.name
+                for entry in entries
+                if not (entry.is_symlink() and entry.is_dir() and entry.name not in IMAGE_FOLDERS)
+            )
+    except OSError:
+        return []
+    return [folder / name for name in found]
 
 
 def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
@@ -99,11 +139,7 @@ def _parts(name: str) -> list[str]:
 
 def _pictures(root: Path, below: str, depth: int) -> Iterator[str]:
     """Paths of pictures below a folder, "/" between folders."""
-    try:
-        children = sorted((root / below).iterdir())
-    except OSError:
-        return
-    for child in children:
+    for child in children(root / below):
         relative = f"{below}{child.name}"
         lower = child.name.lower()
         if child.suffix.lower() in IMAGE_SUFFIXES:

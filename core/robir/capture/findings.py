@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Bounds, Finding, View
+from robir.capture.files import children
 from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.refusal import error, note, warning
 
@@ -74,20 +76,21 @@ def check_frames(frames: FrameSet) -> list[Finding]:
                 *missing,
             )
         )
-    return found + _check_unposed(frames) + _check_poses(everything) + _check_lenses(everything)
+    unposed = [] if missing else _check_unposed(frames)
+    return found + unposed + _check_poses(everything) + _check_lenses(everything)
 
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
-    posed = {frame.image.resolve() for frame in frames.frames}
-    masks = {frame.mask.resolve() for frame in frames.frames if frame.mask is not None}
-    suffixes = {path.suffix.lower() for path in posed}
+    images = [frame.image for frame in frames.frames]
+    masks = [frame.mask for frame in frames.frames if frame.mask is not None]
+    used = {os.path.normpath(path) for path in (*images, *masks)}
+    suffixes = {path.suffix.lower() for path in images}
     beside = [
         path.name
-        for folder in sorted({path.parent for path in posed})
-        if folder.is_dir()
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in suffixes and path.resolve() not in posed | masks
+        for folder in sorted({path.parent for path in images})
+        for path in children(folder)
+        if path.suffix.lower() in suffixes and os.path.normpath(path) not in used
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.

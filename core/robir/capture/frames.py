@@ -15,6 +15,7 @@ polynomial that is the model of Kannala and Brandt, which OpenCV and COLMAP call
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -26,6 +27,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Finding
 from robir.capture.decode import HEIF_SUFFIXES, RAW_SUFFIXES
 from robir.capture.refusal import refuse
+from robir.jobs.names import UnsafeNameError, checked_name, file_in
 
 Array = NDArray[np.float64]
 
@@ -246,9 +248,8 @@ def pose_fault(pose: Array) -> str | None:
     lengths = np.linalg.norm(axes, axis=0)
     if lengths.min() < 1e-9 or abs(np.linalg.det(axes / lengths)) < 1e-3:
         return "is singular (its axes do not span space)"
-    if lengths.max() > 1.01 * lengths.min() or not np.allclose(
-        (axes / lengths).T @ (axes / lengths), np.eye(3), atol=1e-2
-    ):
+    skew = (axes / lengths).T @ (axes / lengths) - np.eye(3)
+    if lengths.max() > 1.01 * lengths.min() or np.abs(skew).max() > 1e-2:
         return "is no rotation (its axes are sheared or of unequal length)"
     if np.linalg.det(axes) < 0:
         return "mirrors space (its determinant is negative)"
@@ -280,7 +281,7 @@ def unique_names(relatives: list[str]) -> list[str]:
         One name each, fit for a file name.
 
     Raises:
-        CaptureError: If two photographs have the same path.
+        CaptureError: If two photographs have the same path, or one has a path that is none.
     """
     parts = [
         [p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")] for r in relatives
@@ -290,8 +291,10 @@ def unique_names(relatives: list[str]) -> list[str]:
     full = ["_".join(p) for p in parts]
     stems = [name.rsplit(".", 1)[0] if _has_image_suffix(name) else name for name in full]
     names = stems if len(set(stems)) == len(stems) else full
+    for name, relative in zip(names, relatives, strict=True):
+        _check_name(name, relative)
     if len(set(names)) < len(names):
-        twice = sorted({r for r in relatives if relatives.count(r) > 1})
+        twice = sorted(relative for relative, n in Counter(relatives).items() if n > 1)
         raise refuse(
             "duplicate-images",
             f"{len(twice)} photographs are named more than once, with one pose each",
@@ -299,6 +302,19 @@ def unique_names(relatives: list[str]) -> list[str]:
             *twice,
         )
     return names
+
+
+def _check_name(name: str, relative: str) -> None:
+    """Refuse what no file can be called; views are stored under their names."""
+    try:
+        checked_name(relative)
+        file_in(Path(), name)
+    except UnsafeNameError as fault:
+        raise refuse(
+            "bad-name",
+            f"A photograph cannot be named: {fault}",
+            "Give the photographs short names of letters and digits, in the file of poses too.",
+        ) from None
 
 
 def _has_image_suffix(name: str) -> bool:

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from robir.capture.arrays import read_matrix
+from robir.capture.files import children
 from robir.capture.frames import (
     IMAGE_SUFFIXES,
     MAX_NUMBER,
@@ -25,11 +27,13 @@ from robir.capture.frames import (
 )
 from robir.capture.masks import from_folder, natural_order
 from robir.capture.refusal import DAMAGED_ARRAYS, refuse
+from robir.capture.regular import regular
 
 FORMAT = "llff"
 NAME = "poses_bounds.npy"
 
 _MATTED = "images_mask"
+_MAX_NUMBERS = 17 * 1_000_000
 
 
 def read(path: Path) -> FrameSet:
@@ -48,11 +52,11 @@ def read(path: Path) -> FrameSet:
     root = path.parent
     rows = _rows(path)
     folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)
-    photographs = sorted(
-        p.relative_to(root).as_posix()
-        for p in folder.iterdir()
-        if p.suffix.lower() in IMAGE_SUFFIXES
-    )
+    photographs = [
+        path.relative_to(root).as_posix()
+        for path in children(folder)
+        if path.suffix.lower() in IMAGE_SUFFIXES
+    ]
     if len(photographs) != len(rows):
         raise refuse(
             "missing-images",
@@ -89,13 +93,13 @@ def read(path: Path) -> FrameSet:
 
 def _rows(path: Path) -> Array:
     try:
-        with path.open("rb") as file:
-            rows = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+        with regular(path) as file:
+            rows = read_matrix(file, _MAX_NUMBERS)
     except DAMAGED_ARRAYS as fault:
         raise refuse(
             "bad-poses", f"{path} is no readable array ({fault})", "Copy it again.", path.name
         ) from None
-    if rows.ndim != 2 or rows.shape[1] != 17:
+    if rows.shape[1] != 17:
         raise refuse(
             "bad-poses",
             f"{path} has shape {rows.shape}; a row of 17 numbers for each photograph is needed",
@@ -114,7 +118,7 @@ def _pose(row: Array) -> Array:
 
 def _lens(path: Path, row: Array) -> Lens:
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
-    if not all(0 < value < MAX_NUMBER for value in (height, width, focal)):
+    if not (1 <= height < MAX_NUMBER and 1 <= width < MAX_NUMBER and 0 < focal < MAX_NUMBER):
         raise refuse(
             "bad-intrinsics",
             f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}",

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -15,6 +16,9 @@ _AFFIX = re.compile(
     r"^(?:dynamic_)?(?:mask|alpha|matte|seg)[-_.]|"
     r"[-_.](?:mask|masks|alpha|matte|matted|seg|segmentation|rgba|removebg-preview|removebg)$"
 )
+
+MAX_FILES = 100_000
+"""Files that a folder of masks may hold."""
 
 HOW_TO_SUPPLY = (
     "Supply one mask for each photograph (white = object) with --masks DIR, named like the "
@@ -44,10 +48,9 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
     if not folder.is_dir():
         raise refuse("missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY)
     index: dict[str, set[Path]] = defaultdict(set)
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-            for key in _keys(path.relative_to(folder).as_posix()):
-                index[key].add(path)
+    for path in _pictures(folder):
+        for key in _keys(path.relative_to(folder).as_posix()):
+            index[key].add(path)
     found = {}
     for frame in frames:
         for key in _keys(frame.relative):
@@ -62,7 +65,8 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
             "Name each mask like its photograph (IMG_1.png or IMG_1_mask.png for IMG_1.jpg).",
             *missing,
         )
-    shared = [f.relative for f in frames if list(found.values()).count(found[f.name]) > 1]
+    users = Counter(found.values())
+    shared = [frame.relative for frame in frames if users[found[frame.name]] > 1]
     if shared:
         raise refuse(
             "missing-masks",
@@ -73,10 +77,28 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
     return found
 
 
+def _pictures(folder: Path) -> list[Path]:
+    """Pictures in a folder and its subfolders; links to folders are not followed."""
+    found = []
+    seen = 0
+    for parent, folders, names in os.walk(folder):
+        folders.sort()
+        seen += len(names) + len(folders)
+        if seen > MAX_FILES:
+            raise refuse(
+                "missing-masks",
+                f"{folder} holds more than {MAX_FILES} files and can be no folder of masks",
+                HOW_TO_SUPPLY,
+            )
+        paths = [Path(parent, name) for name in sorted(names)]
+        found += [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+    return found
+
+
 def natural_order(relative: str) -> list[tuple[int, str]]:
     """Sort key that puts "2.jpg" before "10.jpg"."""
-    pieces = re.split(r"(\d+)", relative.lower())
-    return [(int(p), "") if p.isdigit() else (-1, p) for p in pieces]
+    pieces = re.split(r"([0-9]{1,18})", relative.lower())
+    return [(int(p), "") if p.isdigit() and p.isascii() else (-1, p) for p in pieces]
 
 
 def _keys(relative: str) -> list[str]:
@@ -88,7 +110,7 @@ def _keys(relative: str) -> list[str]:
     keys = [f"path:{path}"]
     keys += [f"path:{'/'.join([*parts[i:-1], bare])}" for i in range(len(parts))]
     keys += [f"stem:{stem}", f"bare:{bare}"]
-    if bare.isdigit():
+    if bare.isascii() and bare.isdigit():
         keys.append(f"number:{int(bare)}")
     return list(dict.fromkeys(keys))
 

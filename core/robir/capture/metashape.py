@@ -19,14 +19,13 @@ are exported, and is applied if it is there.
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree import ElementTree  # nosec B405
+from xml.etree.ElementTree import Element  # nosec B405
 
 import numpy as np
 
-from robir.capture.files import head, locate_photographs
+from robir.capture.files import head, locate_photographs, read_text
 from robir.capture.frames import (
-    OPENGL_FROM_OPENCV,
     Array,
     Distortion,
     Frame,
@@ -36,6 +35,7 @@ from robir.capture.frames import (
     unique_names,
 )
 from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.capture.values import Side, checked
 
 FORMAT = "metashape"
 
@@ -77,17 +77,19 @@ def read(path: Path) -> FrameSet:
     lenses = {
         sensor.get("id"): sensor for sensor in chunk.iter("sensor") if sensor.get("id") is not None
     }
+    places = _places(chunk)
     frames = tuple(
         Frame(
             name=name,
             image=root / relative,
             relative=relative,
             lens=_lens(path, lenses.get(camera.get("sensor_id")), camera.get("label", "")),
-            camera_to_world=_pose(path, chunk, camera),
+            camera_to_world=_pose(path, places, camera),
         )
         for camera, name, relative in zip(cameras, unique_names(relatives), relatives, strict=True)
     )
-    left_out = [camera.get("label", "") for camera in chunk.iter("camera") if camera not in cameras]
+    used = {id(camera) for camera in cameras}
+    left_out = [c.get("label", "") for c in chunk.iter("camera") if id(c) not in used]
     findings = []
     if left_out:
         findings.append(
@@ -102,11 +104,18 @@ def read(path: Path) -> FrameSet:
 
 def _document(path: Path) -> Element:
     try:
-        return ElementTree.fromstring(path.read_bytes())
+        return ElementTree.fromstring(_plain(read_text(path)))  # nosec B314
     except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
         raise refuse(
             "bad-xml", f"{path} is not readable as XML ({fault})", _CURE, path.name
         ) from None
+
+
+def _plain(text: str) -> str:
+    """XML without definitions, which could make it grow or read files; no export has any."""
+    if "<!DOCTYPE" in text:
+        raise ValueError("it defines a document type")
+    return text
 
 
 def _aligned(chunk: Element) -> list[Element]:
@@ -131,15 +140,22 @@ def _numbers(path: Path, element: Element | None, count: int, what: str) -> Arra
     return values
 
 
-def _pose(path: Path, chunk: Element, camera: Element) -> Array:
+def _places(chunk: Element) -> dict[str | None, Element]:
+    """The transforms of a chunk (None) and its components, by number."""
+    places: dict[str | None, Element] = {}
+    for number, holder in [(None, chunk), *((c.get("id", ""), c) for c in chunk.iter("component"))]:
+        found = holder.find("transform")
+        if found is not None:
+            places[number] = found
+    return places
+
+
+def _pose(path: Path, places: dict[str | None, Element], camera: Element) -> Array:
     """Camera-to-world with OpenGL axes in the coordinate system of the chunk."""
     what = f"the transform of {camera.get('label')}"
-    pose = _numbers(path, camera.find("transform"), 16, what).reshape(4, 4) @ OPENGL_FROM_OPENCV
-    place = chunk.find("transform")
-    component = camera.get("component_id")
-    for candidate in chunk.iter("component"):
-        if candidate.get("id") == component and candidate.find("transform") is not None:
-            place = candidate.find("transform")
+    pose = _numbers(path, camera.find("transform"), 16, what).reshape(4, 4)
+    pose[:, 1:3] *= -1.0  # OpenCV's axes; a product of matrices would spread what is not finite
+    place = places.get(camera.get("component_id"), places.get(None))
     if place is None:
         return pose
     turn, move, scale = (
@@ -176,15 +192,16 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
         raise _unsupported(path, label, f"of type {kind}")
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
-    try:
-        size = (
-            ("", "") if resolution is None else (resolution.get("width"), resolution.get("height"))
-        )
-        width, height = (int(text or "") for text in size)
-    except ValueError:
-        raise refuse(
-            "bad-intrinsics", f"{path}: the sensor of {label} has no resolution", _CURE, path.name
-        ) from None
+    size = {} if resolution is None else resolution.attrib
+    width, height = checked(
+        path,
+        [size.get("width", ""), size.get("height", "")],
+        tuple[Side, Side],
+        _CURE,
+        where=f"the resolution of the sensor of {label}",
+        code="bad-intrinsics",
+        is_text=True,
+    )
     value = {
         key: 0.0
         if calibration.find(key) is None

@@ -31,10 +31,11 @@ def read(root: Path) -> FrameSet:
             entries += _entries(root, name, "test")
             break
     names = unique_names([relative for _, relative, _, _ in entries])
+    photographs = transforms.Photographs(root)
     frames = tuple(
         Frame(
             name=name,
-            image=transforms.image_at(root, relative),
+            image=photographs.at(relative),
             relative=relative,
             lens=lens,
             camera_to_world=pose,
@@ -51,7 +52,7 @@ def _entries(
     path = root / name
     content = transforms.load(path)
     result = []
-    for index, entry in enumerate(content["frames"]):
+    for index, entry in enumerate(content.frames):
         relative = transforms.file_path(path, entry, index)
         where = f"frame {index} ({relative})"
         lens = transforms.lens(path, content, entry, where)

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from robir.capture import transforms
-from robir.capture.files import is_number
-from robir.capture.frames import Array, Frame, FrameSet, unique_names
+from robir.capture.frames import MAX_NUMBER, Array, Frame, FrameSet, unique_names
 from robir.capture.refusal import note, refuse, warning
+from robir.capture.transforms import Entry, Transforms
 
 FORMAT = "nerfstudio"
 NAME = "transforms.json"
@@ -41,26 +40,26 @@ def read(path: Path) -> FrameSet:
         CaptureError: If the file is damaged, a key is missing or only some frames have masks.
     """
     content = transforms.load(path)
-    entries: list[dict[str, Any]] = content["frames"]
+    entries: list[Entry] = content.frames
     root = path.parent
+    photographs = transforms.Photographs(root)
     relatives = [transforms.file_path(path, entry, i) for i, entry in enumerate(entries)]
     tests = {
-        str(name).removeprefix("./")
-        for key in ("test_filenames", "val_filenames")
-        for name in content.get(key, [])
+        name.removeprefix("./")
+        for names in (content.test_filenames, content.val_filenames)
+        for name in names or ()
     }
     undo = _undoing(path, content)
     frames = []
     for index, name in enumerate(unique_names(relatives)):
         entry, relative = entries[index], relatives[index]
         where = f"frame {index} ({relative})"
-        mask = entry.get("mask_path")
         frames.append(
             Frame(
                 name=name,
-                image=transforms.image_at(root, relative),
+                image=photographs.at(relative),
                 relative=relative,
-                mask=None if mask is None else root / str(mask),
+                mask=None if entry.mask_path is None else root / entry.mask_path,
                 lens=transforms.lens(path, content, entry, where),
                 camera_to_world=undo(transforms.pose(path, entry, where)),
                 split="test" if relative in tests else "train",
@@ -75,7 +74,7 @@ def read(path: Path) -> FrameSet:
             *without,
         )
     findings = []
-    applied = [key for key in _APPLIED if key in content]
+    applied = [key for key in _APPLIED if getattr(content, key) is not None]
     if applied:
         findings.append(
             note(
@@ -84,7 +83,7 @@ def read(path: Path) -> FrameSet:
                 "and unit from before",
             )
         )
-    if any(entry.get("rolling_shutter", content.get("rolling_shutter")) for entry in entries):
+    if content.rolling_shutter or any(entry.rolling_shutter for entry in entries):
         findings.append(
             warning(
                 "rolling-shutter",
@@ -95,17 +94,17 @@ def read(path: Path) -> FrameSet:
     return FrameSet(root=root, format=FORMAT, frames=tuple(frames), findings=tuple(findings))
 
 
-def _undoing(path: Path, content: dict[str, Any]) -> Callable[[Array], Array]:
+def _undoing(path: Path, content: Transforms) -> Callable[[Array], Array]:
     """What takes a camera-to-world matrix of the file back to the frame before the transform."""
-    scale = content.get("applied_scale", 1.0)
-    try:
-        applied = np.array(content.get("applied_transform", np.eye(4)), dtype=np.float64)
-    except (TypeError, ValueError):
-        applied = np.zeros(0)
-    turn = np.zeros((3, 3)) if applied.shape not in ((3, 4), (4, 4)) else applied[:3, :3]
-    size = float(np.cbrt(np.linalg.det(turn))) if np.isfinite(applied).all() else 0.0
+    scale = 1.0 if content.applied_scale is None else content.applied_scale
+    rows = np.eye(4).tolist() if content.applied_transform is None else content.applied_transform
+    is_matrix = len(rows) in (3, 4) and all(len(row) == 4 for row in rows)
+    applied = np.array(rows if is_matrix else np.zeros((4, 4)), dtype=np.float64)
+    is_sane = bool((np.abs(applied) < MAX_NUMBER).all()) and 0 < scale < MAX_NUMBER
+    turn = applied[:3, :3] if is_sane else np.zeros((3, 3))
+    size = float(np.cbrt(np.linalg.det(turn)))
     good = size > 1e-9 and np.allclose(turn @ turn.T, size * size * np.eye(3), atol=1e-4 * size**2)
-    if not good or not is_number(scale) or scale <= 0:
+    if not good:
         raise refuse(
             "bad-transform",
             f'{path}: "applied_transform" and "applied_scale" do not turn, scale and move space',
@@ -116,8 +115,9 @@ def _undoing(path: Path, content: dict[str, Any]) -> Callable[[Array], Array]:
 
     def undo(pose: Array) -> Array:
         original = np.eye(4)
-        original[:3, :3] = turn.T @ pose[:3, :3] / size
-        original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
+        with np.errstate(invalid="ignore", over="ignore"):  # poses without finite numbers go later
+            original[:3, :3] = turn.T @ pose[:3, :3] / size
+            original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
         return original
 
     return undo

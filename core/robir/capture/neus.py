@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy import linalg
 
+from robir.capture.arrays import read_matrix
+from robir.capture.files import children
 from robir.capture.frames import (
     IMAGE_SUFFIXES,
     MAX_NUMBER,
@@ -28,6 +30,7 @@ from robir.capture.frames import (
 )
 from robir.capture.masks import from_folder
 from robir.capture.refusal import DAMAGED_ARRAYS, refuse
+from robir.capture.regular import regular
 
 FORMAT = "neus"
 NAME = "cameras_sphere.npz"
@@ -40,7 +43,8 @@ _MAX_SKEW = 1.0
 
 def find(source: Path) -> Path | None:
     """The file of cameras in a folder, told by its arrays."""
-    for path in sorted(source.glob("*.npz"), key=lambda p: (p.name != NAME, p.name)):
+    archives = [path for path in children(source) if path.suffix == ".npz"]
+    for path in sorted(archives, key=lambda path: path.name != NAME):
         if path.name == NAME or path.name.startswith("cameras") or is_camera_file(path):
             return path
     return None
@@ -49,9 +53,9 @@ def find(source: Path) -> Path | None:
 def is_camera_file(path: Path) -> bool:
     """Whether an archive holds projection matrices."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with regular(path) as file, zipfile.ZipFile(file) as archive:
             return any(name.startswith(_MATRIX) for name in archive.namelist())
-    except (OSError, zipfile.BadZipFile):
+    except DAMAGED_ARRAYS:
         return False
 
 
@@ -73,11 +77,11 @@ def read(path: Path) -> FrameSet:
     photographs = (
         []
         if folder is None
-        else sorted(
-            p.relative_to(root).as_posix()
-            for p in folder.iterdir()
-            if p.suffix.lower() in IMAGE_SUFFIXES
-        )
+        else [
+            path.relative_to(root).as_posix()
+            for path in children(folder)
+            if path.suffix.lower() in IMAGE_SUFFIXES
+        ]
     )
     numbers = _numbers(path, photographs, matrices)
     frames = []
@@ -99,12 +103,13 @@ def read(path: Path) -> FrameSet:
 
 def _matrices(path: Path) -> dict[str, Array]:
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = {
-                key: np.asarray(archive[key], dtype=np.float64)
-                for key in archive.files
-                if key.startswith((_MATRIX, _SCALE)) and "_inv_" not in key
-            }
+        found = {}
+        with regular(path) as file, zipfile.ZipFile(file) as archive:
+            for member in archive.namelist():
+                key = member.removesuffix(".npy")
+                if key.startswith((_MATRIX, _SCALE)) and "_inv_" not in key:
+                    with archive.open(member) as stored:
+                        found[key] = read_matrix(stored, 16)
     except DAMAGED_ARRAYS as fault:
         raise refuse(
             "bad-cameras",
@@ -124,7 +129,7 @@ def _numbers(path: Path, photographs: list[str], matrices: dict[str, Array]) -> 
     numbers = sorted((k[len(_MATRIX) :] for k in matrices if k.startswith(_MATRIX)), key=_order)
     if len(numbers) == len(photographs):
         return numbers
-    by_name = [str(int(s)) if s.isdigit() else "" for s in (Path(p).stem for p in photographs)]
+    by_name = [str(int(s)) if _is_number(s) else "" for s in (Path(p).stem for p in photographs)]
     if photographs and set(by_name) <= set(numbers):
         return by_name
     raise refuse(
@@ -137,7 +142,11 @@ def _numbers(path: Path, photographs: list[str], matrices: dict[str, Array]) -> 
 
 
 def _order(number: str) -> tuple[int, str]:
-    return (int(number) if number.isdigit() else -1, number)
+    return (int(number) if _is_number(number) else -1, number)
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 18
 
 
 def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:

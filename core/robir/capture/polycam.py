@@ -14,25 +14,26 @@ that have only `images` and `cameras`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 
-from robir.capture.files import is_number, load_json
+from robir.capture.files import children, head, load_json
 from robir.capture.frames import (
     IMAGE_SUFFIXES,
     Array,
     Frame,
     FrameSet,
     Lens,
-    checked_lens,
     unique_names,
 )
-from robir.capture.refusal import note, refuse, warning
+from robir.capture.refusal import note, warning
+from robir.capture.values import Number, Positive, Side, checked
 
 FORMAT = "polycam"
 
 _FOLDER = "keyframes"
+_CURE = "Export the raw data from Polycam again, or remove this file and its photograph."
 _PAIRS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 
 
@@ -44,7 +45,7 @@ def find(source: Path) -> Path | None:
         if _pair(place) is not None:
             return place
     # Newer exports wrap everything in one more folder.
-    nested = [child / _FOLDER for child in sorted(source.iterdir()) if _pair(child / _FOLDER)]
+    nested = [child / _FOLDER for child in children(source) if _pair(child / _FOLDER)]
     return nested[0] if len(nested) == 1 else None
 
 
@@ -64,11 +65,9 @@ def read(folder: Path) -> FrameSet:
     assert pair is not None
     cameras, images = (folder / name for name in pair)
     pictures = {
-        path.stem: path
-        for path in sorted(images.iterdir())
-        if path.suffix.lower() in IMAGE_SUFFIXES
+        path.stem: path for path in children(images) if path.suffix.lower() in IMAGE_SUFFIXES
     }
-    files = {path.stem: path for path in sorted(cameras.glob("*.json"))}
+    files = {path.stem: path for path in _camera_files(cameras)}
     both = [stem for stem in files if stem in pictures]
     relatives = [f"{images.name}/{pictures[stem].name}" for stem in both]
     frames = tuple(
@@ -97,42 +96,56 @@ def _pair(folder: Path) -> tuple[str, str] | None:
     """Names of the folders of cameras and photographs, the optimised ones first."""
     for cameras, images in _PAIRS:
         if (folder / images).is_dir():
-            first = next(iter(sorted((folder / cameras).glob("*.json"))), None)
-            if first is not None and '"t_00"' in first.read_text("utf-8", errors="replace"):
+            first = next(iter(_camera_files(folder / cameras)), None)
+            if first is not None and '"t_00"' in head(first):
                 return cameras, images
     return None
 
 
+def _camera_files(folder: Path) -> list[Path]:
+    return [path for path in children(folder) if path.suffix == ".json"]
+
+
+class _Camera(msgspec.Struct):
+    """A camera file."""
+
+    width: Side
+    height: Side
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+    t_00: float
+    t_01: float
+    t_02: float
+    t_03: float
+    t_10: float
+    t_11: float
+    t_12: float
+    t_13: float
+    t_20: float
+    t_21: float
+    t_22: float
+    t_23: float
+
+
 def _frame(path: Path, name: str, picture: Path, relative: str) -> Frame:
-    content: Any = load_json(path)
-
-    def number(key: str) -> float:
-        value = content.get(key) if isinstance(content, dict) else None
-        if not is_number(value):
-            raise refuse(
-                "bad-camera",
-                f'{path}: "{key}" is {"missing" if value is None else repr(value)}; '
-                "a finite number is needed",
-                "Export the raw data from Polycam again, or remove this file and its photograph.",
-                path.name,
-            )
-        return float(value)
-
+    camera: _Camera = checked(path, load_json(path), _Camera, _CURE, code="bad-camera")
     pose: Array = np.eye(4)
-    pose[:3] = [[number(f"t_{row}{column}") for column in range(4)] for row in range(3)]
+    pose[:3] = [[getattr(camera, f"t_{row}{column}") for column in range(4)] for row in range(3)]
     lens = Lens(
-        width=int(number("width")),
-        height=int(number("height")),
-        fx=number("fx"),
-        fy=number("fy"),
-        cx=number("cx"),
-        cy=number("cy"),
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
         is_scalable=True,
     )
     return Frame(
         name=name,
         image=picture,
         relative=relative,
-        lens=checked_lens(lens, path, picture.name),
+        lens=lens,
         camera_to_world=pose,
     )

@@ -23,10 +23,11 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from robir.capture.decode import stored_size
-from robir.capture.files import head, locate_photographs
+from robir.capture.files import head, locate_photographs, read_text
 from robir.capture.frames import (
     Array,
     Distortion,
@@ -37,12 +38,13 @@ from robir.capture.frames import (
     unique_names,
 )
 from robir.capture.refusal import refuse
+from robir.capture.values import checked
 
 FORMAT = "realityscan"
 
 _SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})
+_MAX_COLUMNS = 1000
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll", "f")
-_LENS = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 _FILM = 36.0
 _CURE = 'Export "Internal/External camera parameters" (CSV) again.'
 
@@ -88,7 +90,7 @@ def _header_line(lines: list[str]) -> int | None:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path).splitlines()
         start = _header_line(lines) or 0
         columns = _columns(lines[start])
         table = [row for row in csv.reader(lines[start + 1 :]) if row]
@@ -96,6 +98,8 @@ def _rows(path: Path) -> list[dict[str, str]]:
         raise refuse(
             "bad-table", f"{path} is no readable table of cameras ({fault})", _CURE, path.name
         ) from None
+    if len(columns) > _MAX_COLUMNS:
+        raise refuse("bad-table", f"{path} has {len(columns)} columns", _CURE, path.name)
     absent = [column for column in _POSE if column not in columns]
     if absent:
         raise refuse("missing-key", f"{path} has no column {', '.join(absent)}", _CURE, path.name)
@@ -110,29 +114,43 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [dict(zip(columns, map(str.strip, row), strict=False)) for row in table]
 
 
-def _frame(path: Path, row: dict[str, str], name: str, root: Path, relative: str) -> Frame:
-    values = {}
-    for key in (*_POSE, *_LENS):
-        text = row.get(key, "0")
-        try:
-            values[key] = float(text)
-        except ValueError:
-            raise refuse(
-                "bad-table",
-                f'{path}: "{key}" of {row["name"]} is {text!r}, not a number',
-                _CURE,
-                path.name,
-            ) from None
+class _Row(msgspec.Struct):
+    """The numbers of a photograph."""
+
+    x: float
+    y: float
+    alt: float
+    heading: float
+    pitch: float
+    roll: float
+    f: float
+    px: float = 0.0
+    py: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    t1: float = 0.0
+    t2: float = 0.0
+
+
+def _frame(path: Path, texts: dict[str, str], name: str, root: Path, relative: str) -> Frame:
+    where = f"the row of {texts['name'][:80]}"
+    row: _Row = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
     pose = np.eye(4)
-    pose[:3, :3] = rotation(values["heading"], values["pitch"], values["roll"])
-    pose[:3, 3] = values["x"], values["y"], values["alt"]
+    pose[:3, :3] = rotation(row.heading, row.pitch, row.roll)
+    pose[:3, 3] = row.x, row.y, row.alt
     return Frame(
         name=name,
         image=root / relative,
         relative=relative,
-        lens=checked_lens(_lens(values, stored_size(root / relative)), path, row["name"]),
+        lens=checked_lens(_lens(row, _size(root / relative)), path, where),
         camera_to_world=pose,
     )
+
+
+def _size(path: Path) -> tuple[int, int] | None:
+    return stored_size(path) if path.is_file() else None
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Array:
@@ -146,17 +164,16 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
     return about_z @ about_x @ about_y
 
 
-def _lens(values: dict[str, float], size: tuple[int, int] | None) -> Lens:
+def _lens(row: _Row, size: tuple[int, int] | None) -> Lens:
     """Intrinsics in pixels; of a photograph that cannot be opened, any will do."""
     if size is None:
         return Lens(angle_x=1.0)
     longer = max(size)
-    k1, k2, k3, k4, t1, t2 = (values[key] for key in _LENS[2:])
     return Lens(
         width=size[0],
         height=size[1],
-        fx=values["f"] * longer / _FILM,
-        cx=0.5 * size[0] + values["px"] * longer,
-        cy=0.5 * size[1] + values["py"] * longer,
-        distortion=Distortion(radial=(k1, k2, k3, k4), tangential=(t1, t2)),
+        fx=row.f * longer / _FILM,
+        cx=0.5 * size[0] + row.px * longer,
+        cy=0.5 * size[1] + row.py * longer,
+        distortion=Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t1, row.t2)),
     )

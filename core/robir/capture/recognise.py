@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from robir.capture import (
     colmap,
@@ -26,6 +28,7 @@ from robir.capture.config import CaptureConfig
 from robir.capture.coverage import check_coverage
 from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
+from robir.capture.files import children
 from robir.capture.findings import (
     check_frames,
     check_masks,
@@ -39,6 +42,7 @@ from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.shapes import check_shapes
 from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
+from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 from robir.poses import solve
 from robir.poses.photos import find_photographs
 from robir.poses.register import is_video, register
@@ -54,6 +58,12 @@ SURVEY_SIDE = 800
 
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
+
+_POSES = (".json", ".sfm", ".npz", ".csv", ".txt", ".xml")
+"""Kinds of files that poses come in, besides those of fixed names."""
+
+_MOST = 200
+"""Files, or folders, of one folder that are looked into for poses."""
 
 _REGISTERING = 0.9
 """Share of the progress that finding poses takes where there are none."""
@@ -72,11 +82,12 @@ class Workshop:
     seed: int
 
 
-def read_frames(source: Path) -> FrameSet:
+def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> FrameSet:
     """Recognise a capture and read everything but the photographs.
 
     Args:
         source: Folder of the capture, or its file of poses.
+        outside: What becomes of photographs that lie elsewhere, as the setting of the stage.
 
     Returns:
         Posed files.
@@ -86,15 +97,53 @@ def read_frames(source: Path) -> FrameSet:
     """
     if is_video(source):
         raise _no_poses(f"{source} is a video")
-    if not source.exists():
-        raise refuse("no-capture", f"{source} does not exist", "Give the folder of a capture.")
+    if not source.is_dir() and not source.is_file():
+        what = "is neither a folder nor a file" if os.path.lexists(source) else "does not exist"
+        raise refuse("no-capture", f"{source} {what}", "Give the folder of a capture.")
     reader = _reader(source)
     if reader is None and source.is_file():
         source = source.parent
         reader = _reader(source)
     if reader is None:
         raise _not_recognised(source)
-    return reader()
+    frames = reader()
+    for frame in frames.frames:
+        _check_path(frame.image)
+        _check_path(frame.mask)
+    if outside == "refuse":
+        paths = [path for f in frames.frames for path in (f.image, f.mask) if path is not None]
+        home = source.parent if source.is_file() else source
+        _refuse_outside(paths, (home, frames.root))
+    return frames
+
+
+def _check_path(path: Path | None) -> None:
+    """Refuse a path that the operating system cannot be asked for."""
+    try:
+        checked_name("" if path is None else str(path))
+    except UnsafeNameError as fault:
+        raise refuse(
+            "bad-name", f"A photograph or mask cannot be opened: {fault}", "Rename it."
+        ) from None
+
+
+def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
+    """Refuse files that lie outside the capture's folder once links are followed."""
+    folders = {path.parent for path in paths if not path.is_symlink()}
+    strange = {folder for folder in folders if leads_out(folder, homes)}
+    elsewhere = [
+        str(path)
+        for path in paths
+        if path.parent in strange or (path.is_symlink() and leads_out(path, homes))
+    ]
+    if elsewhere:
+        raise refuse(
+            "outside",
+            f"{len(elsewhere)} photographs or masks lie outside the capture's folder {homes[0]}",
+            "Bring them into it; or, if you trust the capture, take them from where they are with "
+            "--set capture.outside=take.",
+            *elsewhere,
+        )
 
 
 def _reader(source: Path) -> Callable[[], FrameSet] | None:
@@ -115,8 +164,14 @@ def _reader(source: Path) -> Callable[[], FrameSet] | None:
         return partial(llff.read, source / llff.NAME)
     if colmap.find_models(source):
         return partial(colmap.read, source)
-    readers = (_file_reader(path) for path in sorted(source.iterdir()) if path.is_file())
+    candidates = [path for path in children(source) if path.suffix.lower() in _POSES]
+    readers = (_file_reader(path) for path in candidates[:_MOST] if path.is_file())
     return next((reader for reader in readers if reader is not None), None)
+
+
+def _folders(source: Path) -> list[Path]:
+    """Folders in which a capture may lie instead."""
+    return [child for child in children(source) if child.is_dir()][:_MOST]
 
 
 def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
@@ -138,8 +193,7 @@ def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
 
 def _not_recognised(source: Path) -> CaptureRefusedError:
     """Why a folder is no capture, and where the capture may be."""
-    children = [child for child in sorted(source.iterdir()) if child.is_dir()]
-    captures = [child.name for child in children if _reader(child) is not None]
+    captures = [child.name for child in _folders(source) if _reader(child) is not None]
     if captures:
         return refuse(
             "no-capture",
@@ -182,8 +236,7 @@ def _lacks_poses(source: Path) -> bool:
         return True
     if not source.is_dir() or _reader(source) is not None:
         return False
-    children = [child for child in source.iterdir() if child.is_dir()]
-    return not any(_reader(child) for child in children) and bool(find_photographs(source))
+    return not any(_reader(child) for child in _folders(source)) and bool(find_photographs(source))
 
 
 def read_capture(
@@ -213,6 +266,8 @@ def read_capture(
             hold everything that was noticed until then, and its frames the poses if they are sound.
     """
     if workshop is not None and solve.is_available() and _lacks_poses(source):
+        if config.outside == "refuse" and source.is_dir():
+            _refuse_outside(find_photographs(source), (source,))
         frames = register(
             source,
             workshop.folder,
@@ -221,7 +276,7 @@ def read_capture(
         )
         progress = _rest_of(progress, _REGISTERING)
     else:
-        frames = read_frames(source)
+        frames = read_frames(source, config.outside)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
     try:
@@ -242,11 +297,14 @@ def _read_posed(
     (frames, findings), (config, _) = posed, how
     findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
+    given = () if masks is None else (masks,)
     if masks is None:
         masks = _folder_of_masks(frames)
         findings += [note("mask-folder", f"Masks are taken from {masks}")] if masks else []
     try:
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
+        if config.outside == "refuse":
+            _refuse_outside(tuple(drawn.values()), (frames.root, *given))
     except CaptureRefusedError as refusal:
         raise CaptureRefusedError([*findings, *refusal.findings]) from None
     loaded, about = _load_masked(frames, chosen, drawn, how, progress)

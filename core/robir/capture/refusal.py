@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
 
+MAX_LETTERS = 2000
+"""Letters of a message or a name that are shown."""
+
 DAMAGED_ARRAYS = (
     OSError,
     ValueError,
@@ -65,7 +68,13 @@ def refuse(code: str, message: str, cure: str, *files: str) -> CaptureRefusedErr
 
 def error(code: str, message: str, cure: str, *files: str) -> Finding:
     """A finding that refuses the capture."""
-    return Finding(level="error", code=code, message=message, cure=cure, files=files[:MAX_FILES])
+    return Finding(
+        level="error",
+        code=code,
+        message=_printable(message),
+        cure=cure,
+        files=tuple(map(_printable, files[:MAX_FILES])),
+    )
 
 
 def warning(code: str, message: str, cure: str, *files: str, **numbers: Any) -> Finding:
@@ -73,9 +82,9 @@ def warning(code: str, message: str, cure: str, *files: str, **numbers: Any) -> 
     return Finding(
         level="warning",
         code=code,
-        message=message,
+        message=_printable(message),
         cure=cure,
-        files=files[:MAX_FILES],
+        files=tuple(map(_printable, files[:MAX_FILES])),
         numbers=numbers,
     )
 
@@ -83,5 +92,16 @@ def warning(code: str, message: str, cure: str, *files: str, **numbers: Any) -> 
 def note(code: str, message: str, *files: str, **numbers: Any) -> Finding:
     """A finding that informs."""
     return Finding(
-        level="note", code=code, message=message, files=files[:MAX_FILES], numbers=numbers
+        level="note",
+        code=code,
+        message=_printable(message),
+        files=tuple(map(_printable, files[:MAX_FILES])),
+        numbers=numbers,
     )
+
+
+def _printable(text: str) -> str:
+    """Text that every terminal and file takes; names of files may hold anything."""
+    whole = text if len(text) <= MAX_LETTERS else f"{text[:MAX_LETTERS]}..."
+    safe = "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in whole)
+    return safe.encode("utf-8", "backslashreplace").decode("utf-8")

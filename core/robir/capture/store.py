@@ -14,7 +14,20 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, Finding, View
 from robir.errors import StorageError
-from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+from robir.jobs.names import file_in
+from robir.jobs.paths import JobPaths, replacing, write_json
+from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
+
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
+"""What reading a damaged file of the stage raises."""
+
+_CAPTURE = {
+    "format": str,
+    "source": str,
+    "bounds": {"centre": NUMBERS, "radius": float, "origin": str},
+    "views": [CAMERA],
+    "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
+}
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
@@ -59,25 +72,46 @@ def load_capture(folder: Path) -> Capture:
         StorageError: If a file is missing or damaged.
     """
     try:
-        plain = read_json(folder / "capture.json")
+        plain = read_record(folder / "capture.json", _CAPTURE)
         views = tuple(_view(folder, entry) for entry in plain["views"])
-        bounds = plain["bounds"]
         return Capture(
             source=Path(plain["source"]),
             format=plain["format"],
             views=views,
-            bounds=Bounds(
-                centre=np.array(bounds["centre"], dtype=np.float64),
-                radius=float(bounds["radius"]),
-                origin=bounds["origin"],
-            ),
+            bounds=_bounds(plain["bounds"]),
             findings=tuple(Finding.from_plain(entry) for entry in plain["findings"]),
         )
-    except (OSError, ValueError, KeyError, TypeError) as fault:
-        raise StorageError(
-            f"The capture stage's files in {folder} cannot be read ({fault}). "
-            "Run the capture stage again."
-        ) from fault
+    except _DAMAGE as fault:
+        raise _damaged(folder, fault) from fault
+
+
+def load_bounds(folder: Path) -> Bounds:
+    """The object's sphere alone, without the photographs.
+
+    Args:
+        folder: Folder of the capture stage.
+
+    Raises:
+        StorageError: If a file is missing or damaged.
+    """
+    try:
+        return _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
+    except _DAMAGE as fault:
+        raise _damaged(folder, fault) from fault
+
+
+def _damaged(folder: Path, fault: Exception) -> StorageError:
+    return StorageError(
+        f"The capture stage's files in {folder} cannot be read ({fault}). "
+        "Run the capture stage again."
+    )
+
+
+def _bounds(plain: dict[str, Any]) -> Bounds:
+    centre = np.array(plain["centre"], dtype=np.float64)
+    if centre.shape != (3,) or plain["radius"] <= 0:
+        raise ValueError("the bounds are no sphere")
+    return Bounds(centre=centre, radius=float(plain["radius"]), origin=plain["origin"])
 
 
 def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
@@ -108,9 +142,9 @@ def load_turned(paths: JobPaths) -> Capture:
     if not paths.turned_cameras.exists():
         return capture
     try:
-        turned = read_json(paths.turned_cameras)
+        turned = read_record(paths.turned_cameras, {...: MATRIX})
         views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
-    except (OSError, ValueError, KeyError, TypeError) as fault:
+    except _DAMAGE as fault:
         raise StorageError(
             f"{paths.turned_cameras} cannot be read ({fault}). Run the geometry stage again."
         ) from fault
@@ -125,7 +159,7 @@ def _oriented(view: View, rotation: list[list[float]]) -> View:
 
 def view_path(folder: Path, name: str) -> Path:
     """Picture of a view: RGBA, display-referred, straight alpha = mask."""
-    return folder / "views" / f"{name}.png"
+    return file_in(folder / "views", f"{name}.png")
 
 
 def plain_view(view: View) -> dict[str, Any]:
@@ -148,7 +182,7 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
 
 
 def _view(folder: Path, entry: dict[str, Any]) -> View:
-    with Image.open(view_path(folder, entry["name"])) as picture:
+    with Image.open(view_path(folder, entry["name"]), formats=["PNG"]) as picture:
         if picture.mode != "RGBA" or picture.size != (entry["width"], entry["height"]):
             raise ValueError(f"{entry['name']}.png is {picture.mode} of size {picture.size}")
         pixels = np.array(picture)

@@ -13,14 +13,20 @@ line. With OPENCV_FISHEYE (instant-ngp: "is_fisheye") the polynomial is one of t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from robir.capture.files import head, is_number, load_json
+from robir.capture.files import children, head, load_json
 from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
-from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.capture.refusal import refuse
+from robir.capture.values import Matrix, Number, Positive, checked, missing_key
+
+_CURE = "Write it as NeRF-synthetic or nerfstudio do."
 
 _RATIONAL_MODEL = "FULL_OPENCV"
 _FISHEYE_MODELS = frozenset(
@@ -44,24 +50,74 @@ _OTHER_PROJECTIONS = (
     "ftheta_p0",
 )
 
+_PARAMETERS = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")
 
-def load(path: Path) -> dict[str, Any]:
+
+class Optics(msgspec.Struct):
+    """What a frame, or the file for all frames, says about lens and camera; None where nothing."""
+
+    w: Annotated[float, Meta(ge=1, le=1 << 20)] | None = None
+    h: Annotated[float, Meta(ge=1, le=1 << 20)] | None = None
+    fl_x: Positive | None = None
+    fl_y: Positive | None = None
+    cx: Number | None = None
+    cy: Number | None = None
+    camera_angle_x: Positive | None = None
+    camera_angle_y: Positive | None = None
+    k1: Number | None = None
+    k2: Number | None = None
+    k3: Number | None = None
+    k4: Number | None = None
+    k5: Number | None = None
+    k6: Number | None = None
+    p1: Number | None = None
+    p2: Number | None = None
+    distortion_params: Annotated[list[Number], Meta(max_length=6)] | None = None
+    camera_model: str | None = None
+    is_fisheye: bool | None = None
+    rolling_shutter: Any = None
+    equirectangular: Any = None
+    latlong: Any = None
+    orthographic: Any = None
+    ftheta_p0: Any = None
+
+
+class Entry(Optics):
+    """One frame."""
+
+    file_path: str | None = None
+    transform_matrix: Matrix | None = None
+    mask_path: str | None = None
+
+
+class Transforms(Optics, kw_only=True):
+    """A whole file."""
+
+    frames: list[Entry]
+    applied_transform: Matrix | None = None
+    applied_scale: float | None = None
+    test_filenames: list[str] | None = None
+    val_filenames: list[str] | None = None
+
+
+def load(path: Path) -> Transforms:
     """Read a transforms file and check that it is one.
 
     Args:
         path: JSON file.
 
     Returns:
-        Its content, with a list of dictionaries under "frames".
+        Its content.
 
     Raises:
-        CaptureError: If it is no JSON or has no frames.
+        CaptureError: If it is no JSON, has no frames, or holds something else where numbers, names
+            or matrices belong.
     """
     content = load_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
-    if not isinstance(frames, list) or not all(isinstance(entry, dict) for entry in frames):
-        raise missing_key(path, "frames", "the file")
-    return content
+    if not isinstance(frames, list):
+        raise missing_key(path, "frames", "the file", _CURE)
+    return checked(path, content, Transforms, _CURE)
 
 
 def looks_like(path: Path) -> bool:
@@ -69,110 +125,87 @@ def looks_like(path: Path) -> bool:
     return path.stem.lower().startswith("transforms") or '"transform_matrix"' in head(path)
 
 
-def missing_key(path: Path, key: str, where: str) -> CaptureRefusedError:
-    """The refusal for a key that is not there."""
-    return refuse(
-        "missing-key",
-        f'{path}: the key "{key}" is missing from {where}',
-        f'Add "{key}" as NeRF-synthetic or nerfstudio write it.',
-        path.name,
-    )
-
-
-def file_path(path: Path, entry: dict[str, Any], index: int) -> str:
+def file_path(path: Path, entry: Entry, index: int) -> str:
     """Path of a frame's photograph as written, "./" dropped."""
-    value = entry.get("file_path")
-    if not isinstance(value, str) or not value.strip():
-        raise missing_key(path, "file_path", f"frame {index}")
-    value = value.replace("\\", "/")
+    if entry.file_path is None or not entry.file_path.strip():
+        raise missing_key(path, "file_path", f"frame {index}", _CURE)
+    value = entry.file_path.replace("\\", "/")
     return value[2:] if value.startswith("./") else value
 
 
-def image_at(root: Path, relative: str) -> Path:
-    """The photograph a path means; NeRF-synthetic leaves the suffix away."""
-    plain = root / relative
-    if plain.suffix.lower() in IMAGE_SUFFIXES and plain.is_file():
-        return plain
-    for suffix in IMAGE_SUFFIXES:
-        for spelling in (suffix, suffix.upper()):
-            candidate = plain.with_name(plain.name + spelling)
-            if candidate.is_file():
-                return candidate
-    return plain if plain.suffix else plain.with_name(plain.name + ".png")
+class Photographs:
+    """Finds the files that paths of a transforms file mean; each folder is listed once."""
+
+    def __init__(self, root: Path) -> None:
+        """Paths start from a folder."""
+        self._root = root
+        self._listed: dict[str, frozenset[str]] = {}
+
+    def at(self, relative: str) -> Path:
+        """The photograph a path means; NeRF-synthetic leaves the suffix away."""
+        folder, _, name = relative.rpartition("/")
+        there = self._names(folder)
+        plain = self._root / relative
+        has_suffix = name.lower().endswith(IMAGE_SUFFIXES)
+        if not (has_suffix and name in there):
+            for suffix in IMAGE_SUFFIXES:
+                for spelling in (f"{name}{suffix}", f"{name}{suffix.upper()}"):
+                    if spelling in there:
+                        return self._root / folder / spelling
+        return plain if plain.suffix else self._root / folder / f"{name}.png"
+
+    def _names(self, folder: str) -> frozenset[str]:
+        if folder not in self._listed:
+            names = frozenset(path.name for path in children(self._root / folder))
+            self._listed[folder] = names
+        return self._listed[folder]
 
 
-def pose(path: Path, entry: dict[str, Any], where: str) -> Array:
+def pose(path: Path, entry: Entry, where: str) -> Array:
     """A frame's camera-to-world matrix, (4, 4), whatever its numbers are worth."""
-    if "transform_matrix" not in entry:
-        raise missing_key(path, "transform_matrix", where)
-    try:
-        matrix = np.array(entry["transform_matrix"], dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    if matrix.shape not in ((4, 4), (3, 4)):
+    if entry.transform_matrix is None:
+        raise missing_key(path, "transform_matrix", where, _CURE)
+    rows = entry.transform_matrix
+    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
         raise refuse(
             "bad-pose",
             f'{path}: "transform_matrix" of {where} is no 4x4 matrix of numbers',
             "Write four rows of four numbers.",
             path.name,
         )
-    return np.vstack([matrix[:3], [0.0, 0.0, 0.0, 1.0]])
+    return np.array([*rows[:3], [0.0, 0.0, 0.0, 1.0]])
 
 
-def lens(path: Path, content: dict[str, Any], entry: dict[str, Any], where: str) -> Lens:
+def lens(path: Path, content: Transforms, entry: Entry, where: str) -> Lens:
     """A frame's intrinsics: its own keys, else those of the file.
 
     Raises:
-        CaptureError: If there is no focal length, a number is no number, or the projection is
-            neither a pinhole nor an equidistant fisheye.
+        CaptureError: If there is no focal length, or the projection is neither a pinhole nor an
+            equidistant fisheye.
     """
-    stated = content | entry
+    stated: dict[str, Any] = {
+        key: value
+        for key in Optics.__struct_fields__
+        for value in (_first(getattr(entry, key), getattr(content, key)),)
+        if value is not None
+    }
     model = _camera_model(path, stated, where)
-
-    def number(key: str) -> float | None:
-        value = stated.get(key)
-        if value is None:
-            return None
-        if not is_number(value):
-            raise refuse(
-                "bad-intrinsics",
-                f'{path}: "{key}" of {where} is {value!r}, not a finite number',
-                "Write a number.",
-                path.name,
-            )
-        return float(value)
-
-    def positive(key: str) -> float | None:
-        value = number(key)
-        if value is not None and value <= 0:
-            raise refuse(
-                "bad-intrinsics",
-                f'{path}: "{key}" of {where} is {value:g}; it must be positive',
-                "Correct it.",
-                path.name,
-            )
-        return value
-
-    fx, angle_x = positive("fl_x"), positive("camera_angle_x")
+    fx, angle_x = stated.get("fl_x"), stated.get("camera_angle_x")
     if fx is None and (angle_x is None or angle_x >= math.pi):
-        raise missing_key(path, "fl_x (or camera_angle_x)", f"{where} and from the file")
-    if "distortion_params" in stated:
-        stated |= _listed_parameters(path, stated["distortion_params"], where)
-    width, height = positive("w"), positive("h")
+        raise missing_key(path, "fl_x (or camera_angle_x)", f"{where} and from the file", _CURE)
+    stated |= dict(zip(_PARAMETERS, stated.get("distortion_params", ()), strict=False))
+    width, height = stated.get("w"), stated.get("h")
     return Lens(
         width=None if width is None else int(width),
         height=None if height is None else int(height),
         fx=fx,
-        fy=positive("fl_y"),
-        cx=number("cx"),
-        cy=number("cy"),
+        fy=stated.get("fl_y"),
+        cx=stated.get("cx"),
+        cy=stated.get("cy"),
         angle_x=angle_x,
-        angle_y=positive("camera_angle_y"),
-        distortion=_distortion(model, {k: number(k) or 0.0 for k in _PARAMETERS}),
+        angle_y=stated.get("camera_angle_y"),
+        distortion=_distortion(model, {key: stated.get(key, 0.0) for key in _PARAMETERS}),
     )
-
-
-_PARAMETERS = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")
 
 
 def _distortion(model: str, found: dict[str, float]) -> Distortion:
@@ -184,20 +217,13 @@ def _distortion(model: str, found: dict[str, float]) -> Distortion:
     )
 
 
-def _listed_parameters(path: Path, values: object, where: str) -> dict[str, float]:
-    if not isinstance(values, list) or len(values) > 6 or not all(map(is_number, values)):
-        raise refuse(
-            "bad-intrinsics",
-            f'{path}: "distortion_params" of {where} is {values!r}, not six numbers',
-            "Write k1, k2, k3, k4, p1, p2.",
-            path.name,
-        )
-    return dict(zip(_PARAMETERS, values, strict=False))
+def _first(own: Any, common: Any) -> Any:
+    return common if own is None else own
 
 
-def _camera_model(path: Path, stated: dict[str, Any], where: str) -> str:
+def _camera_model(path: Path, stated: Mapping[str, Any], where: str) -> str:
     """Name of the camera model, or a refusal of other projections."""
-    model = str(stated.get("camera_model", "OPENCV")).upper()
+    model = stated.get("camera_model", "OPENCV").upper()
     if stated.get("is_fisheye"):
         model = "OPENCV_FISHEYE"
     other = next((key for key in _OTHER_PROJECTIONS if stated.get(key)), None)

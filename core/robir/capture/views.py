@@ -11,9 +11,16 @@ import numpy as np
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
+from robir.capture.decode import stored_size
 from robir.capture.frames import Frame
 from robir.capture.reading import MaskSource, read_view
-from robir.capture.refusal import CaptureRefusedError, note
+from robir.capture.refusal import CaptureRefusedError, note, refuse
+
+HARMLESS_PIXELS = 16_000_000
+"""A photograph of so many pixels is decoded in a second, whatever the others have."""
+
+MAX_RATIO = 16
+"""Times the pixels of a capture's usual photograph that one may have."""
 
 Progress = Callable[[float, str], None]
 """Told the share of the work done, in [0, 1], and what is being done."""
@@ -92,8 +99,10 @@ def load_views(
         What could be read, and what could not.
     """
     readings, findings = [], []
+    most = _most_pixels(chosen)
     for done, (frame, split) in enumerate(chosen):
         try:
+            _refuse_odd_size(frame, most)
             readings.append(read_view(frame, split, masks.get(frame.name), max_side))
         except CaptureRefusedError as refusal:
             findings.extend(refusal.findings)
@@ -115,3 +124,22 @@ def load_views(
         maskless=tuple(reading.view.name for reading in readings if not reading.has_mask),
         findings=tuple(findings),
     )
+
+
+def _most_pixels(chosen: Sequence[tuple[Frame, Split]]) -> float:
+    """Pixels that a photograph of this capture may have, by what most of them have."""
+    sizes = [frame.lens.size or stored_size(frame.image) for frame, _ in chosen]
+    pixels = [width * height for width, height in filter(None, sizes)]
+    return max(HARMLESS_PIXELS, MAX_RATIO * float(np.median(pixels)) if pixels else 0.0)
+
+
+def _refuse_odd_size(frame: Frame, most: float) -> None:
+    """Refuse a photograph that has nothing to do with the others, before it is decoded."""
+    size = stored_size(frame.image)
+    if size is not None and size[0] * size[1] > most:
+        raise refuse(
+            "wrong-size",
+            f"{frame.image} is {size[0]}x{size[1]} pixels, many times as large as the others",
+            "Give the photographs the poses were made for.",
+            frame.image.name,
+        )

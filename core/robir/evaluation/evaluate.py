@@ -16,13 +16,20 @@ from numpy.typing import NDArray
 
 from robir.errors import StorageError
 from robir.evaluation import metrics, surfaces
-from robir.evaluation.layers import Layers, load_textures, stored_mesh, view_layers
+from robir.evaluation.layers import (
+    TONE_CURVE,
+    Layers,
+    load_textures,
+    stored_facts,
+    stored_mesh,
+    view_layers,
+)
 from robir.evaluation.light import light_scores, load_light
 from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.tone import tone_scores
 from robir.evaluation.truth import TrueView, Truth, load_truth
 from robir.geometry.mesh import Mesh, vertex_normals
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import JobPaths
 
 Array = NDArray[np.floating[Any]]
 
@@ -68,7 +75,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
             known.sun_direction,
         ),
         "tone_curve": tone_scores(
-            read_json(paths.stage("appearance") / "tone_curve.json"), known.scene
+            stored_facts(paths.stage("appearance") / "tone_curve.json", TONE_CURVE), known.scene
         ),
     }
     if sheet is not None:

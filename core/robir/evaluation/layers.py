@@ -5,19 +5,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.arrays import stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds
+from robir.capture.store import load_bounds
+from robir.errors import StorageError
 from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.atlas import sample_texture
 from robir.geometry.mesh import Mesh
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import JobPaths
+from robir.jobs.records import read_record
 
 Array = NDArray[np.floating[Any]]
+
+TONE_CURVE = {"family": str, "parameters": {...: float}}
+"""What tone_curve.json has to hold."""
 
 SUB_PIXELS = 3
 """Rays along either side of a pixel where a layer holds means, as a renderer's passes do."""
@@ -53,21 +61,47 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
     shading = paths.stage("appearance") / "normals.npz"
     if not shading.is_file():  # not every method corrects them
         return mesh
-    with np.load(shading, allow_pickle=False) as arrays:
-        return replace(mesh, normals=arrays["normals"])
+    shaded = replace(mesh, normals=stored_arrays(shading).get("normals", mesh.normals[:0]))
+    if not shaded.is_whole():
+        raise StorageError(f"{shading} is damaged; run `robir reconstruct` with --resume")
+    return shaded
 
 
 def stored_mesh(paths: JobPaths) -> Mesh:
     """The same, by the bounds that the capture stage stored."""
-    bounds = read_json(paths.stage("capture") / "capture.json")["bounds"]
-    centre = np.array(bounds["centre"])
-    return result_mesh(paths, Bounds(centre=centre, radius=bounds["radius"], origin=""))
+    return result_mesh(paths, load_bounds(paths.stage("capture")))
+
+
+def stored_facts(path: Path, form: Any) -> dict[str, Any]:
+    """Contents of a JSON file of a stage.
+
+    Args:
+        path: The file.
+        form: What it has to hold, see `robir.jobs.records`.
+
+    Raises:
+        StorageError: If it is missing or damaged.
+    """
+    try:
+        return read_record(path, form)
+    except (OSError, ValueError) as fault:
+        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
 
 
 def load_textures(paths: JobPaths) -> dict[str, Array]:
     """Arrays of the appearance stage's textures.npz by name."""
-    with np.load(paths.stage("appearance") / "textures.npz", allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    path = paths.stage("appearance") / "textures.npz"
+    textures = stored_arrays(path)
+    side = len(textures.get("inside", ()))
+    shapes = {"albedo_linear": (side, side, 3), "roughness": (side, side), "inside": (side, side)}
+    wrong = [
+        name
+        for name, shape in shapes.items()
+        if name not in textures or textures[name].shape != shape
+    ]
+    if wrong or not side:
+        raise StorageError(f"{path} is damaged ({wrong}); run `robir reconstruct` with --resume")
+    return textures
 
 
 def view_layers(

@@ -12,8 +12,9 @@ import torch
 from numpy.typing import NDArray
 from skimage.transform import resize_local_mean
 
+from robir.errors import StorageError
 from robir.evaluation import metrics
-from robir.jobs.paths import read_json
+from robir.jobs.records import NUMBERS, read_record
 from robir.maths import spherical_gaussian as sg
 from robir.maths.vectors import equirect_directions
 
@@ -22,6 +23,7 @@ Array = NDArray[np.floating[Any]]
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SCORE_ROWS = 64
 _CHUNK_ROWS = 64
+_LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, "kind": str}]}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,8 +75,17 @@ class RecoveredLight:
 
 
 def load_light(path: Path) -> RecoveredLight:
-    """Read a light.json."""
-    table = read_json(path)["lobes"]
+    """Read a light.json.
+
+    Raises:
+        StorageError: If it is missing or damaged.
+    """
+    try:
+        table = read_record(path, _LIGHT)["lobes"]
+        if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
+            raise ValueError("an axis or amplitude has not three numbers")  # noqa: TRY301
+    except (OSError, ValueError) as fault:
+        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
 
     def column(name: str) -> torch.Tensor:
         return torch.tensor([lobe[name] for lobe in table], dtype=torch.float32)

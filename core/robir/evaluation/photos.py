@@ -131,5 +131,5 @@ def mean_scores(scores: list[dict[str, float] | None]) -> dict[str, Any]:
 
 def read_picture(path: Path) -> Picture:
     """An image file as (H, W, 3) or (H, W, 4) codes."""
-    with Image.open(path) as image:
+    with Image.open(path, formats=["PNG"]) as image:
         return np.array(image.convert("RGBA" if image.mode == "RGBA" else "RGB"))

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from robir.capture.arrays import stored_arrays
 from robir.capture.store import load_turned
+from robir.errors import StorageError
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
 from robir.jobs.paths import JobPaths, replacing
@@ -56,7 +58,7 @@ def layer_pictures(layers: Layers, albedo_scale: Array | float = 1.0) -> dict[st
 
 def composite(picture: Path) -> Picture:
     """An RGBA file on the sheet's dark grey, as (H, W, 3) codes."""
-    with Image.open(picture) as image:
+    with Image.open(picture, formats=["PNG"]) as image:
         return over_grey(np.asarray(image.convert("RGBA")))
 
 
@@ -136,12 +138,15 @@ def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
     """Our own re-renders of held-out views by camera pose."""
     held_out = paths.stage("appearance") / "held_out.npz"
     capture = load_turned(paths)
-    with np.load(held_out, allow_pickle=False) as arrays:
-        return {
-            _pose_key(view.camera.camera_to_world): arrays[view.name][..., :3]
-            for view in capture.held_out
-            if view.name in arrays.files
-        }
+    arrays = stored_arrays(held_out)
+    found = {
+        _pose_key(view.camera.camera_to_world): arrays[view.name]
+        for view in capture.held_out
+        if view.name in arrays
+    }
+    if any(a.ndim != 3 or a.dtype != np.uint8 or a.shape[2] not in (3, 4) for a in found.values()):
+        raise StorageError(f"{held_out} is damaged; run `robir reconstruct` with --resume")
+    return {key: picture[..., :3] for key, picture in found.items()}
 
 
 def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:

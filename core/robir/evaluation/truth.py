@@ -135,7 +135,7 @@ def _test_views(capture: Path) -> tuple[TrueView, ...]:
             camera_to_world=np.array(frame["transform_matrix"], np.float64),
         )
         image = read_exr(capture / "truth" / "test" / f"{name}.exr")
-        with Image.open(capture / "test" / f"{name}.png") as picture:
+        with Image.open(capture / "test" / f"{name}.png", formats=["PNG"]) as picture:
             photo = np.asarray(picture.convert("RGBA"), np.float32)[..., :3] / 255.0
         views.append(
             TrueView(

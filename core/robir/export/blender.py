@@ -133,7 +133,8 @@ def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     executable = os.environ.get(_EXECUTABLE)
     if executable:
         addon = os.environ.get(_ADDON, "bl_ext.user_default.robir")
-        start = [executable, "--background", "--addons", addon, "--command", _COMMAND]
+        start = [executable, "--background", "--disable-autoexec", "--addons", addon]
+        start += ["--command", _COMMAND]
         return [*start, *arguments], dict(os.environ)
     # -P: what this process imports decides, not what lies in the current folder
     start = [sys.executable, "-P", "-m", "robir_addon.headless"]

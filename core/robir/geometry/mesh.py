@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.arrays import stored_arrays
+from robir.errors import StorageError
 from robir.jobs.paths import replacing
 
 
@@ -49,9 +51,35 @@ class Mesh:
 
     @classmethod
     def load(cls, path: Path) -> Mesh:
-        """Read what `save` wrote."""
-        with np.load(path, allow_pickle=False) as arrays:
-            return cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
+        """Read what `save` wrote.
+
+        Raises:
+            StorageError: If it is missing or damaged.
+        """
+        arrays = stored_arrays(path)
+        lacking = [name for name in cls.__dataclass_fields__ if name not in arrays]
+        if lacking:
+            raise StorageError(f"{path} is damaged: it lacks {', '.join(lacking)}")
+        mesh = cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
+        if not mesh.is_whole():
+            raise StorageError(f"{path} is damaged: its arrays do not fit together")
+        return mesh
+
+    def is_whole(self) -> bool:
+        """Whether the arrays are of the right shapes and every face has its corners."""
+        floats, wholes = (self.vertices, self.normals, self.uvs), (self.faces, self.uv_faces)
+        widths = zip((*floats, *wholes), (3, 3, 2, 3, 3), strict=True)
+        if any(array.ndim != 2 or array.shape[1] != width for array, width in widths):
+            return False
+        if any(a.dtype.kind != "f" for a in floats) or any(a.dtype.kind != "i" for a in wholes):
+            return False
+        pairs = ((self.faces, self.vertices), (self.uv_faces, self.uvs))
+        are_there = all(
+            not len(corners) or (corners.min() >= 0 and corners.max() < len(points))
+            for corners, points in pairs
+        )
+        is_finite = bool(np.isfinite(self.vertices).all())
+        return are_there and is_finite and len(self.normals) == len(self.vertices)
 
 
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -25,7 +25,9 @@ from typing import Any, Literal
 from robir.errors import CancelledError, DeviceError, StorageError, UsageError
 from robir.jobs.folder import create
 from robir.jobs.lock import holder
-from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.jobs.names import open_regular
+from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.records import check, read_record
 from robir.jobs.status import Status, read_status
 
 START_ERRORS = (UsageError, StorageError, DeviceError)
@@ -39,6 +41,12 @@ _STARTING_SECONDS = 120.0
 _LOG_LINES = 30
 _NICENESS = 10
 _FULL_BELOW_BYTES = 1 << 20
+
+_TAIL_BYTES = 1 << 20
+
+_WORKER = {"started": float, "pid": (None, int), "status_before?": (None, float)}
+_RUN = {"warnings?": [{"message": str}]}
+_FAILED = {"kind": str, "message?": str, "exit_code?": int}
 
 _children: dict[Path, subprocess.Popen[Any]] = {}
 """Workers that this process started, by result folder."""
@@ -133,7 +141,10 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
     at_work = holder(paths.lock)
     if at_work is not None:
         raise UsageError(f"{request.out} is in use by process {at_work}; wait for it or stop it")
+    before = _read_status(paths)
     begun: dict[str, Any] = {"started": time.time(), "pid": None}
+    # Clocks may be set back, so what is new is told by its being another, not by its being later.
+    begun["status_before"] = None if before is None else before.heartbeat
     try:
         paths.cancel.unlink(missing_ok=True)
         write_json(paths.worker, begun)
@@ -166,7 +177,7 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
 def snapshot(root: Path) -> Snapshot:
     """Where the reconstruction in a result folder stands; never raises, whatever is in there."""
     paths = JobPaths(root)
-    begun = _read(paths.worker)
+    begun = _read(paths.worker, _WORKER)
     status = _read_status(paths)
     while True:
         is_held = holder(paths.lock) is not None
@@ -176,7 +187,7 @@ def snapshot(root: Path) -> Snapshot:
             break
     if not begun and status is None and not is_held:
         return Snapshot(state="none")
-    is_current = status is not None and status.heartbeat >= begun.get("started", 0.0)
+    is_current = status is not None and status.heartbeat != begun.get("status_before")
     if status is not None and is_current:
         known = Snapshot(
             state="running",
@@ -249,7 +260,7 @@ def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
     child = _children.get(root)
     if child is not None:
         return child.poll() is None
-    if time.time() - begun.get("started", 0.0) > _STARTING_SECONDS:
+    if abs(time.time() - begun.get("started", 0.0)) > _STARTING_SECONDS:
         return False
     if sys.platform == "win32" or begun.get("pid") is None:
         return True
@@ -257,6 +268,8 @@ def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
         os.kill(begun["pid"], 0)
     except OSError as error:
         return isinstance(error, PermissionError)
+    except OverflowError:
+        return False
     return True
 
 
@@ -313,10 +326,16 @@ def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snaps
 
 def _printed(paths: JobPaths) -> list[str]:
     try:
-        text = paths.worker_log.read_text(encoding="utf-8", errors="replace")
+        return [line for line in _tail(paths.worker_log) if line.strip()]
     except OSError:
         return []
-    return [line for line in text.splitlines() if line.strip()]
+
+
+def _tail(path: Path) -> list[str]:
+    """The last lines of a log; a whole one may have any length."""
+    with os.fdopen(open_regular(path), "rb") as file:
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
+        return file.read(_TAIL_BYTES).decode("utf-8", errors="replace").splitlines()
 
 
 def _failure(printed: Sequence[str]) -> dict[str, Any] | None:
@@ -324,16 +343,17 @@ def _failure(printed: Sequence[str]) -> dict[str, Any] | None:
     for line in reversed(printed):
         try:
             event = json.loads(line)
-            if event["kind"] == "failed":
-                return {"message": str(event["message"]), "exit_code": int(event["exit_code"])}
-        except (ValueError, KeyError, TypeError):
+            check(event, _FAILED, "the worker's last word")
+        except (ValueError, RecursionError):
             continue
+        if event["kind"] == "failed" and {"message", "exit_code"} <= event.keys():
+            return {"message": event["message"], "exit_code": event["exit_code"]}
     return None
 
 
 def _log_tail(paths: JobPaths) -> tuple[str, ...]:
     try:
-        log = paths.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        log = _tail(paths.log)
     except OSError:
         log = []
     words = [line for line in _printed(paths) if not line.startswith("{")]
@@ -341,22 +361,22 @@ def _log_tail(paths: JobPaths) -> tuple[str, ...]:
 
 
 def _warnings(paths: JobPaths) -> tuple[str, ...]:
-    found = _read(paths.run).get("warnings", ())
-    return tuple(str(warning["message"]) for warning in found if "message" in warning)
+    found = _read(paths.run, _RUN).get("warnings", ())
+    return tuple(warning["message"] for warning in found)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path, form: Any) -> dict[str, Any]:
     """Contents of a JSON file; nothing where it is missing or damaged."""
     try:
-        return dict(read_json(path))
-    except (OSError, ValueError, TypeError):
+        return read_record(path, form)
+    except (OSError, ValueError):
         return {}
 
 
 def _read_status(paths: JobPaths) -> Status | None:
     try:
         return read_status(paths.status)
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError):
         return None
 
 

@@ -47,14 +47,14 @@ def holder(path: Path) -> int | None:
         Its number, 0 where it has not said yet, or None if nobody holds the lock.
     """
     try:
-        handle = os.open(path, os.O_RDWR)
+        handle = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
     except OSError:
         return None
     try:
         _try_lock(handle)
     except OSError:
         text = os.read(handle, 32).decode(errors="replace").strip()
-        return int(text) if text.isdecimal() else 0
+        return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else 0
     else:
         return None
     finally:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robir.jobs.records import read_record
+
 STAGES = ("capture", "geometry", "transport", "appearance", "export")
 
 
@@ -238,5 +240,10 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file written by `write_json`."""
-    return json.loads(path.read_text(encoding="utf-8"))
+    """Read a JSON file written by `write_json`; `robir.jobs.records` says what it has to hold.
+
+    Raises:
+        OSError: If it cannot be read or is no regular file.
+        ValueError: If it is damaged.
+    """
+    return read_record(path, Any)

@@ -9,11 +9,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.records import DamagedFileError, read_record
 
 State = Literal["running", "done", "failed", "cancelled"]
+_FORM = {
+    "state": str, "stage": str, "fraction": float, "message": str, "seconds_left": (None, float),
+    "exit_code": (None, int), "pid": int, "heartbeat": float, "metrics?": {},
+}  # fmt: skip
 Kind = Literal["started", "skipped", "progress", "metric", "warning", "finished", "failed"]
 
 
@@ -45,9 +50,17 @@ class Status:
 
 
 def read_status(path: Path) -> Status:
-    """Read what `StatusWriter` wrote, also one of another version."""
+    """Read what `StatusWriter` wrote, also one of another version.
+
+    Raises:
+        OSError: If there is none.
+        ValueError: If it is damaged.
+    """
+    plain = read_record(path, _FORM)
+    if plain["state"] not in get_args(State):
+        raise DamagedFileError(f"{path.name} states {plain['state'][:40]!r}")
     known = {item.name for item in fields(Status)}
-    return Status(**{name: value for name, value in read_json(path).items() if name in known})
+    return Status(**{name: value for name, value in plain.items() if name in known})
 
 
 class StatusWriter:

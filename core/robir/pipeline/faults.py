@@ -43,10 +43,11 @@ def translated(error: BaseException, stage: str, out: Path) -> BaseException:
         return error
     if isinstance(error, KeyboardInterrupt):
         return CancelledError("stopped; continue with --resume")
-    if isinstance(error, OSError) and (error.errno in _DISK_ERRORS or _is_below(error, out)):
+    disk = _disk_error(error, out)
+    if disk is not None:
         return StorageError(
-            f"{error.filename or out} cannot be written in {stage or 'the result folder'}: "
-            f"{error.strerror}; make room or mend the folder, then continue with --resume"
+            f"{disk.filename or out} cannot be written in {stage or 'the result folder'}: "
+            f"{disk.strerror}; make room or mend the folder, then continue with --resume"
         )
     if _is_out_of_memory(error):
         return DeviceError(
@@ -100,6 +101,18 @@ def stop_requested() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _disk_error(error: BaseException, out: Path) -> OSError | None:
+    """The disk's own error, also where another came of it: closing a half-written file fails."""
+    link: BaseException | None = error
+    seen: set[int] = set()
+    while link is not None and id(link) not in seen:
+        seen.add(id(link))
+        if isinstance(link, OSError) and (link.errno in _DISK_ERRORS or _is_below(link, out)):
+            return link
+        link = link.__cause__ or link.__context__
+    return None
 
 
 def _is_out_of_memory(error: BaseException) -> bool:

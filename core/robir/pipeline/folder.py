@@ -12,7 +12,8 @@ from typing import Any
 from robir import __version__
 from robir.config import RunConfig
 from robir.errors import ConfigError, StorageError, UsageError
-from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.paths import JobPaths
+from robir.jobs.records import read_record
 from robir.pipeline.device import Execution
 from robir.settings import (
     changed_settings,
@@ -20,6 +21,12 @@ from robir.settings import (
     settings_from_table,
     table_from_settings,
 )
+
+_RUN = {
+    "state": str, "preset": str, "capture": {"path": str, "masks": (None, str), "fingerprint": str},
+    "seconds": {...: {"wall": float, "cpu": float}}, "peak_memory_bytes": {...: int},
+    "warnings": [{"stage": str, "message": str}],
+}  # fmt: skip
 
 
 def read_run(paths: JobPaths) -> dict[str, Any] | None:
@@ -31,10 +38,11 @@ def read_run(paths: JobPaths) -> dict[str, Any] | None:
     if not paths.run.exists():
         return None
     try:
-        run = read_json(paths.run)
-        return dict(run) | {"capture": dict(run["capture"]), "seconds": dict(run["seconds"])}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{paths.run} is damaged; give another output folder with -o") from error
+        return read_record(paths.run, _RUN)
+    except (OSError, ValueError) as error:
+        raise StorageError(
+            f"{paths.run} is damaged ({error}); give another output folder with -o"
+        ) from error
 
 
 def read_config(paths: JobPaths) -> RunConfig:

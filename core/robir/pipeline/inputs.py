@@ -8,9 +8,12 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from robir.capture.decode import MAX_FILE_BYTES
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.errors import CaptureError
+from robir.jobs.names import leads_out, open_regular
 from robir.poses.register import is_video
+from robir.poses.video import MAX_BYTES
 
 _POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])
@@ -21,18 +24,22 @@ _TRUTH = "truth"
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's contents, 64 hex digits."""
-    with path.open("rb") as file:
+    """SHA-256 of a regular file's contents, 64 hex digits."""
+    with os.fdopen(open_regular(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def capture_fingerprint(source: Path, masks: Path | None, out: Path) -> str:
+def capture_fingerprint(
+    source: Path, masks: Path | None, out: Path, follows_links: bool = False
+) -> str:
     """SHA-256 of the names and contents of all files a capture may consist of.
 
     Args:
         source: Capture folder, or a file in it.
         masks: Folder of masks, or None.
         out: Result folder; left out where it lies inside the capture.
+        follows_links: Whether links out of the capture's folder are followed, as the setting
+            `capture.outside` says.
 
     Raises:
         CaptureError: If the capture or the masks do not exist or cannot be read.
@@ -43,13 +50,15 @@ def capture_fingerprint(source: Path, masks: Path | None, out: Path) -> str:
     digest = hashlib.sha256()
     try:
         if is_video(source):
+            if source.stat().st_size > MAX_BYTES:
+                raise CaptureError(f"the video {source} is too large; cut it")
             digest.update(file_hash(source).encode())
             folders = [masks]
         else:
             folders = [source if source.is_dir() else source.parent, masks]
         for folder in filter(None, folders):
-            for path in _files(folder, out.resolve()):
-                digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            for path in _files(folder, out.resolve(), follows_links):
+                digest.update(os.fsencode(path.relative_to(folder).as_posix()) + b"\0")
                 digest.update(file_hash(path).encode())
             digest.update(b"\n")
     except OSError as error:
@@ -57,19 +66,23 @@ def capture_fingerprint(source: Path, masks: Path | None, out: Path) -> str:
     return digest.hexdigest()
 
 
-def _files(folder: Path, out: Path) -> Iterator[Path]:
-    """Files of a capture in a fixed order; linked folders are followed once."""
-    seen: set[str] = set()
-    for parent, folders, names in os.walk(folder, followlinks=True):
+def _files(folder: Path, out: Path, follows_links: bool) -> Iterator[Path]:
+    """Regular files of a capture in a fixed order; linked folders are followed once, if at all."""
+    seen = {os.path.realpath(folder)}
+    for parent, folders, names in os.walk(folder, followlinks=follows_links):
         folders[:] = sorted(
             name
             for name in folders
             if not name.startswith(".")
             and name != _TRUTH
-            and Path(parent, name).resolve() != out
+            and Path(os.path.realpath(Path(parent, name))) != out
             and os.path.realpath(Path(parent, name)) not in seen
         )
         seen.update(os.path.realpath(Path(parent, name)) for name in folders)
         for name in sorted(names):
-            if Path(name).suffix.lower() in _SUFFIXES and not name.startswith("."):
-                yield Path(parent, name)
+            path = Path(parent, name)
+            if path.suffix.lower() not in _SUFFIXES or name.startswith("."):
+                continue
+            is_ours = follows_links or not path.is_symlink() or not leads_out(path, [folder])
+            if is_ours and path.is_file() and path.stat().st_size <= MAX_FILE_BYTES:
+                yield path

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,9 +20,15 @@ from typing import Any, Literal, Protocol
 from robir.config import RunConfig, fingerprint
 from robir.errors import QualityError, StorageError
 from robir.jobs.context import StageContext
-from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.jobs.names import leads_out
+from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir.jobs.records import read_record
 from robir.pipeline.inputs import file_hash
 from robir.settings import table_from_settings
+
+_MANIFEST = {
+    "fingerprint": str, "metrics?": {}, "outputs": {...: {"sha256": str, "bytes": int}}
+}  # fmt: skip
 
 StageState = Literal["done", "stale", "interrupted", "absent"]
 
@@ -61,11 +68,10 @@ def stage_state(paths: JobPaths, stage: str, expected: str) -> StageState:
         folder = paths.stage(stage)
         return "interrupted" if folder.exists() and any(folder.iterdir()) else "absent"
     try:
-        manifest = read_json(paths.manifest(stage))
-        is_same = manifest["fingerprint"] == expected
-        outputs = manifest["outputs"]
-    except (ValueError, KeyError, TypeError, OSError):
+        manifest = read_record(paths.manifest(stage), _MANIFEST)
+    except (ValueError, OSError):
         return "stale"
+    is_same, outputs = manifest["fingerprint"] == expected, manifest["outputs"]
     is_whole = all(_is_as_recorded(paths, name, facts) for name, facts in outputs.items())
     return "done" if is_same and is_whole else "stale"
 
@@ -89,7 +95,7 @@ def judged(paths: JobPaths) -> QualityError | None:
 
     The folder is whole all the same: the export stage notes the verdict in its manifest.
     """
-    metrics = read_json(paths.manifest(STAGES[-1])).get("metrics", {})
+    metrics = read_record(paths.manifest(STAGES[-1]), _MANIFEST).get("metrics", {})
     if metrics.get("is_trusted", True):
         return None
     return QualityError(f"it failed its own quality check: see the warnings, or {paths.report}")
@@ -133,9 +139,10 @@ def _folders(paths: JobPaths, stage: str) -> list[Path]:
 
 def _aside(paths: JobPaths, stage: str) -> Path:
     try:
-        tag = str(read_json(paths.manifest(stage))["fingerprint"])[:8]
-    except (ValueError, KeyError, TypeError, OSError):
-        tag = "damaged"
+        tag = read_record(paths.manifest(stage), _MANIFEST)["fingerprint"][:8]
+    except (ValueError, OSError):
+        tag = ""
+    tag = tag if re.fullmatch("[0-9a-f]{8}", tag) else "damaged"
     number = 0
     while True:
         suffix = f"-{number}" if number else ""
@@ -150,7 +157,7 @@ def _aside(paths: JobPaths, stage: str) -> Path:
 def _is_as_recorded(paths: JobPaths, name: str, facts: Mapping[str, Any]) -> bool:
     """Whether an output is there, unchanged; the user may edit what is theirs to take away."""
     path = paths.root / name
-    if not path.is_file():
+    if "\0" in name or not path.is_file() or leads_out(path, [paths.root]):
         return False
     is_product = not path.is_relative_to(paths.root / "stages")
     return is_product or (

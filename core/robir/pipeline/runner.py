@@ -93,7 +93,8 @@ def reconstruct(
         RobirError: With a sentence for the user; see `robir.errors` for the kinds.
     """
     paths = JobPaths(request.out)
-    capture = capture_fingerprint(request.source, request.masks, request.out)
+    follows_links = request.config.capture.outside == "take"
+    capture = capture_fingerprint(request.source, request.masks, request.out, follows_links)
     create(paths)
     try:
         with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():

@@ -12,15 +12,19 @@ from pathlib import Path
 from PIL import ExifTags
 
 from robir.capture.capture import Finding
+from robir.capture.files import children
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.masks import natural_order
-from robir.capture.refusal import note
+from robir.capture.refusal import note, refuse
+from robir.jobs.names import UnsafeNameError, checked_name
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".3gp")
 """Kinds of videos that frames are taken from."""
 
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
 _MASK_FOLDER = re.compile(r"mask|matte|alpha|segment|truth|depth|normal", re.IGNORECASE)
+
+_RENAME = "Rename it with letters and digits, or take it away."
 
 _SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)
 """Millimetres; what a "35 mm equivalent" focal length refers to."""
@@ -56,7 +60,7 @@ def find_photographs(source: Path) -> list[Path]:
     own = _photographs_in(source)
     if own:
         return own
-    folders = [path for path in sorted(source.iterdir()) if path.is_dir()]
+    folders = [path for path in children(source) if path.is_dir()]
     folders = [path for path in folders if not path.name.startswith(".")]
     usual = [path for path in folders if path.name.lower() in _PHOTO_FOLDERS]
     usual = usual or [path for path in folders if not _MASK_FOLDER.search(path.name)]
@@ -75,7 +79,7 @@ def stray_files(source: Path, photographs: Iterable[Path]) -> list[Finding]:
     strays = [
         path.relative_to(source).as_posix()
         for folder in sorted(folders)
-        for path in sorted(folder.iterdir())
+        for path in children(folder)
         if path.is_file() and path not in used and not path.name.startswith(".")
     ]
     if not strays:
@@ -112,11 +116,18 @@ def lens_of(exif: dict[int, object], size: tuple[int, int]) -> Lens:
 def _photographs_in(folder: Path) -> list[Path]:
     found = [
         path
-        for path in folder.iterdir()
+        for path in children(folder)
         if path.suffix.lower() in IMAGE_SUFFIXES
         and path.is_file()
         and not path.name.startswith(".")
     ]
+    for path in found:
+        try:
+            checked_name(path.name)
+        except UnsafeNameError as fault:
+            raise refuse(
+                "bad-name", f"A file in {folder} cannot be named: {fault}", _RENAME
+            ) from None
     return sorted(found, key=lambda path: natural_order(path.name))
 
 

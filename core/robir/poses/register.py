@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from robir.capture import colmap
 from robir.capture.capture import Finding
+from robir.capture.decode import MAX_FILE_BYTES
 from robir.capture.frames import FrameSet
 from robir.capture.refusal import CaptureRefusedError
+from robir.capture.regular import regular
 from robir.capture.views import Progress
 from robir.jobs.paths import read_json, write_json
 from robir.poses.consistency import forget, hold_against_links
@@ -24,7 +26,7 @@ from robir.poses.pairs import MAX_EXHAUSTIVE, all_pairs, sequence_pairs
 from robir.poses.photos import VIDEO_SUFFIXES, find_photographs, stray_files
 from robir.poses.prepare import Prepared, prepare
 from robir.poses.solve import Workplace, find_features, map_cameras, match, refine
-from robir.poses.video import take_frames
+from robir.poses.video import MAX_BYTES, take_frames
 
 if TYPE_CHECKING:
     import pycolmap
@@ -225,6 +227,12 @@ class _Registration:
 
 
 def _fact(path: Path) -> list[Any]:
-    """What identifies a file: its name and contents."""
-    with path.open("rb") as file:
-        return [path.name, hashlib.file_digest(file, "sha256").hexdigest()]
+    """What identifies a file: its name and contents, or its size where it is no photograph's."""
+    size = path.stat().st_size
+    if size > (MAX_BYTES if is_video(path) else MAX_FILE_BYTES):
+        return [path.name, size]
+    digest = hashlib.sha256()
+    with regular(path, MAX_BYTES) as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return [path.name, digest.hexdigest()]

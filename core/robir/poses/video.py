@@ -14,8 +14,9 @@ from PIL import Image
 from scipy import ndimage
 
 from robir.capture.capture import Finding
-from robir.capture.decode import INSTALL_PHOTOS
+from robir.capture.decode import INSTALL_PHOTOS, MAX_PIXELS
 from robir.capture.refusal import note, refuse
+from robir.capture.regular import regular
 from robir.capture.views import Progress
 from robir.jobs.paths import replacing
 
@@ -24,6 +25,15 @@ FRAMES = 100
 
 SHARPNESS_SIDE = 480
 """Longer side in pixels of the picture that sharpness is measured on: noise must not count."""
+
+MAX_BYTES = 1 << 35
+"""Largest video."""
+
+_CONTAINERS: dict[str, str] = {
+    **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
+    **dict.fromkeys((".mkv", ".webm"), "matroska"),
+    ".avi": "avi",
+}
 
 _EXCLUDED = "Save it as MP4 (H.264), or give its frames as photographs."
 
@@ -64,9 +74,14 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
     folder.mkdir(parents=True, exist_ok=True)
     taken: list[_Best] = []
     try:
-        with av.open(str(video)) as container:
+        # By its suffix alone: what FFmpeg tells from the content may be a list of other files.
+        kind = _CONTAINERS[video.suffix.lower()]
+        with regular(video, MAX_BYTES) as file, av.open(file, format=kind) as container:
             if not container.streams.video:
                 raise refuse("bad-video", f"{video} holds no pictures", _EXCLUDED, video.name)
+            codec = container.streams.video[0].codec_context
+            if codec.width * codec.height > MAX_PIXELS:
+                raise refuse("bad-video", f"{video} has huge frames", _EXCLUDED, video.name)
             total = _frame_count(container)
             for best in _sharpest(container, total, progress):
                 taken.append(best)

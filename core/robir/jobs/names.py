@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names that come out of files, before they become paths: none leads out of its folder.
+
+A capture and a result folder may have been made by anybody. What they name is looked at here, and
+nowhere else, before the disk is asked for it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+MAX_NAME_BYTES = 240
+"""Longest name of a file that every usual file system takes, with room for a suffix of ours."""
+
+_CONTROL = re.compile("[\0-\x1f\x7f]")
+
+MAX_PATH_BYTES = 4000
+"""Longest path that Linux takes, with room for a file name."""
+
+
+class UnsafeNameError(ValueError):
+    """A name cannot be a path, or leads somewhere else; the message says why."""
+
+
+def checked_name(name: str) -> str:
+    """A name or path that the operating system can be asked for, wherever it leads.
+
+    Args:
+        name: As a file holds it, "/" or a backslash between folders.
+
+    Returns:
+        The name itself.
+
+    Raises:
+        UnsafeNameError: If it holds characters that no name may have, or is too long.
+    """
+    try:
+        size = len(name.encode("utf-8"))
+    except UnicodeEncodeError:
+        raise UnsafeNameError(f"the name {name[:40]!a} is no valid text") from None
+    if _CONTROL.search(name):
+        raise UnsafeNameError(f"the name {name[:40]!a} holds control characters")
+    parts = name.replace("\\", "/").split("/")
+    longest = max(map(len, parts))  # a letter has up to four bytes
+    if 4 * longest > MAX_NAME_BYTES:
+        longest = max(len(part.encode("utf-8")) for part in parts)
+    if size > MAX_PATH_BYTES or longest > MAX_NAME_BYTES:
+        raise UnsafeNameError(f"the name {name[:40]!a}... is too long ({size} bytes)")
+    return name
+
+
+def file_in(folder: Path, name: str) -> Path:
+    """The file of a name directly in a folder.
+
+    Args:
+        folder: Where it has to lie.
+        name: File name, no path.
+
+    Returns:
+        Its path; whether it exists is not looked at.
+
+    Raises:
+        UnsafeNameError: If the name is none, or would lie elsewhere.
+    """
+    if not isinstance(name, str):
+        raise UnsafeNameError(f"a name is {type(name).__name__} instead of text")
+    checked_name(name)
+    separators = "/\\:" if os.name == "nt" else "/\\"
+    if name in ("", ".", "..") or any(character in name for character in separators):
+        raise UnsafeNameError(f"the name {name!a} leads out of {folder}")
+    return folder / name
+
+
+def leads_out(path: Path, folders: Iterable[Path]) -> bool:
+    """Whether a path lies in none of some folders, once all links are followed.
+
+    Args:
+        path: What is to be read; it need not exist.
+        folders: Where it may lie.
+    """
+    real = os.path.realpath(path)
+    homes = (os.path.realpath(folder) for folder in folders)
+    return not any(real == home or real.startswith(home.rstrip(os.sep) + os.sep) for home in homes)
+
+
+def open_regular(path: Path) -> int:
+    """Open a file for reading if it is a regular one: no pipe, no device, no folder.
+
+    Args:
+        path: File; links are followed.
+
+    Returns:
+        The operating system's handle, for `os.fdopen` or `open`.
+
+    Raises:
+        OSError: If it cannot be opened or is anything else.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    # a device may do something merely by being opened, so it is looked at first as well
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(f"{path} is no regular file")
+    handle = os.open(path, flags)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(f"{path} is no regular file")
+    return handle

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from robir.jobs.paths import JobPaths
+
+pytestmark = pytest.mark.blender
+
+TAMPER = """
+import sys
+import bpy
+
+scene, mark = sys.argv[1:]
+bpy.ops.wm.open_mainfile(filepath=scene, use_scripts=False)
+text = bpy.data.texts.new("run.py")
+text.from_string(f"open({mark!r}, 'w').close()")
+text.use_module = True
+for item in bpy.data.objects:
+    if "robir_view" in item:
+        item["robir_view"] = "x/../../../" + item["robir_view"]
+bpy.ops.wm.save_as_mainfile(filepath=scene)
+"""
+
+RUNS_SCRIPTS = """
+import sys
+import bpy
+from robir_addon.headless import main
+
+bpy.context.preferences.filepaths.use_scripts_auto_execute = True
+sys.exit(main(sys.argv[1:]))
+"""
+"""The commands in a Blender whose user lets every file run its scripts."""
+
+
+def headless(*arguments):
+    command = [sys.executable, "-c", RUNS_SCRIPTS, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def copy(result, tmp_path):
+    return JobPaths(shutil.copytree(result.root, tmp_path / "in" / "copy"))
+
+
+def refused(*words):
+    run = headless(*words)
+    assert run.returncode == 1, run.stderr
+    assert run.stderr.count("\n") == 1
+    return run.stderr
+
+
+@pytest.mark.slow
+def test_scripts_of_a_scene_do_not_run_and_its_names_stay_inside(copy, tmp_path):
+    assert headless("scene", copy.root).returncode == 0
+    mark = tmp_path / "mark"
+    words = [sys.executable, "-c", TAMPER, copy.scene, mark]
+    subprocess.run(words, capture_output=True, check=True)
+    said = refused("render", copy.root, "--views", "all", "--samples", 1)
+    assert "leads out" in said
+    assert not mark.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda table: table["views"][0].update(name="x/../../../pwn"),
+        lambda table: table["views"][0].update(image="../../../elsewhere.png"),
+        lambda table: table["views"][0].update(image="/etc/passwd"),
+        lambda table: table["views"][0].pop("width"),
+        lambda table: table["views"][0].update(width=None),
+        lambda table: table["views"][0].update(fx=0),
+        lambda table: table.update(views=[]),
+        lambda table: table.update(bounds=[]),
+    ],
+)
+def test_cameras_that_cannot_be(copy, change):
+    from robir_addon.errors import ResultError
+    from robir_addon.importer import read_cameras
+
+    read_cameras(copy)
+    table = json.loads(copy.cameras.read_text())
+    change(table)
+    copy.cameras.write_text(json.dumps(table))
+    with pytest.raises(ResultError, match=r"cameras\.json"):
+        read_cameras(copy)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged and tampered result folders: a sentence, nothing else, and nothing outside of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+
+import pytest
+from evaluation import sphere_run
+from hostile.damage import NASTY, WHOLE, damage_file, places, replaced
+
+from robir.capture.store import load_capture, view_path
+from robir.config import RunConfig
+from robir.errors import RobirError, StorageError, UsageError
+from robir.evaluation.evaluate import evaluate
+from robir.evaluation.levels import level_scores
+from robir.jobs import client
+from robir.jobs.folder import create
+from robir.jobs.names import UnsafeNameError, file_in
+from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.records import DamagedFileError, check
+from robir.jobs.status import StatusWriter
+from robir.pipeline.faults import translated
+from robir.pipeline.folder import new_run, read_run
+from robir.pipeline.ledger import clear_for_rerun, stage_state
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory):
+    return sphere_run.make_truth(tmp_path_factory.mktemp("capture"))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return sphere_run.make_run(tmp_path_factory.mktemp("whole") / "out").root
+
+
+@pytest.mark.parametrize(
+    "name", ["x/../../../pwn", "..", "", "/etc/passwd", "a\0", "a\\b", "\ud800"]
+)
+def test_names_that_lead_out_are_none(tmp_path, name):
+    with pytest.raises(UnsafeNameError):
+        file_in(tmp_path, name)
+    with pytest.raises(UnsafeNameError):
+        view_path(tmp_path, f"x/{name}")
+    assert file_in(tmp_path, "r_000.png") == tmp_path / "r_000.png"
+
+
+def test_every_file_of_a_stage_may_be_damaged(whole, truth, tmp_path):
+    """Thirty damages to files that `evaluate` reads: a sentence or an answer."""
+    generator = random.Random(35)
+    names = [
+        path.relative_to(whole)
+        for path in sorted(whole.rglob("*"))
+        if path.is_file() and path.suffix in (".json", ".npz")
+    ]
+    said: list[str] = []
+    for number in range(30):
+        root = shutil.copytree(whole, tmp_path / str(number))
+        damage_file(root / names[number % len(names)], generator)
+        try:
+            level_scores(JobPaths(root))
+            evaluate(JobPaths(root), truth)
+        except RobirError as error:
+            said.append(str(error))
+        shutil.rmtree(root)
+    assert len(said) > 5
+    words = ("damaged", "cannot be read", "tone", "is missing")
+    assert all(any(word in text for word in words) for text in said)
+
+
+def test_a_view_that_leads_out_is_not_read(whole, tmp_path):
+    paths = JobPaths(shutil.copytree(whole, tmp_path / "out"))
+    file = paths.stage("capture") / "capture.json"
+    content = json.loads(file.read_text())
+    content["views"][0]["name"] = "../../../../elsewhere"
+    file.write_text(json.dumps(content))
+    with pytest.raises(StorageError, match="leads out"):
+        load_capture(paths.stage("capture"))
+
+
+def live_folder(root) -> JobPaths:
+    """A folder as a finished run leaves it, as far as its followers look."""
+    paths = JobPaths(root)
+    root.mkdir()
+    StatusWriter(paths).status("done", stage="", fraction=1.0, message="done", exit_code=0)
+    write_json(paths.worker, {"started": 1.0, "pid": 2**22, "status_before": None})
+    run = {"warnings": [{"stage": "capture", "message": "few views"}]}
+    write_json(paths.run, run)
+    paths.log.write_text("said\n")
+    paths.worker_log.write_text('{"kind": "failed", "message": "no", "exit_code": 3}\n')
+    return paths
+
+
+def test_a_snapshot_never_raises(tmp_path):
+    paths = live_folder(tmp_path / "out")
+    assert client.snapshot(paths.root).state == "done"
+    files = (paths.status, paths.worker, paths.run, paths.worker_log)
+    for file in files:
+        content = file.read_text()
+        document = json.loads(content)
+        for place in places(document):
+            for value in (*NASTY, ...):
+                file.write_text(replaced(document, place, value))
+                client.snapshot(paths.root)
+        for bytes_ in WHOLE:
+            file.write_bytes(bytes_)
+            client.snapshot(paths.root)
+        file.write_text(content)
+    for file in (*files, paths.log, paths.lock):
+        content = file.read_bytes() if file.exists() else b""
+        for make in (lambda f: f.mkdir(), os.mkfifo, lambda f: f.symlink_to(f.name)):
+            file.unlink(missing_ok=True)
+            make(file)
+            client.snapshot(paths.root)
+            file.rmdir() if file.is_dir() else file.unlink()
+        file.write_bytes(content)
+
+
+def test_a_clock_that_was_set_back_kills_nobody(tmp_path):
+    paths = live_folder(tmp_path / "out")
+    write_json(paths.worker, {"started": 4e9, "pid": None, "status_before": 4e9})
+    assert client.snapshot(paths.root).state == "done"
+
+
+def test_run_json_without_its_fields_is_damaged(tmp_path):
+    paths = JobPaths(tmp_path)
+    facts = {"fingerprint": "0", "path": "/c", "masks": None}
+    run = {"state": "done", "preset": "draft", "capture": facts, "seconds": {}, "warnings": []}
+    run["peak_memory_bytes"] = {}
+    write_json(paths.run, run)
+    assert read_run(paths) == run
+    for place in places(run):
+        for value in (3.5, ...):
+            paths.run.write_text(replaced(run, place, value))
+            with pytest.raises(StorageError, match="damaged"):
+                read_run(paths)
+
+
+@pytest.mark.parametrize("outputs", [[], "x", {"a": 1}, {"a\0": {"sha256": "", "bytes": 0}}])
+def test_a_manifest_that_is_none_makes_the_stage_stale(tmp_path, outputs):
+    paths = JobPaths(tmp_path)
+    write_json(paths.manifest("capture"), {"fingerprint": "f", "outputs": outputs})
+    assert stage_state(paths, "capture", "f") == "stale"
+    paths.manifest("capture").write_text("")
+    assert stage_state(paths, "capture", "f") == "stale"
+
+
+def test_a_fingerprint_is_no_path(tmp_path):
+    paths = JobPaths(tmp_path)
+    write_json(paths.manifest("capture"), {"fingerprint": "/../../x", "outputs": {}})
+    clear_for_rerun(paths, "capture", "stale")
+    assert [path.name for path in paths.stale.iterdir()] == ["capture-damaged"]
+
+
+def test_links_out_of_a_result_are_refused(tmp_path):
+    paths = live_folder(tmp_path / "out")
+    paths.log.unlink()
+    (tmp_path / "precious").write_text("mine")
+    paths.log.symlink_to(tmp_path / "precious")
+    with pytest.raises(UsageError, match="leads out"):
+        create(paths)
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_a_full_disk_is_named_whatever_came_of_it(tmp_path):
+    try:
+        try:
+            raise OSError(28, "No space left on device", "x.npz")
+        finally:
+            raise ValueError("seek of closed file")
+    except ValueError as error:
+        fault = translated(error, "geometry", tmp_path)
+    assert isinstance(fault, StorageError)
+    assert "No space left" in str(fault)
+
+
+def test_forms_are_checked():
+    form = {"a": [float], "b?": (None, str), "c": {...: int}}
+    check({"a": [1, 2.5], "c": {"x": 1}, "more": 3}, form, "it")
+    for wrong in ({"a": [True], "c": {}}, {"a": [], "c": {"x": 1.5}}, {"c": {}}, [], {"a": 1}):
+        with pytest.raises(DamagedFileError, match="it"):
+            check(wrong, form, "it")
+    with pytest.raises(DamagedFileError):
+        check({"a": [], "b": 3, "c": {}}, form, "it")
+
+
+def test_new_runs_are_read_again(tmp_path):
+    from robir.pipeline.device import Execution
+
+    paths = JobPaths(tmp_path)
+    execution = Execution(device="cpu", threads=1)
+    run = new_run(
+        source=tmp_path, masks=None, capture="0", preset="draft", config=RunConfig(),
+        execution=execution,
+    )  # fmt: skip
+    write_json(paths.run, run)
+    assert read_run(paths) == run
