@@ -336,7 +336,13 @@ def test_a_whole_blender_takes_the_place_of_the_wheel(fake_blender, monkeypatch)
     outcome = blender.run_headless(["go", "a b"], lambda f, m: seen.append((f, m)))
     assert seen == [(0.5, "half")]
     start = ["--background", "--disable-autoexec", "--addons", "bl_ext.user_default.robir"]
-    assert [str(file) for file in outcome.files] == [*start, "--command", "robir_scene", "go", "a b"]
+    assert [str(file) for file in outcome.files] == [
+        *start,
+        "--command",
+        "robir_scene",
+        "go",
+        "a b",
+    ]
     monkeypatch.setenv("ROBIR_ADDON", "bl_ext.studio.robir")
     assert "bl_ext.studio.robir" in map(str, blender.run_headless(["go"], lambda f, m: None).files)
 

@@ -22,11 +22,11 @@ class GeometryConfig:
         level_steps: Steps of the fit at each of these levels.
         rays: Rays of a step.
         features: Colour features of a node of the field.
-        face_budget: Most triangles of the final mesh; below it the photographs' pixels decide.
+        face_budget: Most triangles of the final mesh.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
         refine_poses: Whether given cameras are turned where the photographs ask for it.
-        stereo: Depth maps that the fit starts from and is held to.
-        refine: The mesh's way to where photographs agree.
+        stereo: Depth maps, whose surface takes the place of the fit where photographs prove it.
+        refine: That surface's way to where photographs agree.
     """
 
     image_side: int = 200
@@ -36,7 +36,7 @@ class GeometryConfig:
     level_steps: tuple[int, ...] = (280, 220, 220)
     rays: int = 2048
     features: int = 8
-    face_budget: int = 24000
+    face_budget: int = 8000
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
     stereo: StereoConfig = field(default_factory=StereoConfig)

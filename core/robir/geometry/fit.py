@@ -18,7 +18,6 @@ from robir.geometry.preview import Renderer
 from robir.geometry.rays import RaySampler
 from robir.geometry.regularise import laplacian_step
 from robir.geometry.sampling import Occupancy, march
-from robir.geometry.stereo.fusion import StereoEvidence
 from robir.maths.adam import Adam
 
 SHARPNESS = (30.0, 160.0)
@@ -153,8 +152,7 @@ def fit(
     config: GeometryConfig,
     generator: torch.Generator,
     progress: Callable[[float, Renderer], None],
-    settle: Callable[[Field, ColourNetwork], None],
-    stereo: StereoEvidence | None = None,
+    settle: Callable[[Field, ColourNetwork], bool],
 ) -> Field:
     """Fit a field to the rays of a capture.
 
@@ -166,11 +164,10 @@ def fit(
         progress: Called after every few steps with the share done and what renders the field, and
             with 1.0 when it is settled.
         settle: Called with field and network at the end of every level, may change the field's
-            distances in place.
-        stereo: What depth maps say, which the distances are held to, or None.
+            distances in place; the fit ends there if it returns True.
 
     Returns:
-        The field of the finest level.
+        The field of the finest level, or of that at which it was ended.
 
     Raises:
         QualityError: If the loss stops being a number.
@@ -191,7 +188,6 @@ def fit(
         )
         field = field.refined(level)
         optimiser = _Optimiser(field, network, DISTANCE_RATE * (1.0 if done else HASTE))
-        held = None if stereo is None else stereo.on(level)
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
@@ -212,10 +208,9 @@ def fit(
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
                     smooth(field.sdf, level, done / total)
-                    if held is not None:
-                        held.pull(field.sdf)
                     field.soften()
-        settle(field, network)
+        if settle(field, network):
+            return field
     inv_std = _steepness(1.0, longest)
     progress(1.0, _renderer(field, network, _occupied(field, inv_std), inv_std))
     return field

@@ -8,16 +8,15 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from robir.capture.capture import Capture, View
+from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_turned
 from robir.errors import CaptureError
 from robir.geometry.backdrop import Backdrop
 from robir.geometry.brightness import evened
-from robir.geometry.clean import largest_pieces, restore_missing
+from robir.geometry.clean import restore_missing
 from robir.geometry.config import GeometryConfig
 from robir.geometry.facets import flattened
 from robir.geometry.field import ColourNetwork, Field
-from robir.geometry.filtering import taubin
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.held_out import save_field_views
@@ -29,27 +28,15 @@ from robir.geometry.plane import detect
 from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.refine.consistency import pixel_size
-from robir.geometry.refine.step import refine
+from robir.geometry.rival import Rival, smooth_surface
 from robir.geometry.simplify import decimate, fill_holes, with_creases
-from robir.geometry.stereo.fusion import stereo_evidence
-from robir.geometry.surface import extract
 from robir.geometry.undercut import undercut
 from robir.geometry.unwrap import unwrap
 from robir.jobs.context import Reporter, StageContext
 from robir.maths.vectors import farthest_points
 
-REVISION = 23
+REVISION = 24
 """Raised whenever the same input gives another result."""
-
-GRAIN_PIXELS = 1.5
-"""Width of what may be noise of the refined surface, pixels."""
-
-FACE_PIXELS = 2.0
-"""Pixels of a photograph a face: two faces a vertex, and a vertex every other row and column."""
-
-FEWEST_FACES = 8000
-"""Faces that any object may have: they cost next to nothing."""
 
 GROUND_SIDE = 200
 """Longer side of the photographs that tell the ground, pixels."""
@@ -160,16 +147,11 @@ def reconstruct(
         backdrop = Backdrop(ground, judges)
         hull = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
     start = hull if backdrop is None else backdrop.clear(lattice, hull)
-    stereo = None
-    if config.stereo.image_side:
-        reporter.progress(0.03, "looking for depth in pairs of photographs")
-        compared = [reduce_view(view, config.stereo.image_side) for view in capture.train]
-        stereo = stereo_evidence(compared, lattice, start, config.stereo)
-        start = start.clone()
-        stereo.on(lattice).pull(start)
     mirroring = Mirroring([photo.camera for photo in photos], (lattice, start))
 
-    def settle(field: Field, network: ColourNetwork) -> None:
+    rival = Rival(capture.train, photos, (lattice, start), config)
+
+    def settle(field: Field, network: ColourNetwork) -> bool:
         nonlocal backdrop
         sdf = field.sdf.detach()
         allowed = resample(hull, lattice, field.lattice).to(sdf.device)
@@ -185,45 +167,30 @@ def reconstruct(
                 sdf.copy_(undercut(backdrop, settled, field.lattice, sdf))
             else:
                 backdrop = None
+        return rival.beats(field)
 
-    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle, stereo)
-    reporter.progress(0.86, "moving the mesh to where photographs agree")
-    mesh = clean_mesh(field, capture.train, config)
+    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
+    if rival.leads:
+        reporter.progress(0.6, "moving the mesh to where photographs agree")
+        mesh, backdrop = rival.finished(), None
+    else:
+        reporter.progress(0.86, "cleaning the mesh")
+        mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
-    return mesh, _figures(mesh, field, has_ground=backdrop is not None)
-
-
-def _figures(mesh: Mesh, field: Field, *, has_ground: bool) -> dict[str, float | str]:
-    """Of a mesh and the field that it was extracted from, for the stage's manifest."""
-    return {
+    return mesh, {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "flattened" if has_ground else "none",
+        "ground": "none" if backdrop is None else "flattened",
+        "surface": "stereo" if rival.leads else "field",
     }
 
 
-def clean_mesh(field: Field, views: tuple[View, ...], config: GeometryConfig) -> Mesh:
-    """Surface of a field: freed of loose pieces, moved to the photographs, flat where flat."""
-    mesh = taubin(largest_pieces(extract(field.lattice, field.sdf)), 5)
-    mesh = refine(mesh, views, config.refine)
-    grain, faces = resolved(views, config)
-    mesh = flattened(mesh, min(field.lattice.cell, grain))
-    return fill_holes(decimate(mesh, faces))
-
-
-def resolved(views: tuple[View, ...], config: GeometryConfig) -> tuple[float, int]:
-    """What the photographs resolve: the width of GRAIN_PIXELS pixels, and the faces they deserve.
-
-    Args:
-        views: Training photographs, unit frame.
-        config: Most pixels a side that the surface is found with, and most faces.
-    """
-    photos = [reduce_view(view, max(config.refine.image_sides, default=0)) for view in views]
-    pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-    grain = GRAIN_PIXELS * pixel_size([photo.camera for photo in photos])
-    return grain, int(min(max(FEWEST_FACES, pixels / FACE_PIXELS), config.face_budget))
+def clean_mesh(field: Field, face_budget: int) -> Mesh:
+    """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
+    mesh = flattened(smooth_surface(field), field.lattice.cell)
+    return fill_holes(decimate(mesh, face_budget))
 
 
 def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:

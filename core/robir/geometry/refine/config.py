@@ -13,7 +13,7 @@ class RefineConfig:
     """How the mesh is moved along its normals, level after level.
 
     Attributes:
-        image_sides: Longer side of the photographs at each level, pixels; none leaves this out.
+        image_sides: Longer side of the photographs at each level, pixels.
         reach: Largest shift of a vertex, pixels of the level.
         offsets: Shifts that are tried, evenly over the reach on both sides.
         views: Most photographs that judge a vertex.
@@ -27,6 +27,7 @@ class RefineConfig:
         outline: Weight of the masks' outlines, likewise, each time one runs along a vertex.
         rounds: Rounds of search and smoothing.
         most_vertices: Vertices up to which the mesh is subdivided.
+        face_budget: Most triangles of the result; up to that many photographs' pixels decide.
     """
 
     image_sides: tuple[int, ...] = (400, 400)
@@ -42,6 +43,7 @@ class RefineConfig:
     outline: float = 0.2
     rounds: int = 4
     most_vertices: int = 120_000
+    face_budget: int = 24_000
 
     def __post_init__(self) -> None:
         """Refuse values the step cannot work with."""
@@ -50,6 +52,8 @@ class RefineConfig:
                 raise ConfigError(
                     f"geometry.refine.{name} is {getattr(self, name)}; it must be at least {least}"
                 )
+        if not self.image_sides:
+            raise ConfigError("geometry.refine.image_sides is empty; give one size at least")
         if not self.reach > 0 or not 0 < self.agreeing <= 1:
             raise ConfigError(
                 f"geometry.refine.reach is {self.reach} and agreeing {self.agreeing}; they must be "

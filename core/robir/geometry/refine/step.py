@@ -95,8 +95,8 @@ def _subdivided(mesh: Mesh, edge: float, most: int) -> Mesh:
         ends = mesh.vertices[mesh.faces[:, [0, 1]]]
         if np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)) <= edge:
             break
-        vertices, faces = trimesh.remesh.subdivide(mesh.vertices, mesh.faces)
-        merged = trimesh.Trimesh(vertices, faces, process=True)
+        halved = trimesh.remesh.subdivide(mesh.vertices, mesh.faces)
+        merged = trimesh.Trimesh(halved[0], halved[1], process=True)
         mesh = plain_mesh(np.asarray(merged.vertices), np.asarray(merged.faces))
     return mesh
 

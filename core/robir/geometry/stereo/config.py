@@ -24,12 +24,15 @@ class StereoConfig:
             contrast than that agree with nothing.
         penalties: What a step of one depth, and of more, between neighbouring pixels costs, in
             correlation.
+        temperature: Difference of that cost that chance makes.
         least_agreeing: Other depth maps that must agree with a depth.
         least_correlation: Correlation that a depth must reach.
         tolerance: Difference of depth that counts as agreement, and the half width of the band in
             which distances are fused, cells of the fused lattice each.
         cells: Cells of that lattice along the object's longest side.
-        prior: Weight of what was there before against the sum of correlations of what is fused.
+        least_trust: Sum of the maps' trust below which a distance counts as unknown.
+        anchor: Weight of the visual hull's distance inside it, where that is unknown.
+        smoothness: Weight of the squared Laplacian of the distances, against a trust of 1.
     """
 
     image_side: int = 200
@@ -39,11 +42,14 @@ class StereoConfig:
     window: int = 3
     noise: float = 0.01
     penalties: tuple[float, float] = (0.06, 0.25)
+    temperature: float = 0.05
     least_agreeing: int = 3
     least_correlation: float = 0.4
     tolerance: tuple[float, float] = (0.75, 4.0)
     cells: int = 128
-    prior: float = 1.0
+    least_trust: float = 2.0
+    anchor: float = 1e-5
+    smoothness: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse values the step cannot work with."""
@@ -51,6 +57,11 @@ class StereoConfig:
             if getattr(self, name) < least:
                 raise ConfigError(
                     f"geometry.stereo.{name} is {getattr(self, name)}; it must be at least {least}"
+                )
+        for name in ("temperature", "anchor", "smoothness"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(
+                    f"geometry.stereo.{name} is {getattr(self, name)}; it must be above 0"
                 )
         if self.image_side and self.image_side < 32:
             raise ConfigError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth maps that agree, fused into signed distances with how sure they are.
+"""Depth maps that agree, fused into signed distances with how much they are to be trusted.
 
 Curless and Levoy 1996, "A volumetric method for building complex models from range images", with
 the correlation of the photographs as weight; a depth counts if other maps have it too.
@@ -15,51 +15,32 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.capture.camera import Camera
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import Lattice
 from robir.geometry.mesh import Mesh
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sources import angles_between, choose_sources
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
-from robir.geometry.surface import extract
 from robir.geometry.tracer import EmbreeTracer
 from robir.maths.vectors import farthest_points
 
 WITNESS_DEGREES = 40.0
 """Angle at the object up to which another photograph's depths can confirm or deny one."""
 
-FULL = 0.98
-"""Share of the band's half width from which a distance says that a node is free, not how far."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StereoEvidence:
-    """What stereo says of the distance to the surface.
+class Fused:
+    """What depth maps say of the distance to the surface at the nodes of a lattice.
 
     Attributes:
-        lattice: Nodes.
-        distance: (N,) signed, unit frame, cut off at the band.
-        share: (N,) in [0, 1), how much it counts against what was there before.
+        distance: (N,) mean signed distance, unit frame, cut off at the band.
+        weight: (N,) sum of the maps' trust.
         band: Half width of the band.
     """
 
-    lattice: Lattice
     distance: Tensor
-    share: Tensor
+    weight: Tensor
     band: float
-
-    def on(self, lattice: Lattice) -> StereoEvidence:
-        """The same at the nodes of another lattice."""
-        distance, share = (
-            resample(values, self.lattice, lattice) for values in (self.distance, self.share)
-        )
-        return StereoEvidence(lattice=lattice, distance=distance, share=share, band=self.band)
-
-    def pull(self, distances: Tensor) -> None:
-        """Move signed distances (N,) of the same nodes towards what stereo says, in place."""
-        is_free = self.distance > FULL * self.band
-        wanted = torch.where(is_free, torch.maximum(distances, self.distance), self.distance)
-        distances.lerp_(wanted.to(distances.device), self.share.to(distances.device))
 
 
 def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[DepthMap]:
@@ -147,19 +128,14 @@ def _looked_up(
     return depth, seen
 
 
-def fuse(
-    maps: list[DepthMap], lattice: Lattice, hull: Tensor, config: StereoConfig
-) -> StereoEvidence:
+def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor, config: StereoConfig) -> Fused:
     """Mean signed distance of the nodes inside the visual hull, by all maps.
 
     Args:
         maps: Confirmed depth maps.
         lattice: Nodes.
         hull: (N,) signed distance of the hull there.
-        config: Band and prior.
-
-    Returns:
-        What the maps say; a share of 0 where they say nothing.
+        config: Band.
     """
     band = config.tolerance[1] * lattice.cell
     rows = (hull < lattice.cell).nonzero()[:, 0].numpy()
@@ -175,29 +151,10 @@ def fuse(
         before = one.depth[row, column] - depth[near]
         known = before > -band  # NaN is not
         near, before = near[known], before[known].clip(max=band)
-        trust = one.correlation[row, column][known]
+        trust = one.trust[row, column][known]
         total[near] += trust * before
         weight[near] += trust
-    distance, share = torch.zeros(lattice.count), torch.zeros(lattice.count)
+    distance, weights = torch.zeros(lattice.count), torch.zeros(lattice.count)
     distance[rows] = torch.from_numpy(total / np.maximum(weight, 1e-9)).float()
-    share[rows] = torch.from_numpy(weight / (weight + config.prior)).float()
-    return StereoEvidence(lattice=lattice, distance=distance, share=share, band=band)
-
-
-def stereo_evidence(
-    photos: list[Photo], lattice: Lattice, hull: Tensor, config: StereoConfig
-) -> StereoEvidence:
-    """Depth maps of the photographs, those that agree, fused.
-
-    Args:
-        photos: Training photographs at the size they are compared at.
-        lattice: Nodes of the visual hull.
-        hull: (N,) its signed distance.
-        config: The step's settings.
-    """
-    maps = depth_maps(photos, extract(lattice, hull), config)
-    fine = Lattice.around(
-        np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell, config.cells
-    )
-    kept = confirmed(maps, config.tolerance[0] * fine.cell, config)
-    return fuse(kept, fine, resample(hull, lattice, fine), config)
+    weights[rows] = torch.from_numpy(weight).float()
+    return Fused(distance=distance, weight=weights, band=band)

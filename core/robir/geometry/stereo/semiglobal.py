@@ -72,3 +72,17 @@ def refined_minimum(cost: Floats) -> tuple[NDArray[np.int64], Floats]:
     bend = low + high - 2 * mid
     shift = np.where(bend > 1e-6, (low - high) / (2 * np.maximum(bend, 1e-6)), 0.0).clip(-0.5, 0.5)
     return label, np.where(label == middle, middle + shift, label).astype(np.float32)
+
+
+def label_spread(cost: Floats, temperature: float) -> Floats:
+    """Standard deviation (H, W), labels, of the label if its likelihood is exp(-cost / temperature).
+
+    Args:
+        cost: (H, W, D).
+        temperature: Difference of cost that chance makes.
+    """
+    weight = np.exp((cost.min(axis=2, keepdims=True) - cost) / temperature)
+    weight /= weight.sum(axis=2, keepdims=True)
+    label = np.arange(cost.shape[2], dtype=np.float32)
+    mean = weight @ label
+    return np.sqrt(np.maximum(weight @ label**2 - mean**2, 0.0))

@@ -20,7 +20,7 @@ from torch.nn.functional import grid_sample
 from robir.capture.camera import Camera
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.config import StereoConfig
-from robir.geometry.stereo.semiglobal import aggregate, refined_minimum
+from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 
 Floats = NDArray[np.float32]
 
@@ -64,11 +64,14 @@ class DepthMap:
         camera: Its camera, unit frame.
         depth: (H, W) along the viewing direction; not a number where none is known.
         correlation: (H, W) of the photographs at that depth, 0 where there is none.
+        trust: (H, W), the same where one depth alone explains the photographs, and the less the
+            more depths do.
     """
 
     camera: Camera
     depth: Floats
     correlation: Floats
+    trust: Floats
 
 
 def window_mean(image: Floats, half: int) -> Floats:
@@ -179,11 +182,15 @@ def sweep(
     cost = np.ascontiguousarray(1 - best.transpose(1, 2, 0))
     step = (depths[1:] - depths[:-1]).max()
     cost[depths < entry[..., None] - step] = EARLY
-    label, exact = refined_minimum(aggregate(cost, config.penalties))
+    paths = aggregate(cost, config.penalties)
+    label, exact = refined_minimum(paths)
+    spread = label_spread(paths, config.temperature)
     inverse = np.interp(exact, np.arange(len(depths)), 1 / depths)
     alike = 1 - np.take_along_axis(cost, label[..., None], axis=2)[..., 0]
+    alike = np.where(inside, alike.clip(0, 1), 0).astype(np.float32)
     return DepthMap(
         camera=camera,
         depth=np.where(inside, 1 / inverse, np.nan).astype(np.float32),
-        correlation=np.where(inside, alike.clip(0, 1), 0).astype(np.float32),
+        correlation=alike,
+        trust=alike / (1 + spread**2),
     )

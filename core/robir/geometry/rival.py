@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The surface by stereo, which takes the place of the fit where photographs prove it.
+
+A fit of a field and its colours explains what it cannot otherwise by pits: highlights that move,
+exposures, masks that are a pixel off. Depth maps and a mesh moved to where patches agree know
+nothing of colours. On renderings, whose masks and poses are exact, the fit is the better one. So
+the first level of the fit and the stereo surface are both asked to let photographs predict each
+other, see prediction.py, and the better one goes on.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from robir.capture.capture import View
+from robir.geometry.clean import largest_pieces, restore_missing
+from robir.geometry.config import GeometryConfig
+from robir.geometry.facets import flattened
+from robir.geometry.field import Field
+from robir.geometry.filtering import taubin
+from robir.geometry.lattice import Lattice, resample
+from robir.geometry.mesh import Mesh
+from robir.geometry.prediction import Predictions, lead
+from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.refine.consistency import pixel_size
+from robir.geometry.refine.step import refine
+from robir.geometry.simplify import decimate, fill_holes
+from robir.geometry.stereo.surface import stereo_surface
+from robir.geometry.surface import extract
+
+LEAST_LEAD = 1.0
+"""Standard errors by which photographs must predict each other better over the stereo surface."""
+
+SMOOTH_ROUNDS = 5
+"""Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""
+
+GRAIN_PIXELS = 1.5
+"""Width of what may be noise of the refined surface, pixels."""
+
+FACE_PIXELS = 2.0
+"""Pixels of a photograph a face: two faces a vertex, and a vertex every other row and column."""
+
+
+class Rival:
+    """The stereo surface of a capture, made when it is asked for.
+
+    Args:
+        views: Training photographs, unit frame.
+        photos: The same at the size that surfaces are judged at.
+        hull: Lattice and (N,) signed distance of the visual hull, with ground if there is one.
+        config: Settings of the stage.
+
+    Attributes:
+        leads: Whether photographs prove it better than what it was compared with.
+    """
+
+    def __init__(
+        self,
+        views: tuple[View, ...],
+        photos: list[Photo],
+        hull: tuple[Lattice, Tensor],
+        config: GeometryConfig,
+    ) -> None:
+        self._views, self._photos, self._hull, self._config = views, photos, hull, config
+        self._was_asked = config.stereo.image_side == 0
+        self.leads = False
+
+    def beats(self, field: Field) -> bool:
+        """Whether photographs prove it the better one; only the first field is compared.
+
+        Args:
+            field: Of the fit's first level.
+        """
+        if self._was_asked:
+            return False
+        self._was_asked = True
+        first, own = (
+            self._predictions.errors(mesh) for mesh in (smooth_surface(field), self._mesh)
+        )
+        self.leads = lead(first, own) > LEAST_LEAD
+        return self.leads
+
+    @cached_property
+    def _predictions(self) -> Predictions:
+        return Predictions(self._photos)
+
+    @cached_property
+    def _field(self) -> Field:
+        lattice, outer = self._hull
+        side = self._config.stereo.image_side
+        compared = [reduce_view(view, side) for view in self._views]
+        fine, sdf = stereo_surface(compared, self._hull, self._config.stereo)
+        # with its own random numbers: what is tried must not change the fit
+        sampler = RaySampler(self._photos, "cpu", torch.Generator().manual_seed(0))
+        field = Field(fine, sdf, 1)
+        restored = restore_missing(field, resample(outer, lattice, fine), sampler)
+        return Field(fine, restored, 1)
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return smooth_surface(self._field)
+
+    def finished(self) -> Mesh:
+        """The stereo surface, refined where that lets photographs predict each other better."""
+        mesh = self._mesh
+        moved = refine(mesh, self._views, self._config.refine)
+        before, after = (self._predictions.errors(one) for one in (mesh, moved))
+        if lead(before, after) > 0:
+            mesh = moved
+        grain, faces = self._resolved()
+        mesh = flattened(mesh, min(self._field.lattice.cell, grain))
+        return fill_holes(decimate(mesh, faces))
+
+    def _resolved(self) -> tuple[float, int]:
+        """What photographs resolve: the width of GRAIN_PIXELS pixels, and the faces it deserves."""
+        config = self._config
+        photos = [reduce_view(view, max(config.refine.image_sides)) for view in self._views]
+        pixels = float(np.median([photo.coverage.sum() for photo in photos]))
+        grain = GRAIN_PIXELS * pixel_size([photo.camera for photo in photos])
+        most = config.refine.face_budget
+        return grain, int(min(max(config.face_budget, pixels / FACE_PIXELS), most))
+
+
+def smooth_surface(field: Field) -> Mesh:
+    """Surface of a field, freed of loose pieces and of the steps of its cells."""
+    return taubin(largest_pieces(extract(field.lattice, field.sdf)), SMOOTH_ROUNDS)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smoothest distances that agree with what was measured: sharp where it was, smooth elsewhere.
+
+They have the least sum of squared Laplacians and weighted squared deviations, the smoothing spline
+of Duchon 1977, "Splines minimizing rotation-invariant semi-norms in Sobolev spaces", on a grid.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool3d, interpolate, pad
+
+COARSEST = 12
+"""Nodes along a side below which a grid is not halved any more."""
+
+ITERATIONS = 60
+"""Of conjugate gradients on each grid; each begins with the solution on half of its nodes."""
+
+
+def laplacian(grid: Tensor) -> Tensor:
+    """Second differences of (X, Y, Z), in units of cells; nothing leaves through the border."""
+    total = torch.zeros_like(grid)
+    for axis in range(3):
+        step = grid.diff(dim=axis)
+        total.narrow(axis, 0, step.shape[axis]).add_(step)
+        total.narrow(axis, 1, step.shape[axis]).sub_(step)
+    return total
+
+
+def smoothest(measured: Tensor, weight: Tensor, smoothness: float) -> Tensor:
+    """Grid with the least sum of weight (f - measured)^2 + smoothness (laplacian f)^2.
+
+    Args:
+        measured: (X, Y, Z).
+        weight: (X, Y, Z), above 0.
+        smoothness: Of the squared Laplacian, per cell.
+    """
+    if min(measured.shape) <= COARSEST:
+        return _solved(measured, weight, measured, smoothness)
+    # a cell of half the grid holds eight nodes, and twice the step is a sixteenth of the bending
+    total = _halved(weight)
+    coarse = smoothest(_halved(weight * measured) / total, 8 * total, 8 / 16 * smoothness)
+    finer = interpolate(coarse[None, None], scale_factor=2, mode="trilinear", align_corners=False)[
+        0, 0
+    ]
+    width, height, depth = measured.shape
+    return _solved(measured, weight, finer[:width, :height, :depth], smoothness)
+
+
+def _halved(grid: Tensor) -> Tensor:
+    """Means of eight nodes each; an odd last one counts twice."""
+    odd = [part for side in reversed(grid.shape) for part in (0, side % 2)]
+    return avg_pool3d(pad(grid[None, None], odd, mode="replicate"), 2)[0, 0]
+
+
+def _solved(measured: Tensor, weight: Tensor, start: Tensor, smoothness: float) -> Tensor:
+    """The minimum by conjugate gradients."""
+
+    def apply(grid: Tensor) -> Tensor:
+        return weight * grid + smoothness * laplacian(laplacian(grid))
+
+    inverse = 1 / (weight + 42 * smoothness)  # the diagonal away from the border
+    found = start.clone()
+    rest = weight * measured - apply(found)
+    step = inverse * rest
+    direction, before = step.clone(), (rest * step).sum()
+    for _ in range(ITERATIONS):
+        applied = apply(direction)
+        share = before / (direction * applied).sum().clamp(min=1e-20)
+        found += share * direction
+        rest -= share * applied
+        step = inverse * rest
+        now = (rest * step).sum()
+        direction = step + now / before.clamp(min=1e-20) * direction
+        before = now
+    return found

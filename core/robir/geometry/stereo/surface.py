@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A surface by stereo: photographs in, signed distances out, without any fit of colours."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from robir.geometry.lattice import Lattice, resample
+from robir.geometry.rays import Photo
+from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse
+from robir.geometry.stereo.smoothest import smoothest
+from robir.geometry.surface import extract
+
+FREE = 0.98
+"""Share of the band's half width from which a distance says that a node is free, not how far."""
+
+DEEP = 2.0
+"""Distance to the hull, bands, beyond which it says no more than inside or outside."""
+
+OUTSIDE = 1.0
+"""Weight of the visual hull where it says that there is nothing."""
+
+
+def stereo_surface(
+    photos: list[Photo], hull: tuple[Lattice, Tensor], config: StereoConfig
+) -> tuple[Lattice, Tensor]:
+    """The surface that depth maps agree on, and the visual hull where they say nothing.
+
+    What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
+    chance and highlights get counts as none. A plain part then lies where its outlines put it, bent
+    no more than it must be to meet what is known around it.
+
+    Args:
+        photos: Training photographs at the size they are compared at.
+        hull: Lattice and (N,) signed distance of the visual hull, unit frame.
+        config: Settings.
+
+    Returns:
+        Lattice and (N,) signed distances, negative inside.
+    """
+    lattice, outer = hull
+    fine = Lattice.around(
+        np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell, config.cells
+    )
+    maps = depth_maps(photos, extract(lattice, outer), config)
+    kept = confirmed(maps, config.tolerance[0] * fine.cell, config)
+    wide = resample(outer, lattice, fine)
+    fused = fuse(kept, fine, wide, config)
+    reach = DEEP * fused.band
+    limit = wide.clamp(-reach, reach)
+    is_free = fused.distance > FREE * fused.band
+    told = torch.where(is_free, torch.maximum(fused.distance, limit), fused.distance)
+    weight = (fused.weight - config.least_trust).clamp(min=0)
+    prior = config.anchor + OUTSIDE * (wide > 0)
+    total = weight + prior
+    measured = (weight * told + prior * limit) / total
+    shape = fine.shape
+    found = smoothest(measured.view(shape), total.view(shape), config.smoothness)
+    return fine, found.reshape(-1)
