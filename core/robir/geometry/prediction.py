@@ -103,7 +103,7 @@ class Predictions:
 
 
 def _read(layers: Tensor, camera: Camera, points: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
-    """Values (P, C) of a picture (H, W, C) where a camera sees points, and if it holds them (P,)."""
+    """Values (P, C) of a picture where a camera sees points, and whether it holds them (P,)."""
     places, depth = camera.project(points)
     size = np.array([camera.width, camera.height])
     held = (depth > 0) & (places > 0).all(1) & (places < size).all(1)

@@ -75,7 +75,7 @@ def refined_minimum(cost: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def label_spread(cost: Floats, temperature: float) -> Floats:
-    """Standard deviation (H, W), labels, of the label if its likelihood is exp(-cost / temperature).
+    """Standard deviation (H, W), labels, of a label whose likelihood is exp(-cost / temperature).
 
     Args:
         cost: (H, W, D).

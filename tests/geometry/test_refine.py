@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes moved to where patches of photographs agree, and photographs that predict each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from geometry.scenes import ball, camera_at, capture_of
+from geometry.test_stereo import RADIUS, grain, plain
+
+from robir.errors import ConfigError
+from robir.geometry.config import GeometryConfig
+from robir.geometry.field import Field
+from robir.geometry.lattice import Lattice
+from robir.geometry.prediction import Predictions, lead
+from robir.geometry.rays import reduce_view
+from robir.geometry.refine.config import RefineConfig
+from robir.geometry.refine.consistency import (
+    Patches,
+    agreement,
+    correlations,
+    pixel_size,
+    projection,
+    seen_by,
+)
+from robir.geometry.refine.outlines import outline_shifts
+from robir.geometry.refine.step import ThinPlate, refine
+from robir.geometry.rival import Rival
+from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.sweep import Picture
+from robir.geometry.surface import plain_mesh
+from robir.geometry.tracer import EmbreeTracer
+
+SIDE = 128
+CONFIG = RefineConfig(image_sides=(SIDE,), most_vertices=12000)
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return capture_of(ball(RADIUS, (0, 0, 0)), views=24, side=SIDE, paint=grain)
+
+
+@pytest.fixture(scope="module")
+def photos(capture):
+    return [reduce_view(view, SIDE) for view in capture.train]
+
+
+def sphere(radius=RADIUS, dents=0.0):
+    """A sphere, with dents of a depth on its upper side."""
+    solid = ball(1.0, (0, 0, 0))
+    place = np.asarray(solid.vertices)
+    depth = dents * np.cos(9 * place[:, 0]) * np.cos(9 * place[:, 1]) * (place[:, 2] > 0.2)
+    return plain_mesh(place * (radius - depth)[:, None], np.asarray(solid.faces))
+
+
+def roughness(mesh):
+    """Root mean square distance of the upper side from the true sphere."""
+    upper = mesh.vertices[mesh.vertices[:, 2] > 0.15]
+    return float(np.sqrt(((np.linalg.norm(upper, axis=1) - RADIUS) ** 2).mean()))
+
+
+def test_the_matrix_projects_as_the_camera_does():
+    camera, points = camera_at(0.4, 0.7, 50), np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))
+    homogeneous = np.concatenate([points, np.ones((20, 1))], 1) @ projection(camera).numpy().T
+    pixels, depth = camera.project(points)
+    np.testing.assert_allclose(homogeneous[:, :2] / homogeneous[:, 2:], pixels, atol=1e-3)
+    np.testing.assert_allclose(homogeneous[:, 2], depth, atol=1e-5)
+
+
+def test_agreement_is_the_mean_of_pairs_and_spares_what_disagrees():
+    rng = np.random.default_rng(0)
+    shown = rng.standard_normal(25)
+    rows = np.stack([shown, shown, shown, rng.standard_normal(25)])
+    rows -= rows.mean(1, keepdims=True)
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    patches = torch.from_numpy(rows).float()[None, :, None]
+    pairs = (rows @ rows.T).sum(1) - 1
+    valid = torch.ones(1, 4)
+    assert float(agreement(patches, valid, 1.0)) == pytest.approx(pairs.mean() / 3, abs=1e-5)
+    three = np.sort(pairs)[1:].mean() / 3
+    assert float(agreement(patches, valid, 0.75)) == pytest.approx(three, abs=1e-5)
+    # photographs that do not show it take no part, and one alone tells nothing
+    valid[0, 3] = 0
+    assert float(agreement(patches, valid, 1.0)) == pytest.approx(1, abs=1e-5)
+    assert float(agreement(patches, torch.tensor([[1.0, 0, 0, 0]]), 1.0)) == 0
+
+
+def test_photographs_agree_most_on_the_surface(photos):
+    """Of a sphere that is too small by two pixels the best shift is two pixels."""
+    pictures = [Picture.of(photo) for photo in photos]
+    pixel = pixel_size([photo.camera for photo in photos])
+    mesh = sphere(RADIUS - 2 * pixel)
+    cosine = seen_by(mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel)
+    assert (cosine[mesh.normals[:, 2] < -0.9] == 0).all()
+    shifts = np.linspace(-5, 5, 21).astype(np.float32) * pixel
+    agreed, judges = correlations(mesh, pictures, cosine, shifts, CONFIG)
+    sure = (judges >= 4) & (agreed.max(1) > 0.8)
+    assert sure.sum() > 300
+    best = shifts[agreed[sure].argmax(1)] / pixel
+    assert np.median(best) == pytest.approx(2, abs=0.5)
+
+
+def test_a_patch_is_what_the_camera_sees_of_it(photos):
+    """Of the true sphere the patches of two cameras are alike, and those of another place not."""
+    pictures = [Picture.of(photo) for photo in photos]
+    mesh = sphere()
+    patches = Patches(mesh, 0.02, 3)
+    top = torch.tensor([int(mesh.vertices[:, 2].argmax())])
+    high = np.argsort([-photo.camera.position[2] for photo in photos])[:2]
+    one, other = (patches.read(pictures[k], top, torch.zeros(1), 0.0)[0, 0] for k in high)
+    assert float(one.norm()) == pytest.approx(1, abs=1e-4)
+    assert float(one.mean()) == pytest.approx(0, abs=1e-5)
+    assert float(one @ other) > 0.9
+    raised = patches.read(pictures[high[1]], top, torch.tensor([0.2]), 0.0)[0, 0]
+    assert float(one @ raised) < 0.6
+
+
+def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
+    pixel = pixel_size([photo.camera for photo in photos])
+    for off in (-1.5, 1.5):
+        mesh = sphere(RADIUS + off * pixel)
+        shift, count = outline_shifts(mesh, EmbreeTracer(mesh.vertices, mesh.faces), photos, pixel)
+        assert (count > 0).sum() > 200
+        assert np.median(shift[count > 0]) / pixel == pytest.approx(-off, abs=0.5)
+
+
+def test_the_thin_plate_is_that_of_a_dense_solve():
+    solid = trimesh.creation.icosphere(subdivisions=1)
+    mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
+    plate = ThinPlate(mesh, 1.0)
+    count = len(mesh.vertices)
+    rng = np.random.default_rng(0)
+    start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
+    weight, found = rng.uniform(0, 2, count), rng.normal(0, 0.1, count)
+    pull = (weight * found)[:, None] * normals
+    solved = plate.solve(
+        (start, np.zeros_like(start)), (weight, normals, pull), 0.1, 0.5, has_creases=False
+    )
+    neighbours = np.zeros((count, count))
+    for face in mesh.faces:
+        for one, other in zip(face, np.roll(face, 1), strict=True):
+            neighbours[one, other] = neighbours[other, one] = 1
+    laplacian = np.eye(count) - neighbours / neighbours.sum(1, keepdims=True)
+    bending = np.kron(0.5 * laplacian.T @ laplacian, np.eye(3))
+    along = np.zeros((3 * count, 3 * count))
+    for k in range(count):
+        along[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = weight[k] * np.outer(normals[k], normals[k])
+    matrix = bending + along + 0.1 * np.eye(3 * count)
+    wanted = np.linalg.solve(matrix, (pull.ravel() - bending @ start.ravel()))
+    np.testing.assert_allclose(solved.ravel(), wanted, atol=3e-3)
+
+
+def test_dents_are_taken_out_where_photographs_tell(capture):
+    dented = sphere(dents=0.03)
+    before = roughness(dented)
+    after = roughness(refine(dented, capture.train, CONFIG))
+    assert before > 0.01
+    assert after < 0.4 * before
+
+
+def test_without_texture_a_mesh_is_not_made_rougher():
+    capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
+    assert roughness(refine(sphere(), capture.train, CONFIG)) < 0.012
+
+
+def test_photographs_predict_each_other_better_over_the_better_surface(photos):
+    predictions = Predictions(photos)
+    true, dented, small = (
+        predictions.errors(mesh) for mesh in (sphere(), sphere(dents=0.04), sphere(RADIUS - 0.05))
+    )
+    assert lead(true, true) == 0
+    assert lead(dented, true) > 2
+    assert lead(true, dented) == pytest.approx(-lead(dented, true))
+    # a surface that shows fewer pixels is judged by those that both show
+    assert np.mean([np.isnan(one).mean() for one in small]) > np.mean(
+        [np.isnan(one).mean() for one in true]
+    )
+    assert lead(small, true) > 2
+    assert lead(true[:1], dented[:1]) == 0
+
+
+def test_the_rival_takes_the_place_of_a_worse_field_alone(capture, photos):
+    lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), 48)
+    nodes = lattice.nodes()
+    radius = nodes.norm(dim=1)
+    hull = lattice, radius - 0.63
+    waves = torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
+    config = replace(
+        GeometryConfig(),
+        stereo=StereoConfig(image_side=SIDE, cells=48),
+        refine=CONFIG,
+        face_budget=3000,
+    )
+    for dents, wins in ((0.0, False), (0.05, True)):
+        rival = Rival(capture.train, photos, hull, config)
+        field = Field(lattice, radius - RADIUS + dents * waves, 1)
+        assert rival.beats(field) == rival.leads == wins
+        assert not rival.beats(field), "only the first level is compared"
+        assert rival.leads == wins
+    mesh = rival.finished()
+    assert 1000 < len(mesh.faces) <= 24000
+    assert roughness(mesh) < 0.02
+    silent = Rival(capture.train, photos, hull, replace(config, stereo=StereoConfig(image_side=0)))
+    assert not silent.beats(field)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"offsets": 1}, {"views": 1}, {"rounds": 0}, {"image_sides": ()}, {"reach": 0.0}]
+)
+def test_settings_it_cannot_work_with_are_refused(wrong):
+    with pytest.raises(ConfigError, match=rf"geometry\.refine\.{next(iter(wrong))}"):
+        RefineConfig(**wrong)

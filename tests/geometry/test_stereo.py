@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth by stereo: matching against brute force, planes and spheres against their depths."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from geometry.scenes import ball, camera_at, capture_of
+
+from robir.errors import ConfigError
+from robir.geometry.lattice import Lattice
+from robir.geometry.rays import reduce_view
+from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse, points_at
+from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
+from robir.geometry.stereo.smoothest import laplacian, smoothest
+from robir.geometry.stereo.sources import angles_between, choose_sources
+from robir.geometry.stereo.surface import stereo_surface
+from robir.geometry.stereo.sweep import (
+    DepthMap,
+    Picture,
+    correlation,
+    plane_depths,
+    seen_through_planes,
+    sweep,
+)
+from robir.geometry.surface import extract
+
+RADIUS = 0.6
+CONFIG = StereoConfig(image_side=96, cells=48)
+
+
+def grain(points):
+    """Colours of a solid texture without edges: waves of random directions and lengths."""
+    rng = np.random.default_rng(0)
+    waves = rng.standard_normal((40, 3)) * 14
+    value = np.cos(points @ waves.T + rng.uniform(0, 6, 40)).sum(1)
+    return (128 + 12 * value)[:, None].repeat(3, 1).clip(10, 245)
+
+
+def plain(points):
+    return np.full((len(points), 3), 150.0)
+
+
+def cut(paint, other):
+    """One paint on one half of the space, another on the other."""
+    return lambda points: np.where(points[:, :1] > 0, paint(points), other(points))
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    capture = capture_of(ball(RADIUS, (0, 0, 0)), views=30, side=96, paint=grain)
+    return [reduce_view(view, 96) for view in capture.train]
+
+
+def hull_of_radius(radius, cells=32):
+    lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), cells)
+    return lattice, lattice.nodes().norm(dim=1) - radius
+
+
+def true_depths(camera):
+    """Depth (H, W) of the sphere, not a number beside it."""
+    origins, directions = camera.rays(camera.pixel_centres())
+    along = -(origins * directions).sum(1)
+    half = RADIUS**2 - ((origins + along[:, None] * directions) ** 2).sum(1)
+    far = np.where(half > 0, along - np.sqrt(np.maximum(half, 0)), np.nan)
+    depth = far * (directions @ camera.forward)
+    return depth.reshape(camera.height, camera.width).astype(np.float32)
+
+
+def test_paths_are_those_of_brute_force():
+    """All sequences of labels that end at a pixel, along a row and back."""
+    rng = np.random.default_rng(1)
+    cost = rng.random((1, 5, 4)).astype(np.float32)
+    small, large = 0.1, 0.3
+
+    def best(line, end, label):
+        totals = []
+        for before in itertools.product(range(4), repeat=end):
+            labels = (*before, label)
+            step = np.abs(np.diff(labels))
+            paid = small * (step == 1).sum() + large * (step > 1).sum()
+            totals.append(paid + sum(line[k, one] for k, one in enumerate(labels)))
+        return min(totals)
+
+    found = 4 * aggregate(cost, (small, large))[0]
+    row = cost[0]
+    for pixel in range(5):
+        both = np.array(
+            [best(row, pixel, one) + best(row[::-1], 4 - pixel, one) for one in range(4)]
+        )
+        wanted = both + 2 * row[pixel]  # the two along a column of one pixel
+        np.testing.assert_allclose(found[pixel] - found[pixel][0], wanted - wanted[0], atol=1e-5)
+
+
+def test_the_least_of_a_parabola_lies_between_labels():
+    cost = ((np.arange(8) - np.array([[3.3], [0.0], [7.0]])) ** 2)[None].astype(np.float32)
+    label, exact = refined_minimum(cost)
+    np.testing.assert_array_equal(label[0], [3, 0, 7])
+    np.testing.assert_allclose(exact[0], [3.3, 0, 7], atol=1e-4)
+
+
+def test_the_spread_of_a_gaussian_is_its_deviation():
+    label = np.arange(80)
+    cost = 0.05 * ((label - 40) / np.array([[1.5], [4.0]])) ** 2 / 2
+    np.testing.assert_allclose(
+        label_spread(cost[None].astype(np.float32), 0.05)[0], [1.5, 4.0], rtol=1e-3
+    )
+    flat = np.zeros((1, 1, 12), np.float32)
+    assert label_spread(flat, 0.05)[0, 0] == pytest.approx(((12**2 - 1) / 12) ** 0.5)
+
+
+def test_correlation_is_that_of_numpy():
+    rng = np.random.default_rng(2)
+    one, other = rng.random((2, 1, 9, 9)).astype(np.float32)
+    found = correlation(one, other, 2, 0.0)[0, 4, 4]
+    window = np.s_[0, 2:7, 2:7]
+    assert found == pytest.approx(
+        np.corrcoef(one[window].ravel(), other[window].ravel())[0, 1], abs=1e-5
+    )
+    # indifferent to exposure, and to what is no texture
+    assert correlation(one, 0.3 * one + 0.2, 2, 0.0)[0, 4, 4] == pytest.approx(1, abs=1e-4)
+    assert correlation(0.01 * one, 0.01 * one, 2, 0.1)[0, 4, 4] < 0.01
+
+
+def test_planes_are_seen_where_the_cameras_project_them():
+    own, other = camera_at(0.3, 0.5, 20), camera_at(0.5, 0.6, 24)
+    depths = np.array([2.7, 3.4])
+    places, inside = seen_through_planes(own, other, depths)
+    origins, directions = own.rays(own.pixel_centres())
+    for index, depth in enumerate(depths):
+        points = origins + directions * (depth / (directions @ own.forward))[:, None]
+        pixels, _ = other.project(points)
+        np.testing.assert_allclose((places[index].numpy() + 1) * 12, pixels, atol=1e-3)
+        np.testing.assert_array_equal(
+            inside[index].numpy(), ((pixels >= 0) & (pixels <= 24)).all(1)
+        )
+
+
+def test_planes_lie_a_pixel_of_parallax_apart():
+    depths = plane_depths(2.0, 4.0, 0.5, 200.0)
+    assert (depths[0], depths[-1]) == pytest.approx((2.0, 4.0))
+    np.testing.assert_allclose(0.5 * 200 * -np.diff(1 / depths), 1, atol=0.05)
+
+
+def test_sources_lie_at_a_good_angle_on_different_sides():
+    angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
+    positions = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * 3
+    first = choose_sources(positions, 2, 14.0)[0]
+    assert set(first) == {2, 4}
+    np.testing.assert_allclose(angles_between(positions)[0], [0, 2, 14, 15, 14, 60], atol=1e-6)
+
+
+def test_a_sphere_has_its_depths(sphere):
+    """With others at 15 degrees and a start in front of it; a plain one has none to trust."""
+    config = StereoConfig(image_side=96)
+    pictures = [Picture.of(photo) for photo in sphere]
+    positions = np.stack([photo.camera.position for photo in sphere])
+    own = 12
+    others = [pictures[k] for k in choose_sources(positions, 4, 20.0)[own]]
+    camera = pictures[own].camera
+    true = true_depths(camera)
+    entry = np.where(np.isfinite(true), 2.4, np.inf).astype(np.float32)
+    found = sweep(pictures[own], others, entry, 3.4, config)
+    sure = found.trust > 0.5
+    assert sure.sum() > 0.4 * np.isfinite(true).sum()
+    off = np.abs(found.depth - true)[sure]
+    assert np.median(off) < 0.015
+    assert np.quantile(off, 0.9) < 0.04
+
+
+def test_depths_without_witnesses_are_dropped(sphere):
+    lattice, outer = hull_of_radius(0.68)
+    maps = depth_maps(sphere, extract(lattice, outer), CONFIG)
+    assert len(maps) == 30
+    kept = confirmed(maps, 0.02, CONFIG)
+    points = np.concatenate(
+        [points_at(one, *np.nonzero(np.isfinite(one.depth))) for one in kept if one is not None]
+    )
+    off = np.abs(np.linalg.norm(points, axis=1) - RADIUS)
+    assert np.quantile(off, 0.95) < 0.025
+    assert confirmed(maps[:2], 0.02, CONFIG)[0].depth[48, 48] != maps[0].depth[48, 48]
+    assert confirmed([], 0.02, CONFIG) == []
+
+
+def test_fused_distances_are_those_of_the_sphere(sphere):
+    """Of exact maps: right in sign, and too long by no more than views are tilted."""
+    lattice, outer = hull_of_radius(0.68, 40)
+    maps = []
+    for photo in sphere:
+        true = true_depths(photo.camera)
+        sure = np.isfinite(true).astype(np.float32)
+        maps.append(DepthMap(camera=photo.camera, depth=true, correlation=sure, trust=sure))
+    fused = fuse(maps, lattice, outer, CONFIG)
+    true = lattice.nodes().norm(dim=1) - RADIUS
+    above = lattice.nodes()[:, 2] > 0.1
+    near = above & (fused.weight > 3) & (true.abs() < 0.4 * fused.band)
+    assert near.sum() > 500
+    assert float((fused.distance - true)[near].abs().median()) < 0.035
+    clear = near & (true.abs() > 0.5 * lattice.cell)
+    assert (torch.sign(fused.distance) == torch.sign(true))[clear].float().mean() > 0.98
+    assert not (fused.weight[outer > lattice.cell] > 0).any()
+
+
+def test_the_smoothest_grid_is_that_of_a_dense_solve():
+    generator = torch.Generator().manual_seed(0)
+    shape = (5, 6, 4)
+    measured = torch.randn(shape, generator=generator)
+    weight = 0.1 + torch.rand(shape, generator=generator)
+    count = measured.numel()
+    bend = torch.stack(
+        [laplacian(row.view(shape)).reshape(-1) for row in torch.eye(count)], dim=1
+    ).double()
+    matrix = torch.diag(weight.reshape(-1).double()) + 0.3 * bend.T @ bend
+    wanted = torch.linalg.solve(matrix, (weight * measured).reshape(-1).double())
+    found = smoothest(measured, weight, 0.3)
+    np.testing.assert_allclose(found.reshape(-1), wanted, atol=1e-4)
+
+
+def test_what_is_known_at_few_places_is_bent_least_between_them():
+    """A tilted plane that is measured at few nodes is found again at all, over many cells."""
+    axes = torch.meshgrid(*(torch.arange(n).float() for n in (49, 46, 44)), indexing="ij")
+    true = 0.3 * axes[0] - 0.2 * axes[1] + 0.1 * axes[2]
+    weight = torch.full(true.shape, 1e-6)
+    weight[::8, ::8, ::8] = 1.0
+    measured = torch.where(weight > 0.5, true, 0.0)
+    inner = np.s_[12:-12, 12:-12, 12:-12]
+    off = (smoothest(measured, weight, 0.02) - true)[inner].abs()
+    assert float(off.max()) < 0.25
+
+
+def test_stereo_finds_a_sphere_in_a_wide_hull(sphere):
+    lattice, outer = hull_of_radius(0.7)
+    fine, sdf = stereo_surface(sphere, (lattice, outer), CONFIG)
+    mesh = extract(fine, sdf)
+    above = mesh.vertices[mesh.vertices[:, 2] > 0.1]  # no camera looks from below
+    radius = np.linalg.norm(above, axis=1)
+    assert np.median(np.abs(radius - RADIUS)) < 0.01
+    assert np.quantile(np.abs(radius - RADIUS), 0.95) < 0.03
+
+
+def test_a_plain_part_stays_where_its_hull_is():
+    """One half without texture: no noise of depths that nothing tells, no pits."""
+    capture = capture_of(ball(RADIUS, (0, 0, 0)), views=30, side=96, paint=cut(grain, plain))
+    photos = [reduce_view(view, 96) for view in capture.train]
+    fine, sdf = stereo_surface(photos, hull_of_radius(0.63), CONFIG)
+    mesh = extract(fine, sdf)
+    place = mesh.vertices[mesh.vertices[:, 2] > 0.25]
+    radius = np.linalg.norm(place, axis=1)
+    is_plain = place[:, 0] < -0.2
+    assert radius[is_plain].min() > RADIUS - 0.012
+    assert radius[is_plain].max() < 0.645
+    assert np.median(np.abs(radius[place[:, 0] > 0.15] - RADIUS)) < 0.01
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"views": 2}, {"sources": 1}, {"cells": 3}, {"image_side": 9}, {"smoothness": 0.0}],
+)
+def test_settings_it_cannot_work_with_are_refused(wrong):
+    with pytest.raises(ConfigError, match=rf"geometry\.stereo\.{next(iter(wrong))}"):
+        StereoConfig(**wrong)
