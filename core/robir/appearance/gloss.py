@@ -19,7 +19,6 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.choice import Choice
 from robir.appearance.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.metal import metal_errors, metal_parts, metal_samples, neighbourhoods
 from robir.appearance.metal_proof import proven_parts
@@ -37,6 +36,7 @@ from robir.appearance.seen import Seen, dense, looked_at
 from robir.appearance.solver import Light
 from robir.appearance.statistics import darker_view_weights, sharpest_views
 from robir.appearance.trial import Trial
+from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.choice import Choice
 from robir.appearance.highlights import LEVELS
 from robir.appearance.metal import MetalParts
 from robir.appearance.trial import Trial
+from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 

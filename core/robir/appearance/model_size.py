@@ -20,12 +20,12 @@ import torch
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, difference_error, mean_of, table_of
-from robir.appearance.choice import Choice
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import soft_transfer
 from robir.appearance.problem import Problem, blocks_of
 from robir.appearance.solver import Light, fit
 from robir.appearance.tone_choice import pair_errors
+from robir.jobs.choice import Choice
 
 BOUNCED_QUANTILE = 0.99
 LEAST_BOUNCED = 0.02

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from robir.appearance import other_light
-from robir.appearance.choice import Choice
 from robir.appearance.display_power import POWERS, PowerChoice
 from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
+from robir.jobs.choice import Choice
 
 GREY, BY_MEAN, BY_HIGHLIGHTS = (
     "grey as a whole",

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.choice import Choice
 from robir.appearance.highlights import Highlights, pooled, read
 from robir.appearance.trial import Trial
+from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]

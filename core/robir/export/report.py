@@ -77,7 +77,7 @@ class Products:
         arrays: Textures as the appearance stage left them.
         light: Recovered light.
         tone_curve: Contents of export/tone_curve.json.
-        choices: Contents of the appearance stage's choices.json.
+        choices: Contents of the choices.json of geometry and appearance.
         exposure: Contents of the appearance stage's exposure.json.
         rendering: Blender's part.
         seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.

@@ -77,7 +77,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             arrays=arrays,
             light=light,
             tone_curve=tone_curve,
-            choices=read_json(paths.stage("appearance") / "choices.json"),
+            choices=_choices(paths),
             exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
@@ -90,6 +90,12 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
         report.warn(f"the result is not to be trusted: {doubt}")
     report.progress(1.0, "exported")
     return _manifest_metrics(mesh, rendering, numbers)
+
+
+def _choices(paths: JobPaths) -> list[dict[str, Any]]:
+    """Rows of the report's table; not every method chooses its surface."""
+    files = [paths.stage(stage) / "choices.json" for stage in ("geometry", "appearance")]
+    return [row for file in files if file.is_file() for row in read_json(file)]
 
 
 def asset_name(capture: Capture) -> str:

@@ -10,6 +10,7 @@ other, see prediction.py, and the better one goes on.
 
 from __future__ import annotations
 
+import time
 from functools import cached_property
 
 import numpy as np
@@ -31,9 +32,12 @@ from robir.geometry.refine.step import refine
 from robir.geometry.simplify import decimate, fill_holes
 from robir.geometry.stereo.surface import stereo_surface
 from robir.geometry.surface import extract
+from robir.jobs.choice import Choice
 
 LEAST_LEAD = 1.0
 """Standard errors by which photographs must predict each other better over the stereo surface."""
+
+STEREO, FIELD = "by depth maps", "by a fit of field and colours"
 
 SMOOTH_ROUNDS = 5
 """Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""
@@ -56,6 +60,7 @@ class Rival:
 
     Attributes:
         leads: Whether photographs prove it better than what it was compared with.
+        choices: What was compared, for the report; nothing if nothing was.
     """
 
     def __init__(
@@ -68,6 +73,7 @@ class Rival:
         self._views, self._photos, self._hull, self._config = views, photos, hull, config
         self._was_asked = config.stereo.image_side == 0
         self.leads = False
+        self.choices: tuple[Choice, ...] = ()
 
     def beats(self, field: Field) -> bool:
         """Whether photographs prove it the better one; only the first field is compared.
@@ -78,10 +84,24 @@ class Rival:
         if self._was_asked:
             return False
         self._was_asked = True
+        started = time.process_time()
         first, own = (
             self._predictions.errors(mesh) for mesh in (smooth_surface(field), self._mesh)
         )
-        self.leads = lead(first, own) > LEAST_LEAD
+        ahead = lead(first, own)
+        self.leads = ahead > LEAST_LEAD
+        names = (STEREO, FIELD) if self.leads else (FIELD, STEREO)
+        self.choices = (
+            Choice(
+                choice="surface",
+                chosen=names[0],
+                alternatives=names[1:],
+                why="over depth maps photographs predict each other better by "
+                f"{ahead:+.1f} standard errors than over the first level of the fit; more than "
+                f"{LEAST_LEAD:g} is asked for",
+                cost_seconds=time.process_time() - started,
+            ),
+        )
         return self.leads
 
     @cached_property

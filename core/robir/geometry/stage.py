@@ -32,7 +32,9 @@ from robir.geometry.rival import Rival, smooth_surface
 from robir.geometry.simplify import decimate, fill_holes, with_creases
 from robir.geometry.undercut import undercut
 from robir.geometry.unwrap import unwrap
+from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
+from robir.jobs.paths import write_json
 from robir.maths.vectors import farthest_points
 
 REVISION = 24
@@ -67,13 +69,15 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
 
     while True:
         try:
-            mesh, metrics = reconstruct(
+            mesh, metrics, choices = reconstruct(
                 trial.capture, context.config, context.seed, context.device, context.reporter, watch
             )
             break
         except CamerasChangedError:
             context.reporter.progress(0.0, "beginning anew with cameras that fit better")
-    mesh.save(context.paths.stage("geometry") / "mesh.npz")
+    folder = context.paths.stage("geometry")
+    mesh.save(folder / "mesh.npz")
+    write_json(folder / "choices.json", [choice.plain() for choice in choices])
     if trial.turns.any():
         metrics |= _tell(context, trial)
     context.reporter.progress(1.0, "surface done")
@@ -104,7 +108,7 @@ def reconstruct(
     device: str,
     reporter: Reporter,
     watch: Callable[[float, Renderer, RaySampler], None] | None = None,
-) -> tuple[Mesh, dict[str, float | str]]:
+) -> tuple[Mesh, dict[str, float | str], tuple[Choice, ...]]:
     """Surface of a capture whose bounding sphere is the unit sphere.
 
     Args:
@@ -117,7 +121,7 @@ def reconstruct(
             its field, and the source of its rays, or None; at last with 1.0 and the finished field.
 
     Returns:
-        The unwrapped mesh in the unit frame, and metrics.
+        The unwrapped mesh in the unit frame, metrics, and what was chosen, for the report.
 
     Raises:
         CaptureError: If there are fewer than three training views with a mask.
@@ -178,13 +182,14 @@ def reconstruct(
         mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
-    return mesh, {
+    metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
         "ground": "none" if backdrop is None else "flattened",
         "surface": "stereo" if rival.leads else "field",
     }
+    return mesh, metrics, rival.choices
 
 
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
