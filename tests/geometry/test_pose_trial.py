@@ -204,13 +204,12 @@ def test_a_fit_turns_cameras_back(capture: Capture, degrees: float) -> None:
         trial.look(round(share * steps), render, sampler)
 
     def fitted() -> Mesh:
-        mesh, _ = reconstruct(trial.capture, config, 0, "cpu", Silent(), watch)
-        return mesh
+        return reconstruct(trial.capture, config, 0, "cpu", Silent(), watch).mesh
 
     if not degrees:
         mesh = fitted()
         assert trial.capture is wrong
-        untried, _ = reconstruct(wrong, config, 0, "cpu", Silent())
+        untried = reconstruct(wrong, config, 0, "cpu", Silent()).mesh
         np.testing.assert_array_equal(mesh.vertices, untried.vertices)
         return
     for _ in range(MOST_ROUNDS + 1):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -69,15 +70,16 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
 
     while True:
         try:
-            mesh, metrics, choices = reconstruct(
+            surface = reconstruct(
                 trial.capture, context.config, context.seed, context.device, context.reporter, watch
             )
             break
         except CamerasChangedError:
             context.reporter.progress(0.0, "beginning anew with cameras that fit better")
     folder = context.paths.stage("geometry")
-    mesh.save(folder / "mesh.npz")
-    write_json(folder / "choices.json", [choice.plain() for choice in choices])
+    surface.mesh.save(folder / "mesh.npz")
+    write_json(folder / "choices.json", [choice.plain() for choice in surface.choices])
+    metrics = surface.metrics
     if trial.turns.any():
         metrics |= _tell(context, trial)
     context.reporter.progress(1.0, "surface done")
@@ -101,6 +103,21 @@ def _tell(context: StageContext[GeometryConfig], trial: PoseTrial) -> dict[str, 
     }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """What the stage finds.
+
+    Attributes:
+        mesh: Unwrapped, unit frame.
+        metrics: For the stage's manifest.
+        choices: What was chosen, for the report.
+    """
+
+    mesh: Mesh
+    metrics: dict[str, float | str]
+    choices: tuple[Choice, ...]
+
+
 def reconstruct(
     capture: Capture,
     config: GeometryConfig,
@@ -108,7 +125,7 @@ def reconstruct(
     device: str,
     reporter: Reporter,
     watch: Callable[[float, Renderer, RaySampler], None] | None = None,
-) -> tuple[Mesh, dict[str, float | str], tuple[Choice, ...]]:
+) -> Surface:
     """Surface of a capture whose bounding sphere is the unit sphere.
 
     Args:
@@ -119,9 +136,6 @@ def reconstruct(
         reporter: Progress and warnings.
         watch: Called every few steps of the fit with the share of it that is done, what renders
             its field, and the source of its rays, or None; at last with 1.0 and the finished field.
-
-    Returns:
-        The unwrapped mesh in the unit frame, metrics, and what was chosen, for the report.
 
     Raises:
         CaptureError: If there are fewer than three training views with a mask.
@@ -134,62 +148,94 @@ def reconstruct(
     reporter.progress(0.0, "carving the visual hull")
     capture = evened(capture)
     photos = [reduce_view(view, config.image_side) for view in capture.train]
-    lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
     generator = torch.Generator().manual_seed(seed)
     sampler = RaySampler(photos, device, generator)
+    settling = _Settling(capture, photos, config, sampler, generator)
 
     def progress(share: float, render: Renderer) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
         if watch is not None:
             watch(share, render, sampler)
 
-    plane = detect(photos, lattice, hull, generator)
-    backdrop = None
-    if plane is not None:
-        judges = ground_photos(capture, config)
-        ground = Ground(plane, judges, lattice, hull)
-        backdrop = Backdrop(ground, judges)
-        hull = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
-    start = hull if backdrop is None else backdrop.clear(lattice, hull)
-    mirroring = Mirroring([photo.camera for photo in photos], (lattice, start))
-
-    rival = Rival(capture.train, photos, (lattice, start), config)
-
-    def settle(field: Field, network: ColourNetwork) -> bool:
-        nonlocal backdrop
-        sdf = field.sdf.detach()
-        allowed = resample(hull, lattice, field.lattice).to(sdf.device)
-        sdf.copy_(restore_missing(field, allowed, sampler))
-        sdf.copy_(mirroring.filled(field, network))
-        if backdrop is not None:
-            ground = backdrop.ground
-            top = ground.heights(field.lattice, sdf)
-            settled = ground.settled(top, backdrop.known)
-            ground.find_terraces(top, settled)
-            if ground.is_flat(field.lattice.cell, top, settled):
-                sdf.copy_(ground.flatten(field.lattice, sdf, settled))
-                sdf.copy_(undercut(backdrop, settled, field.lattice, sdf))
-            else:
-                backdrop = None
-        return rival.beats(field)
-
-    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settle)
+    lattice, start = settling.lattice, settling.start
+    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settling)
+    rival = settling.rival
     if rival.leads:
         reporter.progress(0.6, "moving the mesh to where photographs agree")
-        mesh, backdrop = rival.finished(), None
+        mesh = rival.finished()
     else:
         reporter.progress(0.86, "cleaning the mesh")
         mesh = clean_mesh(field, config.face_budget)
     reporter.progress(0.92, "unwrapping the mesh")
     mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
+    has_ground = settling.backdrop is not None and not rival.leads
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "none" if backdrop is None else "flattened",
+        "ground": "flattened" if has_ground else "none",
         "surface": "stereo" if rival.leads else "field",
     }
-    return mesh, metrics, rival.choices
+    return Surface(mesh=mesh, metrics=metrics, choices=rival.choices)
+
+
+class _Settling:
+    """What the fit starts from, and what is done to its field at the end of every level.
+
+    Args:
+        capture: Evened, unit frame.
+        photos: Its training photographs at the size of the fit.
+        config: The stage's configuration.
+        sampler: Source of rays.
+        generator: Source of random numbers.
+
+    Attributes:
+        lattice: Of the visual hull.
+        start: (N,) signed distances that the fit starts from.
+        backdrop: The ground and what lies behind it; None where there is none.
+        rival: The surface by stereo.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        photos: list[Photo],
+        config: GeometryConfig,
+        sampler: RaySampler,
+        generator: torch.Generator,
+    ) -> None:
+        self.lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
+        self.backdrop: Backdrop | None = None
+        plane = detect(photos, self.lattice, hull, generator)
+        if plane is not None:
+            judges = ground_photos(capture, config)
+            ground = Ground(plane, judges, self.lattice, hull)
+            backdrop = Backdrop(ground, judges)
+            hull = ground.flatten(self.lattice, hull, ground.start & ~backdrop.foreign)
+            self.backdrop = backdrop
+        self._hull, self._sampler = hull, sampler
+        self.start = hull if self.backdrop is None else self.backdrop.clear(self.lattice, hull)
+        begun = self.lattice, self.start
+        self._mirroring = Mirroring([photo.camera for photo in photos], begun)
+        self.rival = Rival(capture.train, photos, begun, config)
+
+    def __call__(self, field: Field, network: ColourNetwork) -> bool:
+        """Mend the field in place; whether the fit ends because the rival leads."""
+        sdf = field.sdf.detach()
+        allowed = resample(self._hull, self.lattice, field.lattice).to(sdf.device)
+        sdf.copy_(restore_missing(field, allowed, self._sampler))
+        sdf.copy_(self._mirroring.filled(field, network))
+        if self.backdrop is not None:
+            ground = self.backdrop.ground
+            top = ground.heights(field.lattice, sdf)
+            settled = ground.settled(top, self.backdrop.known)
+            ground.find_terraces(top, settled)
+            if ground.is_flat(field.lattice.cell, top, settled):
+                sdf.copy_(ground.flatten(field.lattice, sdf, settled))
+                sdf.copy_(undercut(self.backdrop, settled, field.lattice, sdf))
+            else:
+                self.backdrop = None
+        return self.rival.beats(field)
 
 
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
