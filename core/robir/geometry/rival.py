@@ -14,19 +14,18 @@ import time
 from functools import cached_property
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from robir.capture.capture import View
-from robir.geometry.clean import largest_pieces, restore_missing
+from robir.geometry.clean import largest_pieces
 from robir.geometry.config import GeometryConfig
 from robir.geometry.facets import flattened
 from robir.geometry.field import Field
 from robir.geometry.filtering import taubin
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import Lattice
 from robir.geometry.mesh import Mesh
 from robir.geometry.prediction import Predictions, lead
-from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.refine.consistency import pixel_size
 from robir.geometry.refine.step import refine
 from robir.geometry.simplify import decimate, fill_holes
@@ -110,15 +109,11 @@ class Rival:
 
     @cached_property
     def _field(self) -> Field:
-        lattice, outer = self._hull
+        # nothing is restored where masks show something that no depth does: guessed masks hold
+        # background between arm and body, and stereo is right to carve it
         side = self._config.stereo.image_side
         compared = [reduce_view(view, side) for view in self._views]
-        fine, sdf = stereo_surface(compared, self._hull, self._config.stereo)
-        # with its own random numbers: what is tried must not change the fit
-        sampler = RaySampler(self._photos, "cpu", torch.Generator().manual_seed(0))
-        field = Field(fine, sdf, 1)
-        restored = restore_missing(field, resample(outer, lattice, fine), sampler)
-        return Field(fine, restored, 1)
+        return Field(*stereo_surface(compared, self._hull, self._config.stereo), 1)
 
     @cached_property
     def _mesh(self) -> Mesh:
