@@ -105,6 +105,23 @@ def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
     return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
 
 
+def pixel_weights(observations: Observations, position: NDArray[np.float32]) -> Tensor:
+    """Weights of all views by the number of their pixels on a patch about a point.
+
+    The mean of all views repeats the photographs best.
+
+    Args:
+        observations: Colours in the photographs.
+        position: (N, 3) of the points.
+
+    Returns:
+        (N, V); a row sums to 1, or to 0 where no view shows the point.
+    """
+    apart = observations.positions[None] - position[:, None]
+    pixels = torch.from_numpy(observations.weight / np.einsum("nvd,nvd->nv", apart, apart))
+    return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
+
+
 def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
     """Robust low mean over the views: highlights drop out, noise averages.
 

@@ -29,6 +29,7 @@ from robir.appearance.statistics import (
     darker_view_weights,
     display_mean,
     linear_observations,
+    pixel_weights,
     sharpest_views,
     weighted_radiance,
 )
@@ -179,9 +180,14 @@ def texel_albedo(
     sun = light.amplitudes.sharp.numpy()
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve, problem.gains)
-    share = _shares(seen, linear, texels, gloss)
+    # darker views show what is diffuse below a specular layer; a camera's photographs are darker
+    # for many other reasons too, and the asset came out darker than they are
+    below_gloss = gloss.has_highlights and not scene.by_camera
+    share = pixel_weights(seen, texels.position)
+    if below_gloss:
+        share = darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
     radiance = weighted_radiance(seen, linear, share)
-    shown = radiance.linear if gloss.has_highlights else display_mean(linear, share, problem.curve)
+    shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
     read = (linear.numpy(), share.numpy(), seen.weight)
     total = sharpened(shown.clamp(min=1e-5).numpy(), read, texels.position, views)
     irradiance = soft + narrow @ sun
@@ -220,19 +226,6 @@ def texel_albedo(
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),
     )
-
-
-def _shares(seen: Observations, linear: Tensor, texels: Texels, gloss: Gloss) -> Tensor:
-    """What each view counts in a texel's radiance, (N, V); rows sum to 1 where one shows it.
-
-    Below a specular layer the darker views show what is diffuse. Where there is none all views do,
-    each by the number of its pixels on the texel, and their mean repeats the photographs best.
-    """
-    if gloss.has_highlights:
-        return darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
-    apart = seen.positions[None] - texels.position[:, None]
-    pixels = torch.from_numpy(seen.weight / np.einsum("nvd,nvd->nv", apart, apart))
-    return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
 
 
 def _on_edges(
