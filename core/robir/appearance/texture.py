@@ -180,16 +180,7 @@ def texel_albedo(
     sun = light.amplitudes.sharp.numpy()
     seen = observe(tracer, texels.position, texels.normal, views, scene.offset)
     linear = linear_observations(seen, problem.curve, problem.gains)
-    # darker views show what is diffuse below a specular layer; a camera's photographs are darker
-    # for many other reasons too, and the asset came out darker than they are
-    below_gloss = gloss.has_highlights and not scene.by_camera
-    share = pixel_weights(seen, texels.position)
-    if below_gloss:
-        share = darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
-    radiance = weighted_radiance(seen, linear, share)
-    shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
-    read = (linear.numpy(), share.numpy(), seen.weight)
-    total = sharpened(shown.clamp(min=1e-5).numpy(), read, texels.position, views)
+    total, clipped = _as_photographed(problem, seen, linear, texels, views, gloss)
     irradiance = soft + narrow @ sun
     below = np.maximum(total - floor, 0.1 * total)
     exitant = np.pi * below / kept
@@ -198,7 +189,6 @@ def texel_albedo(
     coverage = (seen.weight > 0).sum(1)
     certain = coverage >= 2
     edge = _on_edges(problem, light, texels, albedo, float(soft.mean())) & ~metallic
-    clipped = radiance.clipped.numpy()
     certain &= ~edge & ~clipped.any(1)
     reference = _Reference(texels, albedo, certain)
     albedo = _settle_edges(albedo, exitant, (soft, narrow, sun), light, texels, edge, reference)
@@ -226,6 +216,30 @@ def texel_albedo(
         roughness=roughness.astype(np.float32),
         metallic=metallic.astype(np.float32),
     )
+
+
+def _as_photographed(
+    problem: Problem,
+    seen: Observations,
+    linear: Tensor,
+    texels: Texels,
+    views: tuple[View, ...],
+    gloss: Gloss,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Radiance (N, 3) that stands for all views of the texels, and which channels are clipped.
+
+    Darker views show what is diffuse below a specular layer; a camera's photographs are darker for
+    many other reasons too, and the asset came out darker than they are.
+    """
+    below_gloss = gloss.has_highlights and not problem.scene.by_camera
+    share = pixel_weights(seen, texels.position)
+    if below_gloss:
+        share = darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
+    radiance = weighted_radiance(seen, linear, share)
+    shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
+    read = (linear.numpy(), share.numpy(), seen.weight)
+    total = sharpened(shown.clamp(min=1e-5).numpy(), read, texels.position, views)
+    return total, radiance.clipped.numpy()
 
 
 def _on_edges(
