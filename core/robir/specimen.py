@@ -51,6 +51,7 @@ SETTINGS = (
     "geometry.level_steps=[100]",
     "geometry.rays=512",
     "geometry.face_budget=800",
+    "geometry.stereo.image_side=0",
     "transport.num_surfels=1200",
     "transport.num_directions=128",
     f"transport.observation_side={SIDE}",

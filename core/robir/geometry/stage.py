@@ -161,7 +161,7 @@ def reconstruct(
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settling)
     rival = settling.rival
     if rival.leads:
-        reporter.progress(0.6, "moving the mesh to where photographs agree")
+        reporter.progress(0.86, "moving the mesh to where photographs agree")
         mesh = rival.finished()
     else:
         reporter.progress(0.86, "cleaning the mesh")
