@@ -121,23 +121,24 @@ class Rival:
 
     def finished(self) -> Mesh:
         """The stereo surface, refined where that lets photographs predict each other better."""
-        mesh = self._mesh
-        moved = refine(mesh, self._views, self._config.refine)
-        before, after = (self._predictions.errors(one) for one in (mesh, moved))
-        if lead(before, after) > 0:
+        config, mesh = self._config, self._mesh
+        photos = [reduce_view(view, max(config.refine.image_sides)) for view in self._views]
+        moved = refine(mesh, self._views, config.refine)
+        # at the size that it was refined by: half of it does not show what it gained
+        predictions = Predictions(photos)
+        if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
             mesh = moved
-        grain, faces = self._resolved()
+        grain, faces = resolved(photos, config)
         mesh = flattened(mesh, min(self._field.lattice.cell, grain))
         return fill_holes(decimate(mesh, faces))
 
-    def _resolved(self) -> tuple[float, int]:
-        """What photographs resolve: the width of GRAIN_PIXELS pixels, and the faces it deserves."""
-        config = self._config
-        photos = [reduce_view(view, max(config.refine.image_sides)) for view in self._views]
-        pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-        grain = GRAIN_PIXELS * pixel_size([photo.camera for photo in photos])
-        most = config.refine.face_budget
-        return grain, int(min(max(config.face_budget, pixels / FACE_PIXELS), most))
+
+def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
+    """What photographs resolve: the width of GRAIN_PIXELS pixels, and the faces it deserves."""
+    pixels = float(np.median([photo.coverage.sum() for photo in photos]))
+    grain = GRAIN_PIXELS * pixel_size([photo.camera for photo in photos])
+    most = config.refine.face_budget
+    return grain, int(min(max(config.face_budget, pixels / FACE_PIXELS), most))
 
 
 def smooth_surface(field: Field) -> Mesh:
