@@ -25,7 +25,7 @@ class GeometryConfig:
         face_budget: Most triangles of the final mesh.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
         refine_poses: Whether given cameras are turned where the photographs ask for it.
-        stereo: Depth maps, whose surface takes the place of the fit where photographs prove it.
+        stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The surface by stereo, which takes the place of the fit where photographs prove it.
+"""The surface by stereo, which takes the place of the fit where it is the better one.
 
 A fit of a field and its colours explains what it cannot otherwise by pits: highlights that move,
 exposures, masks that are a pixel off. Depth maps and a mesh moved to where patches agree know
@@ -33,9 +33,6 @@ from robir.geometry.stereo.surface import stereo_surface
 from robir.geometry.surface import extract
 from robir.jobs.choice import Choice
 
-LEAST_LEAD = 1.0
-"""Standard errors by which photographs must predict each other better over the stereo surface."""
-
 STEREO, FIELD = "by depth maps", "by a fit of field and colours"
 
 SMOOTH_ROUNDS = 5
@@ -58,7 +55,7 @@ class Rival:
         config: Settings of the stage.
 
     Attributes:
-        leads: Whether photographs prove it better than what it was compared with.
+        leads: Whether photographs predict each other better over it than over the fit.
         choices: What was compared, for the report; nothing if nothing was.
     """
 
@@ -75,7 +72,7 @@ class Rival:
         self.choices: tuple[Choice, ...] = ()
 
     def beats(self, field: Field) -> bool:
-        """Whether photographs prove it the better one; only the first field is compared.
+        """Whether it is the better one; only the first field is compared.
 
         Args:
             field: Of the fit's first level.
@@ -88,7 +85,7 @@ class Rival:
             self._predictions.errors(mesh) for mesh in (smooth_surface(field), self._mesh)
         )
         ahead = lead(first, own)
-        self.leads = ahead > LEAST_LEAD
+        self.leads = ahead > 0
         names = (STEREO, FIELD) if self.leads else (FIELD, STEREO)
         self.choices = (
             Choice(
@@ -96,8 +93,7 @@ class Rival:
                 chosen=names[0],
                 alternatives=names[1:],
                 why="over depth maps photographs predict each other better by "
-                f"{ahead:+.1f} standard errors than over the first level of the fit; more than "
-                f"{LEAST_LEAD:g} is asked for",
+                f"{ahead:+.1f} standard errors than over the first level of the fit",
                 cost_seconds=time.process_time() - started,
             ),
         )
