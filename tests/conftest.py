@@ -47,3 +47,19 @@ def _seeded() -> None:
 
     np.random.seed(0)
     torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def shots() -> list:
+    """Eight pictures of the captures' test scene with a centred lens of square pixels."""
+    from capture.scene import cameras, shoot
+
+    return [shoot(camera) for camera in cameras()]
+
+
+@pytest.fixture(scope="session")
+def odd_shots() -> list:
+    """Eight pictures with an off-centre lens, fx != fy."""
+    from capture.scene import cameras, shoot
+
+    return [shoot(camera) for camera in cameras(odd_lens=True)]

@@ -34,7 +34,7 @@ from robir.appearance.reflections import (
 from robir.appearance.roughness import Patches, choose_roughness
 from robir.appearance.seen import Seen, dense, looked_at
 from robir.appearance.solver import Light
-from robir.appearance.statistics import darker_view_weights, pixel_weights, sharpest_views
+from robir.appearance.statistics import darker_view_weights, texture_weights
 from robir.appearance.trial import Trial
 from robir.jobs.choice import Choice
 
@@ -319,7 +319,6 @@ def _apply(
     kept = np.ones((num, 1), np.float32)
     full_level, full_metal = np.full(num, UNKNOWN, np.float32), np.zeros(num, np.float32)
     full_level[seen], full_metal[seen] = level, metal
-    by_pixels = pixel_weights(observations, surfels.position)
     for roughness in np.unique(level) if has_highlights else ():
         rows = seen[level == roughness]
         reflections = Reflections(problem, light, rows)
@@ -331,11 +330,12 @@ def _apply(
         linear = diffuse[rows]
         below = torch.maximum(linear - dielectric, 0.02 * linear) / through
         # the views that the textures are read from, see texture.py
-        if scene.by_camera:
-            low = by_pixels[rows, :, None]
-        else:
-            sharpest = torch.from_numpy(sharpest_views(observations.weight[rows]) > 0)
-            low = darker_view_weights(linear, sharpest)[..., None]
+        low = texture_weights(
+            (observations.weight[rows], observations.positions),
+            surfels.position[rows],
+            linear,
+            below_gloss=not scene.by_camera,
+        )[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()
         kept[rows] = (through * low).sum(1).numpy()
         is_metal = torch.from_numpy(full_metal[rows] > 0.5)[:, None, None]

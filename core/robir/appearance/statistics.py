@@ -105,20 +105,32 @@ def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
     return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
 
 
-def pixel_weights(observations: Observations, position: NDArray[np.float32]) -> Tensor:
-    """Weights of all views by the number of their pixels on a patch about a point.
+def texture_weights(
+    seen: tuple[NDArray[np.float32], NDArray[np.float32]],
+    position: NDArray[np.float32],
+    linear: Tensor,
+    *,
+    below_gloss: bool,
+) -> Tensor:
+    """What each view counts in the radiance that textures are made from.
 
-    The mean of all views repeats the photographs best.
+    Darker views show what is diffuse below a specular layer. Otherwise all views count by the
+    number of their pixels on a patch about the point, as their mean repeats the photographs best.
 
     Args:
-        observations: Colours in the photographs.
+        seen: Weights (N, V) of the observations, and camera centres (V, 3).
         position: (N, 3) of the points.
+        linear: (N, V, 3) radiance of the observations.
+        below_gloss: Whether only darker views count.
 
     Returns:
         (N, V); a row sums to 1, or to 0 where no view shows the point.
     """
-    apart = observations.positions[None] - position[:, None]
-    pixels = torch.from_numpy(observations.weight / np.einsum("nvd,nvd->nv", apart, apart))
+    weight, cameras = seen
+    if below_gloss:
+        return darker_view_weights(linear, torch.from_numpy(sharpest_views(weight) > 0))
+    apart = cameras[None] - position[:, None]
+    pixels = torch.from_numpy(weight / np.einsum("nvd,nvd->nv", apart, apart))
     return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
 
 

@@ -26,11 +26,9 @@ from robir.appearance.shade import irradiance_doubt
 from robir.appearance.sharpen import sharpened
 from robir.appearance.solver import Light
 from robir.appearance.statistics import (
-    darker_view_weights,
     display_mean,
     linear_observations,
-    pixel_weights,
-    sharpest_views,
+    texture_weights,
     weighted_radiance,
 )
 from robir.appearance.sunlight import EDGE_SHARPNESS
@@ -232,9 +230,8 @@ def _as_photographed(
     many other reasons too, and the asset came out darker than they are.
     """
     below_gloss = gloss.has_highlights and not problem.scene.by_camera
-    share = pixel_weights(seen, texels.position)
-    if below_gloss:
-        share = darker_view_weights(linear, torch.from_numpy(sharpest_views(seen.weight) > 0))
+    observed = seen.weight, seen.positions
+    share = texture_weights(observed, texels.position, linear, below_gloss=below_gloss)
     radiance = weighted_radiance(seen, linear, share)
     shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
     read = (linear.numpy(), share.numpy(), seen.weight)

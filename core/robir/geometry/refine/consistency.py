@@ -150,7 +150,7 @@ class Patches:
 
 def correlations(
     mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats, config: RefineConfig
-) -> tuple[Floats, NDArray[np.int64]]:
+) -> Floats:
     """Agreement of the photographs about every vertex at every shift.
 
     Args:
@@ -161,7 +161,7 @@ def correlations(
         config: Patches and views.
 
     Returns:
-        (Nv, D), 0 where fewer than two photographs judge, and how many judge each vertex (Nv,).
+        (Nv, D), 0 where fewer than two photographs judge.
     """
     patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), config.window)
     count = min(config.views, len(pictures))
@@ -178,7 +178,7 @@ def correlations(
             held[row, slot] = patches.read(pictures[view], rows, tried, config.noise)
         told = torch.from_numpy(valid.astype(np.float32))
         result[begin : begin + CHUNK] = agreement(held, told, config.agreeing).numpy()
-    return result, judged.sum(1)
+    return result
 
 
 def pixel_size(cameras: list[Camera]) -> float:

@@ -40,7 +40,6 @@ LOOSE = 0.5
 """How far from the smooth surface a vertex may look at first: the weight of its distance, in
 reaches squared, is one over twice this, and doubles every round."""
 
-
 MOST_ITERATIONS = 80
 """Of conjugate gradients a round; each round begins where the last one ended."""
 
@@ -71,15 +70,16 @@ def refine(mesh: Mesh, views: tuple[View, ...], config: RefineConfig) -> Mesh:
     Returns:
         The mesh, finer where the photographs are.
     """
+    reduced = {s: [reduce_view(view, s) for view in views] for s in set(config.image_sides)}
     for side in config.image_sides:
-        photos = [reduce_view(view, side) for view in views]
+        photos = reduced[side]
         pictures = [Picture.of(photo) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
         mesh = taubin(_subdivided(mesh, EDGE_PIXELS * pixel, config.most_vertices), FAIR_ROUNDS)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         shifts = np.linspace(-config.reach, config.reach, config.offsets) * pixel
         cosine = seen_by(mesh, tracer, pictures, pixel)
-        agreed, _ = correlations(mesh, pictures, cosine, shifts.astype(np.float32), config)
+        agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32), config)
         evidence = Evidence(
             shifts=shifts, cost=1 - agreed, outline=outline_shifts(mesh, tracer, photos, pixel)
         )
