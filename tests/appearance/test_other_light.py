@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.exposure import compare_photographs, solve_gains
+from robir.appearance.exposure import compare_photographs
+from robir.appearance.gains import solve_gains
 from robir.appearance.other_light import find_unlike, unlike
 from robir.capture.capture import View
 from robir.geometry.surface import plain_mesh
@@ -43,7 +44,7 @@ def lit(rng):
 
 
 def found(log: np.ndarray, normals: np.ndarray) -> list[int]:
-    gains, _ = solve_gains(log, normals)
+    gains = solve_gains(log, normals)
     return np.flatnonzero(find_unlike(log, gains)[0]).tolist()
 
 
@@ -58,7 +59,7 @@ def test_what_the_points_are_like_under_the_common_light_is_kept(lit):
     log, loss, normals = lit
     true = np.nanmedian(log, axis=1)
     log[:, COVERED] += loss[:, None, None]
-    gains, _ = solve_gains(log, normals)
+    gains = solve_gains(log, normals)
     _, points = find_unlike(log, gains)
     assert np.abs(points - true).mean() < 0.05
 
@@ -87,7 +88,7 @@ def test_without_a_common_light_none_is_left_out(lit):
 
 def test_photographs_kept_aside_are_judged_by_the_others(lit):
     log, loss, normals = lit
-    gains, _ = solve_gains(log, normals)
+    gains = solve_gains(log, normals)
     _, points = find_unlike(log, gains)
     aside = np.stack([log[:, 0], log[:, 1] + loss[:, None], log[:, 2] - 1.0], axis=1)
     assert unlike(aside, points).tolist() == [False, True, False]

@@ -14,7 +14,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_turned, save_capture, save_turned
+from robir.capture.store import load_settled, save_capture, save_turned
 from robir.errors import StorageError
 from robir.geometry.alignment import Alignment, image_motion_of_turns, turned
 from robir.geometry.config import GeometryConfig
@@ -232,13 +232,13 @@ def test_short_fits_try_no_cameras(capture: Capture) -> None:
 def test_later_stages_read_the_turned_cameras(tmp_path: Path, capture: Capture) -> None:
     paths = JobPaths(tmp_path)
     save_capture(paths.stage("capture"), capture)
-    given = load_turned(paths)
+    given = load_settled(paths)
     for view, same in zip(given.views, capture.views, strict=True):
         np.testing.assert_array_equal(view.camera.camera_to_world, same.camera.camera_to_world)
     wrong, _ = spoilt(capture, 5.0, seed=4)
     save_turned(paths, {view.name: view.camera for view in wrong.normalised().views})
-    for view, same in zip(load_turned(paths).views, wrong.views, strict=True):
+    for view, same in zip(load_settled(paths).views, wrong.views, strict=True):
         np.testing.assert_array_equal(view.camera.camera_to_world, same.camera.camera_to_world)
     paths.turned_cameras.write_text("{}", encoding="utf-8")
     with pytest.raises(StorageError, match="geometry stage"):
-        load_turned(paths)
+        load_settled(paths)

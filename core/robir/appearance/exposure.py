@@ -10,9 +10,11 @@ solved by robust least squares. The tone curve is not known by then. Whether gai
 judged under a plain one, as any curve makes the same photographs brighter; how large they are is
 solved anew under every curve that is tried.
 
-Gains are taken only where they are larger than gloss feigns them, and explain most of what the
-points differ by: other points of the same photographs would prove the sheen of a ground as well. A
-falloff towards the corners, common to all photographs, is proven by those it was not solved by.
+Gains are taken only where they are larger than gloss feigns them, and where gains from points of
+some orientations let photographs predict points of the others: an exposure changes all alike, while
+sheen depends on where a point faces, so that other points alone would prove that of a ground as
+well. A falloff towards the corners, common to all photographs, is proven by those it was not solved
+by.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.gains import FEWEST_POINTS, are_uneven, orientations, solve_gains
 from robir.appearance.other_light import find_unlike, unlike
 from robir.appearance.proof import Proof, fitted_views
-from robir.appearance.robust import Weighing, deviation, solve_views
 from robir.appearance.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import Capture, View
 from robir.capture.images import resize_view
@@ -39,14 +41,6 @@ from robir.transport.observe import Observations, observe
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-
-LEAST_STEPS = 0.12
-"""Root mean square of the gains, steps, below which photographs count as exposed alike; gloss
-of paint and plates feigns up to 0.07."""
-
-LEAST_SHARE = 0.5
-"""Share of the points' deviations between photographs that gains must explain. Polished metal alone
-can feign gains of 0.5 steps, but those explain no more than 0.3."""
 
 POINTS = 1500
 """Surface points that are compared."""
@@ -60,8 +54,8 @@ FRONTAL = 0.5
 DARKEST, BRIGHTEST = 10, 250
 """Codes between which a curve's slope is worth something in all three channels."""
 
-FEWEST_VIEWS, FEWEST_POINTS = 4, 50
-"""Views of a point, and points in all, from which photographs can be compared."""
+FEWEST_VIEWS = 4
+"""Views of a point from which photographs can be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +137,7 @@ class Exposures:
             log = log - falloff.log(off_axis)[..., None]
         if not self.are_apart:
             return Gains({}, falloff)
-        rows, _ = solve_gains(log, normals)
+        rows = solve_gains(log, normals)
         names = self.observations.views
         by_view = {name: np.exp(row) for name, row in zip(names, rows, strict=True)}
         return Gains(by_view, falloff)
@@ -195,8 +189,7 @@ def compare_photographs(
     log, kept = comparable(few, plain)
     if len(log) < FEWEST_POINTS:
         return Comparison()
-    solved = solve_gains(log, points.normal[kept])
-    odd, common = find_unlike(log, solved[0])
+    odd, common = find_unlike(log, solve_gains(log, points.normal[kept]))
     other = {few.views[index] for index in np.flatnonzero(odd)}
     if other:
         if aside := capture.held_out:
@@ -206,9 +199,7 @@ def compare_photographs(
         log, kept = comparable(few, plain)
     normals, off_axis = points.normal[kept], few.off_axis[kept]
     falloff = find_falloff(log, normals, off_axis)
-    if other or falloff.strength:
-        solved = solve_gains(log - falloff.log(off_axis)[..., None], normals)
-    are_apart = are_uneven(*solved)
+    are_apart = are_uneven(log - falloff.log(off_axis)[..., None], normals)
     if not are_apart and not falloff.strength:
         return Comparison(frozenset(other))
     exposures = Exposures(
@@ -224,7 +215,7 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
     """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
 
     Solved by the fitted views, it must let the points that these show predict the kept ones better,
-    each of those at its own exposure.
+    each of those at its own exposure, and not by points of a few orientations alone.
 
     Args:
         log: (P, V, 3) log radiance from `comparable`.
@@ -239,12 +230,14 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
     falloff = solve_falloff(log[:, is_fitted], normals, off_axis[:, is_fitted])
     if falloff.strength <= 0:
         return NO_FALLOFF
-    view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))[1]
+    point, view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))
+    # sheen at grazing angles, which is where the edges of photographs look, errs by orientation
+    orientation = orientations(normals)
     plain, rich = (
         _kept_errors(log, normals, model.log(off_axis), is_fitted)
         for model in (NO_FALLOFF, falloff)
     )
-    is_proven = Proof.of(plain, rich, (view,)).is_given
+    is_proven = Proof.of(plain, rich, (view, orientation[point])).is_given
     return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
 
 
@@ -260,7 +253,7 @@ def _kept_errors(
         is_fitted: (V,).
     """
     evened = log - dimming[..., None]
-    gains, _ = solve_gains(evened[:, is_fitted], normals)
+    gains = solve_gains(evened[:, is_fitted], normals)
     points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
     apart = evened[:, ~is_fitted] - points[:, None]
     apart -= np.nanmedian(apart, axis=0)
@@ -272,17 +265,6 @@ def _kept_errors(
         for values in (shown, shown - apart)
     )
     return ((seen - predicted) ** 2).mean(1).numpy()
-
-
-def are_uneven(gains: Array, explained: float) -> bool:
-    """Whether photographs were so unlike that gains explain most of what points differ by.
-
-    Args:
-        gains: (V, 3) log gains under a plain tone curve, without any falloff, from `solve_gains`.
-        explained: What they explain.
-    """
-    steps = float(np.sqrt((gains**2).mean()) / np.log(2))
-    return steps > LEAST_STEPS and explained > LEAST_SHARE
 
 
 def comparable(
@@ -327,45 +309,3 @@ def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:
     known = torch.from_numpy(display[seen].astype(np.float32) / 255)
     linear[torch.from_numpy(seen)] = curve.linear_from_display(known).float()
     return linear
-
-
-def solve_gains(log: Array, normals: Floats) -> tuple[Array, float]:
-    """Gains of views by the points they share.
-
-    Args:
-        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
-            point is shown by some view.
-        normals: (P, 3) unit.
-
-    Returns:
-        Log gains (V, 3) of mean 0 in every channel, and the share of the points' median deviation
-        between views that they explain.
-    """
-    known = np.isfinite(log[..., 0])
-    values = np.nan_to_num(log)
-    weighing = Weighing(known, normals)
-    gains = np.zeros(log.shape[1:])
-    for _ in weighing.rounds():
-        gains, points = _least_squares(values, weighing.weight, weighing.prior())
-        weighing.renew(np.abs(values - gains - points[:, None]).mean(2))
-    before, after = deviation(log), deviation(log - gains)
-    return gains, 1 - after / max(before, 1e-9)
-
-
-def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, Array]:
-    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values.
-
-    The points are eliminated, so that what only chains of photographs connect is solved as well as
-    what single photographs do.
-
-    Args:
-        values: (P, V, 3) log radiance.
-        weight: (P, V), 0 where a view does not show a point.
-        prior: Weight with which every gain is drawn to 0.
-    """
-    mass = weight.sum(1)
-    mean = np.einsum("pv,pvc->pc", weight, values) / mass[:, None]
-    right = np.einsum("pv,pvc->vc", weight, values - mean[:, None])
-    system = np.diag(weight.sum(0)) - weight.T @ (weight / mass[:, None])
-    gains = solve_views(system, right, prior)
-    return gains, mean - weight @ gains / mass[:, None]

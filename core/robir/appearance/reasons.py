@@ -7,7 +7,8 @@ from collections.abc import Collection
 
 from robir.appearance import other_light
 from robir.appearance.display_power import POWERS, PowerChoice
-from robir.appearance.exposure import LEAST_SHARE, LEAST_STEPS, Gains
+from robir.appearance.exposure import Gains
+from robir.appearance.gains import LEAST_STEPS
 from robir.appearance.solver import Light
 from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
 from robir.jobs.choice import Choice
@@ -156,9 +157,8 @@ def camera_choices(
             chosen=apart if gains.by_view else alike,
             alternatives=(alike if gains.by_view else apart,),
             cost_seconds=seconds["exposure"],
-            why=f"photographs are exposed apart where that explains at least {LEAST_SHARE:.0%} of "
-            "what they differ by at the same points of the surface, and by more than "
-            f"{LEAST_STEPS} steps",
+            why=f"photographs are exposed apart where gains of more than {LEAST_STEPS} steps, from "
+            "points of some orientations, let photographs predict points of the others",
         ),
         Choice(
             choice="corners of the photographs",

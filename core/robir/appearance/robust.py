@@ -66,13 +66,6 @@ class Weighing:
         self.noise = 1.48 * float(np.nanmedian(apart))
 
 
-def deviation(log: Array) -> float:
-    """Median deviation between views of one point, of log radiance (P, V, 3)."""
-    by_view = np.ascontiguousarray(log.transpose(0, 2, 1))  # sorting the last axis is faster
-    middle = np.nanmedian(by_view, axis=2, keepdims=True)
-    return float(np.nanmedian(np.abs(by_view - middle)))
-
-
 def solve_views(system: Array, right: Array, prior: float) -> Array:
     """Unknowns of views that differences between views determine.
 

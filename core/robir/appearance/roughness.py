@@ -89,7 +89,7 @@ def choose_roughness(
         trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
         by_camera: Whether a camera took the photographs. Those of a rendering may differ from patch
-            to patch without proof, as they mostly do.
+            to patch, and have a specular layer, as they mostly do, unless the contrary is proven.
 
     Returns:
         The choice.
@@ -105,7 +105,7 @@ def choose_roughness(
     gloss = trial.proof(kept, plain, several if is_likely else single)
     of_paint = each[patches.number[paint]]
     is_alike = not len(of_paint) or float(of_paint.std()) < NO_DIFFERENCE
-    is_dull = not gloss.is_given
+    is_dull = not (gloss.is_given if by_camera else gloss.is_open)
     is_one = is_dull or is_alike or not is_likely
     roughness = np.full(len(each), MATTE if is_dull else _stepped(one)) if is_one else each
     choices = (

@@ -34,7 +34,7 @@ from robir.capture.capture import Capture
 from robir.capture.images import resize_view
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.geometry.mesh import Mesh
 from robir.geometry.tracer import AbstractTracer, make_tracer
 from robir.geometry.unwrap import rasterise_atlas
@@ -44,7 +44,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 
-REVISION = 58
+REVISION = 59
 
 TEXTURE_VIEWS = 48
 
@@ -83,7 +83,7 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
-    capture = load_turned(context.paths).normalised()
+    capture = load_settled(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
     tracer = make_tracer(mesh.vertices, mesh.faces, context.device)

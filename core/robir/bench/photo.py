@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from robir.appearance.texel_size import solved_side
 from robir.capture.capture import Capture
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.config import RunConfig
 from robir.evaluation.layers import view_layers
 from robir.evaluation.metrics import linear_from_srgb, srgb_from_linear
@@ -43,7 +43,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     Returns:
         Scores of the re-rendered held-out views, as `mean_scores` gives them.
     """
-    capture = load_turned(paths).normalised()
+    capture = load_settled(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     face, barycentric = rasterise_atlas(mesh, solved_side(config.appearance))
     inside = face >= 0

@@ -16,7 +16,7 @@ from PIL import Image
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.evaluation.layers import load_textures, stored_mesh, view_layers
 from robir.evaluation.metrics import srgb_from_linear
 from robir.evaluation.photos import read_picture
@@ -72,7 +72,7 @@ def draw_photographed(paths: JobPaths, picture: Path) -> None:
         paths: Result folder.
         picture: PNG to write: square tiles, cut to the object.
     """
-    capture = load_turned(paths)
+    capture = load_settled(paths)
     view = _shown_view(paths, capture)
     camera = view.camera.resized(2 * view.camera.width, 2 * view.camera.height)
     layers = view_layers(stored_mesh(paths), load_textures(paths), [camera], sub_pixels=1)[0]

@@ -28,7 +28,7 @@ from robir.bench import prb_scene
 from robir.bench.perturb import curve_of
 from robir.bench.prb_fit import WITH_SUN, Observed, PrbConfig, PrbFit
 from robir.capture.capture import Capture
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.errors import DeviceError, RobirError
 from robir.evaluation.photos import mean_scores, photo_scores
 from robir.evaluation.truth import load_truth
@@ -112,7 +112,7 @@ def fit_and_write(paths: JobPaths, seed: int, truth: Path | None, config: PrbCon
     Raises:
         DeviceError: If Mitsuba or LLVM is missing.
     """
-    capture = load_turned(paths).normalised()
+    capture = load_settled(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     inside = rasterise_atlas(mesh, config.texture_size)[0] >= 0
     told = _told(truth, config.light_rows)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
+from robir.masking.support import Plane
 
 Split = Literal["train", "held_out"]
 
@@ -77,6 +78,10 @@ class Finding:
         return cls(**{**plain, "files": tuple(plain["files"])})
 
 
+GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
+"""Codes of findings about masks that we cut."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
     """Posed, masked photographs of one object.
@@ -87,6 +92,7 @@ class Capture:
         views: Photographs in the capture's own frame.
         bounds: Bounding sphere of the object.
         findings: What the readers and checks noticed.
+        table: What the object stands on, where masks were guessed and it was found.
         photographs: File of each view by its name, while it is known; not stored.
     """
 
@@ -95,6 +101,7 @@ class Capture:
     views: tuple[View, ...]
     bounds: Bounds
     findings: tuple[Finding, ...] = field(default=())
+    table: Plane | None = None
     photographs: Mapping[str, Path] = field(default_factory=dict)
 
     @property
@@ -106,6 +113,12 @@ class Capture:
     def held_out(self) -> tuple[View, ...]:
         """Views kept aside to judge the result."""
         return tuple(view for view in self.views if view.split == "held_out")
+
+    @property
+    def has_guessed_masks(self) -> bool:
+        """Whether the object was cut out by us, and without any of the ground it stands on."""
+        codes = {finding.code for finding in self.findings}
+        return GUESSED_MASKS in codes and KEPT_GROUND not in codes
 
     def without(self, names: Collection[str]) -> Capture:
         """The capture without some views."""
@@ -119,4 +132,5 @@ class Capture:
             for view in self.views
         )
         unit = Bounds(centre=np.zeros(3), radius=1.0, origin=bounds.origin)
-        return replace(self, views=views, bounds=unit)
+        table = None if self.table is None else self.table.normalised(bounds.centre, bounds.radius)
+        return replace(self, views=views, bounds=unit, table=table)

@@ -21,6 +21,8 @@ class CaptureConfig:
         max_held_out: Number of views kept aside at most, at least 1.
         ground: What becomes of the table where masks have to be guessed: "cut" removes it,
             "keep" leaves a disc of it around the object.
+        adjust_cameras: Whether given cameras are moved where points that stand out in the
+            photographs meet better for it.
         outside: What becomes of photographs and masks that lie outside the capture's folder, by
             the paths its files hold or by links: "refuse" them, or "take" them.
         box: Where the object is, for captures without masks: centre x, y, z and sides x, y, z
@@ -31,6 +33,7 @@ class CaptureConfig:
     held_out_every: int = 8
     max_held_out: int = 8
     ground: Literal["keep", "cut"] = "cut"
+    adjust_cameras: bool = True
     outside: Literal["refuse", "take"] = "refuse"
     box: tuple[float, ...] = ()
 

@@ -331,6 +331,7 @@ def _read_posed(
         views=views,
         bounds=bounds,
         findings=tuple(findings),
+        table=loaded.table,
         photographs={frame.name: frame.image for frame in frames.frames},
     )
 

@@ -11,8 +11,9 @@ from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
+from robir.poses.adjustment import with_adjusted_cameras
 
-REVISION = 2
+REVISION = 3
 """Raised by hand when the results of this stage change."""
 
 
@@ -34,10 +35,13 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
         context.source,
         context.masks,
         context.config,
-        lambda fraction, message: context.reporter.progress(0.9 * fraction, message),
+        lambda fraction, message: context.reporter.progress(0.85 * fraction, message),
         Workshop(folder=context.paths.registration, seed=context.seed),
         context.paths.masks,
     )
+    if context.config.adjust_cameras:
+        context.reporter.progress(0.85, "holding the cameras against the photographs")
+        capture = with_adjusted_cameras(capture)
     for finding in capture.findings:
         if finding.level == "warning":
             context.reporter.warn(describe(finding))

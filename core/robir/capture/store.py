@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.camera import Camera
@@ -17,6 +18,7 @@ from robir.errors import StorageError
 from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
+from robir.masking.support import Plane
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
 """What reading a damaged file of the stage raises."""
@@ -27,6 +29,7 @@ _CAPTURE = {
     "bounds": {"centre": NUMBERS, "radius": float, "origin": str},
     "views": [CAMERA],
     "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
+    "table": [{"normal": NUMBERS, "offset": float, "tolerance": float}],
 }
 
 
@@ -55,6 +58,7 @@ def save_capture(folder: Path, capture: Capture) -> None:
             },
             "views": [plain_view(view) for view in capture.views],
             "findings": [asdict(finding) for finding in capture.findings],
+            "table": [] if capture.table is None else [_plain_plane(capture.table)],
         },
     )
 
@@ -80,6 +84,7 @@ def load_capture(folder: Path) -> Capture:
             views=views,
             bounds=_bounds(plain["bounds"]),
             findings=tuple(Finding.from_plain(entry) for entry in plain["findings"]),
+            table=next((_plane(entry) for entry in plain["table"]), None),
         )
     except _DAMAGE as fault:
         raise _damaged(folder, fault) from fault
@@ -126,8 +131,35 @@ def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
     write_json(paths.turned_cameras, turned)
 
 
-def load_turned(paths: JobPaths) -> Capture:
-    """The stored capture with the cameras that the geometry stage turned, where it did.
+def _plain_plane(plane: Plane) -> dict[str, Any]:
+    return {
+        "normal": plane.normal.tolist(),
+        "offset": plane.offset,
+        "tolerance": plane.tolerance,
+    }
+
+
+def _plane(plain: dict[str, Any]) -> Plane:
+    normal = np.array(plain["normal"], dtype=np.float64)
+    if normal.shape != (3,):
+        raise ValueError("the table's normal has not three numbers")
+    return Plane(normal=normal, offset=plain["offset"], tolerance=plain["tolerance"])
+
+
+def save_masks(paths: JobPaths, views: Iterable[View]) -> None:
+    """Write masks that later stages shall take instead of the stored ones.
+
+    Args:
+        paths: The result folder.
+        views: All of the capture, with these masks.
+    """
+    for view in views:
+        with replacing(file_in(paths.cut_masks, f"{view.name}.png")) as temporary:
+            Image.fromarray(view.mask).save(temporary, format="PNG", compress_level=1)
+
+
+def load_settled(paths: JobPaths) -> Capture:
+    """The stored capture with what the geometry stage found better: cameras turned, masks cut.
 
     Args:
         paths: The result folder.
@@ -139,6 +171,9 @@ def load_turned(paths: JobPaths) -> Capture:
         StorageError: If a file is missing or damaged.
     """
     capture = load_capture(paths.stage("capture"))
+    if paths.cut_masks.exists():
+        views = tuple(replace(view, mask=_cut_mask(paths, view)) for view in capture.views)
+        capture = replace(capture, views=views)
     if not paths.turned_cameras.exists():
         return capture
     try:
@@ -149,6 +184,20 @@ def load_turned(paths: JobPaths) -> Capture:
             f"{paths.turned_cameras} cannot be read ({fault}). Run the geometry stage again."
         ) from fault
     return replace(capture, views=views)
+
+
+def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
+    """Mask of a view from the geometry stage."""
+    path = file_in(paths.cut_masks, f"{view.name}.png")
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            if picture.mode != "L" or picture.size != (view.camera.width, view.camera.height):
+                raise ValueError(f"it is {picture.mode} of size {picture.size}")
+            return np.array(picture)
+    except _DAMAGE as fault:
+        raise StorageError(
+            f"{path} cannot be read ({fault}). Run the geometry stage again."
+        ) from fault
 
 
 def _oriented(view: View, rotation: list[list[float]]) -> View:

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from robir.capture.camera import Camera
-from robir.capture.capture import Finding, Split, View
+from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Finding, Split, View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Array, Distortion, Frame, FrameSet, Lens, posed_otherwise
 from robir.capture.images import Bytes, Photo
@@ -87,7 +87,8 @@ def with_guessed_masks(
         config.max_side,
         lambda share, text: progress(0.6 + 0.4 * share, text),
     )
-    return again, _account(guess, loaded.views, config, folder)
+    account = _account(guess, loaded.views, config, folder)
+    return replace(again, table=plane), account
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +202,7 @@ def _account(
     )
     found = [
         note(
-            "guessed-masks",
+            GUESSED_MASKS,
             "The photographs have no masks, so masks were guessed from "
             f"{guess.region.origin}: they agree with each other to {agreement:.0f} %, colour "
             f"alone decides {contrast:.0f} % of the pixels along the outlines; {where}",
@@ -217,13 +218,15 @@ def _account(
                 *odd,
             )
         )
+    code = "ground"
     if guess.region.plane is None:
         ground = "No table was found under the object"
     elif config.ground == "keep":
+        code = KEPT_GROUND
         ground = "A disc of the table is kept with the object (capture.ground)"
     else:
         ground = "The table under the object is cut away (capture.ground)"
-    return [*found, note("ground", ground)]
+    return [*found, note(code, ground)]
 
 
 def _straight_pixels(

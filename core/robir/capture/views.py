@@ -15,6 +15,7 @@ from robir.capture.decode import stored_size
 from robir.capture.frames import Frame
 from robir.capture.reading import MaskSource, read_view
 from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.masking.support import Plane
 
 HARMLESS_PIXELS = 16_000_000
 """A photograph of so many pixels is decoded in a second, whatever the others have."""
@@ -40,12 +41,14 @@ class Loaded:
         overviews: The same photographs, uncut and small.
         maskless: Names of the views without a mask.
         findings: One error a photograph that could not be read, and notes.
+        table: What the object stands on, where masks were guessed and it was found.
     """
 
     views: tuple[View, ...]
     overviews: tuple[View, ...]
     maskless: tuple[str, ...]
     findings: tuple[Finding, ...]
+    table: Plane | None = None
 
 
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:

@@ -24,7 +24,7 @@ from PIL import Image
 from robir.capture.arrays import stored_arrays
 from robir.capture.capture import Capture, View
 from robir.capture.images import resize_view
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.errors import RobirError, StorageError
 from robir.evaluation import metrics
 from robir.evaluation.layers import TONE_CURVE, stored_facts
@@ -160,7 +160,7 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
         "verdict" is a sentence.
     """
     exposure, tone_curve = _camera_facts(paths)
-    whole = load_turned(paths)
+    whole = load_settled(paths)
     capture = whole.without(exposure["other_light"]).normalised()
     if not capture.held_out:
         return _table([], {}, "No photograph was held out: there is nothing to judge by.")

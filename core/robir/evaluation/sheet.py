@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from robir.capture.arrays import stored_arrays
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.errors import StorageError
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
@@ -137,7 +137,7 @@ def truth_sheet(
 def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
     """Our own re-renders of held-out views by camera pose."""
     held_out = paths.stage("appearance") / "held_out.npz"
-    capture = load_turned(paths)
+    capture = load_settled(paths)
     arrays = stored_arrays(held_out)
     found = {
         _pose_key(view.camera.camera_to_world): arrays[view.name]

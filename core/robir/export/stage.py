@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_turned, plain_view, view_path
+from robir.capture.store import load_settled, plain_view, view_path
 from robir.errors import CancelledError, RobirError
 from robir.evaluation.layers import load_textures, result_mesh
 from robir.export.blender import Outcome, run_headless
@@ -52,7 +52,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     cpu, wall = time.process_time(), time.monotonic()
     paths, report = context.paths, context.reporter
     report.progress(0.0, "reading the reconstruction")
-    capture = load_turned(paths)
+    capture = load_settled(paths)
     exposure = read_json(paths.stage("appearance") / "exposure.json")
     judged = capture.without(exposure["other_light"])
     mesh = result_mesh(paths, capture.bounds)

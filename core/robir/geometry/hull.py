@@ -13,10 +13,18 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
+from robir.capture.capture import Capture
 from robir.errors import CaptureError
+from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
+
+DISSENT = 0.05
+"""Share of guessed masks that may be wrong at a point: as when they are guessed, in the end."""
+
+CLEARANCE = 0.015
+"""Height above the table from which something belongs to the object, unit frame."""
 
 BEHIND = -1e3
 """Signed distance a view gives to points behind its camera: no evidence."""
@@ -49,23 +57,28 @@ class HullCarver:
 
     A point's value is the largest, over the views, of the signed distance of its image point to
     the mask's outline times depth over focal length: a lower bound of the distance outside, exact
-    where one silhouette decides.
+    where one silhouette decides. With `outvoted` views that may be wrong, it is the largest but so
+    many.
 
     Args:
         cameras: Cameras, unit frame.
         coverages: Mask of each camera, (H, W) float32 in [0, 1].
+        outvoted: Masks that cannot by themselves say that a point is outside.
     """
 
-    def __init__(self, cameras: list[Camera], coverages: list[NDArray[np.float32]]) -> None:
-        self._cameras = cameras
+    def __init__(
+        self, cameras: list[Camera], coverages: list[NDArray[np.float32]], outvoted: int = 0
+    ) -> None:
+        self._cameras, self._outvoted = cameras, outvoted
         self._distances = [torch.from_numpy(mask_distance(c)) for c in coverages]
 
     def __call__(self, points: Tensor) -> Tensor:
         """Signed distance of the hull at points (P, 3), unit frame; shape (P,)."""
-        value = torch.full((len(points),), BEHIND)
+        largest = [torch.full((len(points),), BEHIND)] * (self._outvoted + 1)
         for own in self.by_view(points):
-            value = torch.maximum(value, own)
-        return value
+            for rank, value in enumerate(largest):  # in order, the largest first
+                largest[rank], own = torch.maximum(value, own), torch.minimum(value, own)
+        return largest[-1]
 
     def by_view(self, points: Tensor) -> Iterator[Tensor]:
         """What each view alone says of points (P, 3), shape (P,); very low behind a camera."""
@@ -87,11 +100,21 @@ class HullCarver:
             yield torch.where(local[2] < 0, pixels * scale, BEHIND)
 
 
-def hull_of(photos: list[Photo], views: int) -> HullCarver:
-    """The visual hull of at most `views` photographs that lie far from each other."""
+def hull_of(photos: list[Photo], views: int, *, guessed: bool = False) -> HullCarver:
+    """The visual hull of at most `views` photographs that lie far from each other.
+
+    Args:
+        photos: With masks.
+        views: Photographs at most.
+        guessed: Whether masks were guessed, so that DISSENT of them may be wrong at any point.
+    """
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, views)]
-    return HullCarver([photo.camera for photo in kept], [photo.coverage for photo in kept])
+    return HullCarver(
+        [photo.camera for photo in kept],
+        [photo.coverage for photo in kept],
+        outvoted=int(DISSENT * len(kept)) if guessed else 0,
+    )
 
 
 def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
@@ -127,3 +150,25 @@ def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
         grid.select(axis, 0).clamp_(min=lattice.cell)
         grid.select(axis, -1).clamp_(min=lattice.cell)
     return lattice, fine
+
+
+def object_hull(
+    capture: Capture, photos: list[Photo], config: GeometryConfig
+) -> tuple[Lattice, Tensor]:
+    """The visual hull that a surface begins with: above the table where masks were guessed.
+
+    What a shadow falls on has other colours than the rest of the table, and depth maps see a
+    surface there as well: nothing but its height tells it from the object.
+
+    Args:
+        capture: In the unit frame.
+        photos: Its training photographs, reduced.
+        config: Of the stage.
+    """
+    guessed = capture.has_guessed_masks
+    carver = hull_of(photos, config.hull_views, guessed=guessed)
+    lattice, values = carve(carver, config.hull_cells)
+    if guessed and capture.table is not None:
+        height = capture.table.height(lattice.nodes().double().numpy())
+        values = torch.maximum(values, torch.from_numpy(CLEARANCE - height).float())
+    return lattice, values

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture, save_turned
+from robir.capture.store import load_capture, save_masks, save_turned
 from robir.errors import CaptureError
 from robir.geometry.backdrop import Backdrop
 from robir.geometry.brightness import evened
@@ -21,7 +21,7 @@ from robir.geometry.field import ColourNetwork, Field
 from robir.geometry.fit import fit
 from robir.geometry.ground import Ground
 from robir.geometry.held_out import save_field_views
-from robir.geometry.hull import carve, hull_of
+from robir.geometry.hull import object_hull
 from robir.geometry.lattice import resample
 from robir.geometry.mesh import Mesh
 from robir.geometry.mirroring import Mirroring
@@ -29,6 +29,7 @@ from robir.geometry.plane import detect
 from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.preview import Preview, Renderer
 from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.remask import remasked
 from robir.geometry.rival import Rival, smooth_surface
 from robir.geometry.simplify import decimate, fill_holes, with_creases
 from robir.geometry.undercut import undercut
@@ -38,8 +39,11 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json
 from robir.maths.vectors import farthest_points
 
-REVISION = 24
+REVISION = 25
 """Raised whenever the same input gives another result."""
+
+MASKING = 0.02
+"""Share of the stage that cutting masks again takes."""
 
 GROUND_SIDE = 200
 """Longer side of the photographs that tell the ground, pixels."""
@@ -55,6 +59,15 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         Metrics for the stage's manifest.
     """
     capture = load_capture(context.paths.stage("capture")).normalised()
+    if capture.has_guessed_masks and context.config.stereo.image_side:
+        capture = remasked(
+            capture,
+            context.config,
+            lambda share: context.reporter.progress(
+                MASKING * share, "cutting the object out again, by its surface"
+            ),
+        )
+        save_masks(context.paths, capture.views)
     preview = Preview(capture, context.paths.preview, context.device, context.reporter)
     trial = PoseTrial(capture, context.seed, context.device)
     total = sum(context.config.level_steps)
@@ -204,7 +217,7 @@ class _Settling:
         sampler: RaySampler,
         generator: torch.Generator,
     ) -> None:
-        self.lattice, hull = carve(hull_of(photos, config.hull_views), config.hull_cells)
+        self.lattice, hull = object_hull(capture, photos, config)
         self.backdrop: Backdrop | None = None
         plane = detect(photos, self.lattice, hull, generator)
         if plane is not None:

@@ -106,6 +106,11 @@ class JobPaths:
         return self.stage("geometry") / "cameras.json"
 
     @property
+    def cut_masks(self) -> Path:
+        """Masks of the views where the geometry stage cut guessed ones again; else absent."""
+        return self.stage("geometry") / "masks"
+
+    @property
     def export(self) -> Path:
         """What the user takes away."""
         return self.root / "export"

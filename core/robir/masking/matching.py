@@ -53,16 +53,17 @@ class Features:
     words: NDArray[np.float32]
 
 
-def features(views: Sequence[Posed]) -> list[Features]:
+def features(views: Sequence[Posed], most: int = FEATURES) -> list[Features]:
     """Find what stands out in photographs.
 
     Args:
         views: Photographs with cameras.
+        most: Features used of a photograph at most, the strongest.
 
     Returns:
         One value a photograph, those without features left out.
     """
-    sift = cv2.SIFT_create(nfeatures=FEATURES, contrastThreshold=0.02)
+    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=0.02)
     found = []
     for view in views:
         scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
@@ -91,13 +92,18 @@ def triangulated(found: Sequence[Features]) -> Array:
     Returns:
         (N, 3) points, capture frame; possibly none.
     """
-    pairs = _pairs([each.camera for each in found])
-    points = [_points(found[one], found[two]) for one, two in pairs]
+    chosen = pairs([each.camera for each in found], NEIGHBOURS)
+    points = [_points(found[one], found[two]) for one, two in chosen]
     return np.concatenate(points) if points else np.zeros((0, 3))
 
 
-def _pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pairs of cameras that look at much the same from a little apart."""
+def pairs(cameras: Sequence[Camera], neighbours: int) -> list[tuple[int, int]]:
+    """Pairs of cameras that look at much the same from a little apart.
+
+    Args:
+        cameras: Of the photographs.
+        neighbours: Photographs each photograph is compared with.
+    """
     if len(cameras) < 2:
         return []
     place = np.stack([camera.position for camera in cameras])
@@ -110,22 +116,27 @@ def _pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     np.fill_diagonal(cost, np.inf)
     chosen = set()
     for one in range(len(cameras)):
-        for two in np.argsort(cost[one], kind="stable")[:NEIGHBOURS]:
+        for two in np.argsort(cost[one], kind="stable")[:neighbours]:
             if np.isfinite(cost[one, two]):
                 chosen.add((min(one, int(two)), max(one, int(two))))
     return sorted(chosen)
 
 
-def _points(one: Features, two: Features) -> Array:
-    """Triangulated matches of two photographs, (N, 3)."""
+def matches(one: Features, two: Features) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows (M,) of the features of two photographs that are each other's best and stand apart."""
     likeness = one.words @ two.words.T
     best = likeness.argmax(axis=1)
     is_mutual = likeness.argmax(axis=0)[best] == np.arange(len(best))
     top = np.sort(np.partition(likeness, -2, axis=1)[:, -2:], axis=1)
     distance = np.sqrt(np.maximum(2.0 - 2.0 * top, 0.0))
     kept = np.flatnonzero(is_mutual & (distance[:, 1] < RATIO * distance[:, 0]))
+    return kept, best[kept]
+
+
+def _points(one: Features, two: Features) -> Array:
+    """Triangulated matches of two photographs, (N, 3)."""
     at, origin, towards = [], [], []
-    for each, index in ((one, kept), (two, best[kept])):
+    for each, index in zip((one, two), matches(one, two), strict=True):
         start, direction = each.camera.rays(each.pixels[index])
         at.append(each.pixels[index])
         origin.append(start)

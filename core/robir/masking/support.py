@@ -45,6 +45,11 @@ class Plane:
         """Height of points (N, 3) above the plane."""
         return points @ self.normal - self.offset
 
+    def normalised(self, centre: Array, radius: float) -> Plane:
+        """The plane in the frame where a sphere is the unit sphere at the origin."""
+        offset = float(self.offset - self.normal @ centre) / radius
+        return Plane(normal=self.normal, offset=offset, tolerance=self.tolerance / radius)
+
 
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
     """The plane with most points on it and next to none below it (Fischler and Bolles 1981).

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robir.capture.store import load_turned
+from robir.capture.store import load_settled
 from robir.errors import CaptureError
 from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
@@ -30,7 +30,7 @@ def run(context: StageContext[TransportConfig]) -> dict[str, Any]:
         CaptureError: If hardly any surface is seen by the cameras.
     """
     context.reporter.progress(0.0, "reading the mesh and the photographs")
-    capture = load_turned(context.paths).normalised()
+    capture = load_settled(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     context.reporter.progress(0.1, "tracing what every surface sample sees")
     transport = bake(mesh, capture.train, context.config, context.seed, context.device)

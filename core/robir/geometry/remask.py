@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Guessed masks made better by the surface that photographs show.
+
+Depth maps of small photographs, in a hull that a few masks may not cut alone, are good enough to
+say where the object ends to within a few pixels; within these colours and edges decide. The masks
+so cut give the next hull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.capture.capture import Capture, View
+from robir.geometry.config import GeometryConfig
+from robir.geometry.field import Field
+from robir.geometry.hull import mask_distance, object_hull
+from robir.geometry.rays import reduce_view
+from robir.geometry.rival import smooth_surface
+from robir.geometry.stereo.surface import stereo_surface
+from robir.geometry.tracer import EmbreeTracer
+from robir.masking.finish import sharpened
+from robir.masking.guess import SIDE
+from robir.masking.recut import recut
+from robir.masking.sight import Camera, reduced
+
+COARSENESS = 0.64
+"""Size of the photographs and of the lattice for these surfaces, as a share of the final ones."""
+
+ROUNDS = 2
+"""Surfaces and cuts, in turns."""
+
+
+def remasked(
+    capture: Capture, config: GeometryConfig, progress: Callable[[float], None]
+) -> Capture:
+    """A capture whose masks are cut again, the held-out photographs' too.
+
+    Args:
+        capture: With guessed masks, unit frame.
+        config: Of the stage.
+        progress: Told the share of the work done.
+    """
+    stereo = config.stereo
+    coarse = replace(
+        stereo,
+        image_side=round(COARSENESS * stereo.image_side),
+        cells=round(COARSENESS * stereo.cells),
+    )
+    pictures = reduced(capture.views, SIDE)
+    for number in range(ROUNDS):
+        photos = [reduce_view(view, coarse.image_side) for view in capture.train]
+        hull = object_hull(capture, photos, config)
+        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        outlines = [mask_distance(_shown(tracer, picture.camera)) for picture in pictures]
+        beliefs = recut(pictures, outlines)
+        cut = zip(capture.views, beliefs, strict=True)
+        capture = replace(capture, views=tuple(_with_mask(*pair) for pair in cut))
+        progress((number + 1) / ROUNDS)
+    return capture
+
+
+def _shown(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
+    """1 where a camera sees a surface, (H, W), else 0."""
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    pixels = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
+    origins, directions = (part.astype(np.float32) for part in camera.rays(pixels))
+    hit = np.isfinite(tracer.first_hits(origins, directions).distance)
+    return hit.reshape(camera.height, camera.width).astype(np.float32)
+
+
+def _with_mask(view: View, belief: NDArray[np.float32]) -> View:
+    """A view with the mask of a belief, or as it was where that leaves nothing."""
+    mask = sharpened(view.image_display, belief)
+    return replace(view, mask=mask) if mask.any() else view
