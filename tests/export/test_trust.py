@@ -28,7 +28,9 @@ def spoilt_views(capture, change):
 def doubted(capture, mesh, arrays, rerender=25.0):
     found = quality(capture, mesh, arrays, rerender)
     names = [
-        name for name, sign in found["signs"].items() if SIGNS[name].is_doubtful(sign["value"])
+        name
+        for name, sign in found["signs"].items()
+        if SIGNS[name].is_doubtful(sign["value"], sign["limit"])
     ]
     assert len(found["doubts"]) == len(names)
     assert found["is_trusted"] == (not names)

@@ -66,7 +66,7 @@ BRIGHTEST = 0.9
 
 SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
-MIN_ALBEDO, MAX_ALBEDO = 0.01, 0.95
+MIN_ALBEDO, MAX_ALBEDO = 0.002, 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,8 @@ from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
 DISSENT = 0.05
-"""Share of guessed masks that may be wrong at a point: as when they are guessed, in the end."""
+"""Share of guessed masks that may be wrong at a point, one at least: as when they are guessed, in
+the end."""
 
 CLEARANCE = 0.015
 """Height above the table from which something belongs to the object, unit frame."""
@@ -113,7 +114,7 @@ def hull_of(photos: list[Photo], views: int, *, guessed: bool = False) -> HullCa
     return HullCarver(
         [photo.camera for photo in kept],
         [photo.coverage for photo in kept],
-        outvoted=int(DISSENT * len(kept)) if guessed else 0,
+        outvoted=max(1, round(DISSENT * len(kept))) if guessed else 0,
     )
 
 
