@@ -112,7 +112,7 @@ def test_a_kept_ground_is_a_disc_about_the_object(tmp_path, shots):
     keep = replace(SMALL, ground="keep")
     capture, findings, _ = check_capture(source, None, keep)
     assert capture is not None
-    assert "disc of the table is kept" in _found(findings, "ground").message
+    assert "disc of the table is kept" in _found(findings, "kept-ground").message
     cut, *_ = check_capture(source, None, SMALL)
     assert cut is not None
     for with_ground, without in zip(capture.views, cut.views, strict=True):
