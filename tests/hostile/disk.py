@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the disk under a real run: `python -m hostile.disk FOLDER [KIND...]`, Linux only.
+"""Faults of the disk under a real run: `python -m hostile.disk [KIND[:COUNT]...]`, Linux only.
 
 Kinds: `full` (a disk of ten sizes, which takes root: it is mounted in a namespace of its own),
-`readonly` from some moments on, `write` and `read` for bad blocks in some files, by a library that
-stands before the system's. Each has to end with a sentence, and to go on to the unbroken result
-once the disk is well again.
+`readonly` from some moments on, `gone` for a network drive that goes away then, `write` and `read` for bad
+blocks in some files, by a library that stands before the system's. Each has to end with a sentence, and to go on to the unbroken result
+once the disk is well again. With counts Blender is left out.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from hostile.tiny_run import begun, contents, ended, words
 from robir.errors import StorageError
 from robir.specimen import write_specimen
 
-KINDS = ("full", "readonly", "write", "read")
+KINDS = ("full", "readonly", "write", "read", "gone")
 SHIM = Path(__file__).with_name("faulty_disk.c")
 INSIDE = "ROBIR_FAULTY_DISK"
 """Set in the process that has the library and, where possible, the namespace."""
@@ -84,12 +85,14 @@ class Bench:
 
     def faults(self, kind: str, count: int = 100) -> Iterator[Fault]:
         """The first faults of a kind."""
-        make = {"full": self._full, "readonly": self._readonly}.get(kind)
-        cases = {"full": SHARES, "readonly": MOMENTS, "write": WRITTEN, "read": READ}[kind]
+        cases = {"full": SHARES, "write": WRITTEN, "read": READ}.get(kind, MOMENTS)
         if kind == "write" and not self._has_renders:
             cases = cases[:-1]
         for case in cases[:count]:
-            yield make(case) if make else self._bad(kind, str(case))
+            if isinstance(case, float):
+                yield self._full(case)
+            else:
+                yield self._midway(kind, case) if cases is MOMENTS else self._bad(kind, case)
 
     def _full(self, share: float) -> Fault:
         home = self._folder / "disk"
@@ -105,10 +108,10 @@ class Bench:
         finally:
             subprocess.run(["umount", str(home)], check=True)
 
-    def _readonly(self, moment: str) -> Fault:
+    def _midway(self, kind: str, moment: str) -> Fault:
         out = self._folder / "disk" / "out"
-        fault = {"FAULT_KIND": "readonly", "FAULT_NAME": str(out), "FAULT_AFTER": str(out / moment)}
-        return self._tried(f"read-only after {moment}", out, fault)
+        fault = {"FAULT_KIND": kind, "FAULT_NAME": str(out), "FAULT_AFTER": str(out / moment)}
+        return self._tried(f"{kind} after {moment}", out, fault)
 
     def _bad(self, kind: str, name: str) -> Fault:
         out = self._folder / "disk" / "out"
@@ -143,31 +146,29 @@ class Bench:
         return Fault(name, code, (text.splitlines() or [""])[-1], is_clear, resumed, differing)
 
 
-def inside(folder: Path, kinds: list[str]) -> int:
+def inside(kinds: list[str]) -> int:
     """Run this module again with the library, and in a namespace if a disk is to be mounted."""
-    library = folder / "faulty_disk.so"
-    folder.mkdir(parents=True, exist_ok=True)
-    subprocess.run(
-        ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SHIM), "-ldl"], check=True
-    )
-    is_mounted = any(kind.startswith("full") for kind in kinds)
-    space = ["unshare", "--mount", "--propagation", "private"] if is_mounted else []
-    command = [*space, sys.executable, "-m", "hostile.disk", str(folder), *kinds]
-    search = os.pathsep.join(os.path.abspath(entry or ".") for entry in sys.path)  # noqa: PTH100
-    extra = {"LD_PRELOAD": str(library), INSIDE: "1", "PYTHONPATH": search}
-    return subprocess.run(command, env={**os.environ, **extra}, check=False).returncode
+    with tempfile.TemporaryDirectory(prefix="robir-disk-") as folder:
+        library = Path(folder, "faulty_disk.so")
+        build = ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SHIM), "-ldl"]
+        subprocess.run(build, check=True)
+        is_mounted = any(kind.startswith("full") for kind in kinds)
+        space = ["unshare", "--mount", "--propagation", "private"] if is_mounted else []
+        command = [*space, sys.executable, "-m", "hostile.disk", *kinds]
+        search = os.pathsep.join(os.path.abspath(entry or ".") for entry in sys.path)  # noqa: PTH100
+        extra = {"LD_PRELOAD": str(library), INSIDE: folder, "PYTHONPATH": search}
+        return subprocess.run(command, env={**os.environ, **extra}, check=False).returncode
 
 
 def main() -> int:
     """Try all faults of the kinds; returns the number of those that were not told or mended."""
-    folder, kinds = Path(sys.argv[1]).resolve(), sys.argv[2:] or list(KINDS)
+    kinds = sys.argv[1:] or list(KINDS)
     if INSIDE not in os.environ:
-        return inside(folder, kinds)
-    counts = dict(kind.split(":") for kind in kinds if ":" in kind)
-    bench = Bench(folder / "bench", has_renders=not counts)
+        return inside(kinds)
+    bench = Bench(Path(os.environ[INSIDE], "bench"), has_renders=":" not in kinds[0])
     tried = bad = 0
-    for kind in kinds:
-        for fault in bench.faults(kind.partition(":")[0], int(counts.get(kind.partition(":")[0], 100))):
+    for kind, _, count in (word.partition(":") for word in kinds):
+        for fault in bench.faults(kind, int(count or 100)):
             tried += 1
             is_good = fault.is_clear and fault.resumed == bench.code and not fault.differing
             bad += not is_good

@@ -46,8 +46,12 @@ def holder(path: Path) -> int | None:
     Returns:
         Its number, 0 where it has not said yet, or None if nobody holds the lock.
     """
+    wait_for_nothing = getattr(os, "O_NONBLOCK", 0)
     try:
-        handle = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
+        try:
+            handle = os.open(path, os.O_RDWR | wait_for_nothing)
+        except PermissionError:  # another user's run can be followed all the same
+            handle = os.open(path, os.O_RDONLY | wait_for_nothing)
     except OSError:
         return None
     try:
