@@ -130,9 +130,7 @@ PINNED = ["--require-hashes", "--no-deps", "--requirement", "lists/hashes-torch.
 def test_torch_for_each_system(monkeypatch, platform, build, wheels, expected):
     """Never the larger one by chance, never one that cannot use the card."""
     monkeypatch.setattr(sys, "platform", platform)
-    options = Namespace(
-        torch=build, wheels=wheels, constraints=CONSTRAINTS, hashes=Path("lists")
-    )
+    options = Namespace(torch=build, wheels=wheels, constraints=CONSTRAINTS, hashes=Path("lists"))
     assert installer._torch_words(options) == expected
 
 

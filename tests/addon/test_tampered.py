@@ -2,9 +2,11 @@
 """Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -14,6 +16,7 @@ pytestmark = pytest.mark.blender
 
 TAMPER = """
 import sys
+import time
 import bpy
 
 scene, mark = sys.argv[1:]
@@ -29,6 +32,7 @@ bpy.ops.wm.save_as_mainfile(filepath=scene)
 
 RUNS_SCRIPTS = """
 import sys
+import time
 import bpy
 from robir_addon.headless import main
 
@@ -90,3 +94,24 @@ def test_cameras_that_cannot_be(copy, change):
     copy.cameras.write_text(json.dumps(table))
     with pytest.raises(ResultError, match=r"cameras\.json"):
         read_cameras(copy)
+
+
+@pytest.mark.slow
+def test_a_command_ends_with_the_process_that_waits_for_it(copy):
+    """What a killed run leaves behind would write into the folder that goes on without it."""
+    words = ["render", str(copy.root), "--views", "all", "--samples", "100000"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "robir_addon.headless", *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "ROBIR_FOLLOWED": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+    ) as process:
+        assert b"progress" in process.stdout.readline()
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.stdin.close()
+        try:
+            assert process.wait(20) == 130
+        finally:
+            process.kill()
+    assert not list(copy.renders.glob("rerender_*"))

@@ -18,13 +18,17 @@ Make = Callable[[random.Random], bytes]
 KINDS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 OTHERS = ("GIF", "PPM", "TGA", "PCX", "ICO", "DDS", "PDF", "SGI", "EPS", "JPEG2000", "MSP", "XBM")
 SIZES = ((13377, 13377), (178_000_000, 1), (1, 65535), (60000, 60000), (65535, 1526), (4000, 4000))
+LARGE = ((4000, 4000), (9000, 9000), (65535, 200), (10000, 9999))
+SMALL = ((1, 1), (47, 48), (1, 200), (333, 7))
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I;16", "I", "F")
 TEXTS = (
     b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 48 48\n%%EndComments\nshowpage\n",
     b'<svg xmlns="http://www.w3.org/2000/svg"><image href="file:///etc/passwd"/></svg>',
-    b"#!/bin/sh\ntouch /tmp/pwned\n", b"GIF89a", b"\x89PNG\r\n\x1a\n", b"RIFF\xff\xff\xff\xffWEBPVP8X",
+    b"#!/bin/sh\ntouch /tmp/pwned\n", b"GIF89a", b"\x89PNG\r\n\x1a\n",
+    b"RIFF\xff\xff\xff\xffWEBPVP8X",
     b"II*\0\x08\0\0\0\xff\xff" + b"\xff" * 4000, b"BM" + b"\xff" * 60, b"\xff\xd8\xff\xe1\xff\xff",
-    b"#EXTM3U\n/etc/passwd\n", b"\0\0\0\x20ftypheic" + b"\xff" * 64, b"FUJIFILMCCD-RAW " + b"\xff" * 200,
+    b"#EXTM3U\n/etc/passwd\n", b"\0\0\0\x20ftypheic" + b"\xff" * 64,
+    b"FUJIFILMCCD-RAW " + b"\xff" * 200,
 )  # fmt: skip
 
 
@@ -77,7 +81,9 @@ def _chained_tiff(generator: random.Random) -> bytes:
     struct.pack_into("<I", content, first + 2 + 12 * count, generator.choice([first, 8, 2**32 - 1]))
     for index in range(count):
         if generator.random() < 0.3:
-            struct.pack_into("<I", content, first + 2 + 12 * index + 4, generator.choice([0, 2**31]))
+            struct.pack_into(
+                "<I", content, first + 2 + 12 * index + 4, generator.choice([0, 2**31])
+            )
     return bytes(content)
 
 
@@ -132,7 +138,7 @@ def _texts(generator: random.Random) -> bytes:
 
 MAKERS: dict[str, Make] = {
     "claims": lambda g: png(*g.choice(SIZES), depth=g.choice([1, 8, 16])),
-    "blank": lambda g: blank_png(*g.choice([(4000, 4000), (9000, 9000), (65535, 200), (10000, 9999)])),
+    "blank": lambda g: blank_png(*g.choice(LARGE)),
     "large": _large,
     "scans": _scans,
     "tiff": _chained_tiff,
@@ -143,7 +149,7 @@ MAKERS: dict[str, Make] = {
     "texts": _texts,
     "other": lambda g: encoded(g.choice(OTHERS)),
     "mode": lambda g: encoded(g.choice(KINDS), g.choice(MODES)),
-    "size": lambda g: encoded(g.choice(KINDS), size=g.choice([(1, 1), (47, 48), (1, 200), (333, 7)])),
+    "size": lambda g: encoded(g.choice(KINDS), size=g.choice(SMALL)),
     "flipped": lambda g: flipped(encoded(g.choice(KINDS)), g),
     "cut": lambda g: (c := encoded(g.choice(KINDS)))[: g.randrange(len(c))],
     "noise": lambda g: np.random.default_rng(g.randrange(9)).bytes(5000),

@@ -41,16 +41,18 @@ FORMATS: dict[str, tuple[Callable[..., Path], str]] = {
 """What writes a capture, and where its poses lie."""
 
 TOKENS = (
-    "", "nan", "inf", "-inf", "1e999", "-1e308", "1" * 400, "²", "٣", "1_000", "0x10", "x", "-", "\0",
-    "\ud800", "/", "../../../../etc/passwd", "/dev/zero", "a" * 300, '"', "'", "<", "&x;", "]]>", ",,,",
-    "\ufeff", "\u202e", "\r", "1,5", "18446744073709551616", "-9223372036854775809", "True", "None",
+    "", "nan", "inf", "-inf", "1e999", "-1e308", "1" * 400, "²", "٣", "1_000", "0x10", "x", "-",
+    "\0", "\ud800", "/", "../../../../etc/passwd", "/dev/zero", "a" * 300, '"', "'", "<", "&x;",
+    "]]>", ",,,", "\ufeff", "\u202e", "\r", "1,5", "18446744073709551616", "-9223372036854775809",
+    "True", "None",
 )  # fmt: skip
 """Words in place of words of a text file."""
 
 NAMES = (
     b"\xff\xfe.png", b"a\nb.png", b"-rf.png", b"$(touch x).png", b"a;b.png", b"\xe2\x80\xae.png",
-    b"a" * 251 + b".png", b" .png", b"..png", b"con.png", b"%00.png", b"<b>.png", b"'\".png", b"~.png",
-    "é.png".encode(), "é.png".encode(), "😀.png".encode(), b"a\\b.png", b"\x7f.png", b"*.png",
+    b"a" * 251 + b".png", b" .png", b"..png", b"con.png", b"%00.png", b"<b>.png", b"'\".png",
+    b"~.png", "é.png".encode(), "é.png".encode(), "😀.png".encode(), b"a\\b.png", b"\x7f.png",
+    b"*.png",
 )  # fmt: skip
 
 SPECIAL: dict[str, Callable[[Path], object]] = {
@@ -229,8 +231,12 @@ def _numbers(content: bytes, generator: random.Random) -> bytes:
 
 
 def _array(generator: random.Random) -> np.ndarray:
-    shape = generator.choice([(), (0,), (4, 4), (3, 4), (8, 17), (8, 16), (1, 1, 1, 1), (17,), (4, 0)])
-    kind = generator.choice(["f8", "f4", "f2", "i8", "u1", "?", "c16", "U3", "S3", "M8[s]", "V7", ">f8"])
+    shape = generator.choice(
+        [(), (0,), (4, 4), (3, 4), (8, 17), (8, 16), (1, 1, 1, 1), (17,), (4, 0)]
+    )
+    kind = generator.choice(
+        ["f8", "f4", "f2", "i8", "u1", "?", "c16", "U3", "S3", "M8[s]", "V7", ">f8"]
+    )
     with np.errstate(all="ignore"):
         array = np.full(shape, generator.choice([0, 1, -1]), "f8").astype(kind)
         if kind in ("f8", "f4", "f2", ">f8"):
@@ -260,8 +266,13 @@ def _arrays(content: bytes, generator: random.Random, suffix: str) -> bytes:
 def _header(content: bytes, generator: random.Random) -> bytes:
     """An array whose header claims another size, kind or language."""
     shape = generator.choice([(1 << 27, 4), (-1, 4), (2**62, 4), (10**30,), ("x",), (4,) * 40])
-    descr = generator.choice(["'<f8'", "'|O'", "'<f8' if 1 else 0", "__import__('os')", "'<U100000000'"])
-    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape!r}}}".encode().ljust(117) + b"\n"
+    descr = generator.choice(
+        ["'<f8'", "'|O'", "'<f8' if 1 else 0", "__import__('os')", "'<U100000000'"]
+    )
+    text = (
+        f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape!r}}}".encode().ljust(117)
+        + b"\n"
+    )
     array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(64)
     if not zipfile.is_zipfile(BytesIO(content)):
         return array
@@ -302,7 +313,9 @@ def _beside(root: Path, generator: random.Random) -> None:
     """Things that lie in the capture's folder and do not belong there."""
     match generator.randrange(5):
         case 0:
-            name = generator.choice(["a.json", "a.png", "cameras.npz", "masks", "images", "b.xml", "c.sfm"])
+            name = generator.choice(
+                ["a.json", "a.png", "cameras.npz", "masks", "images", "b.xml", "c.sfm"]
+            )
             if not (root / name).exists():
                 SPECIAL[generator.choice(sorted(SPECIAL))](root / name)
         case 1:

@@ -27,8 +27,9 @@ _PATIENCE = 60.0
 
 _PROGRAMS = ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork")
 _CHANGES = (
-    "os.rename os.remove os.mkdir os.rmdir os.link os.symlink os.truncate os.chmod shutil.move"
-).split()
+    "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate",
+    "os.chmod",
+)  # fmt: skip
 _IN_FOLDER = ("os.rename", "os.remove", "os.mkdir", "os.rmdir")
 _BUG = 99
 
@@ -60,7 +61,10 @@ def tried(call: Callable[[], int], codes: Sequence[int], homes: Sequence[Path] =
         codes: Exit codes that are no fault.
         homes: Folders that may be written to, besides that for temporary files.
     """
-    with tempfile.TemporaryDirectory(prefix="robir-try-") as folder, tempfile.TemporaryFile() as log:
+    with (
+        tempfile.TemporaryDirectory(prefix="robir-try-") as folder,
+        tempfile.TemporaryFile() as log,
+    ):
         sys.stdout.flush()
         sys.stderr.flush()
         child = os.fork()
@@ -99,6 +103,7 @@ def _work(call: Callable[[], int], log: int, temporary: Path, homes: Sequence[Pa
     try:
         os.dup2(log, 1)
         os.dup2(log, 2)
+        sys.stdout = sys.stderr = os.fdopen(1, "w", errors="backslashreplace", closefd=False)
         tempfile.tempdir = str(temporary)
         allowed = [os.path.realpath(home) for home in (temporary, *homes)]
         sys.addaudithook(lambda event, words: _watched(event, words, allowed))
@@ -130,6 +135,6 @@ def _watched(event: str, words: Sequence[Any], allowed: Sequence[str]) -> None:
 def _is_inside(path: Any, allowed: Sequence[str], folder: int | None = None) -> bool:
     if isinstance(path, int) or path == os.devnull:
         return True
-    home = "." if folder is None else os.readlink(f"/proc/self/fd/{folder}")
+    home = "." if folder is None else Path(f"/proc/self/fd/{folder}").readlink()
     real = os.path.realpath(os.path.join(home, os.fsdecode(path)))  # noqa: PTH118
     return any(real == home or real.startswith(home + os.sep) for home in allowed)

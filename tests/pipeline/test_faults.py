@@ -170,7 +170,9 @@ def test_an_output_that_cannot_be_made_is_refused(tmp_path):
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
     (out / "lock").mkdir(parents=True)
-    with pytest.raises(StorageError, match=r"out/lock cannot be read or written.*then continue with"):
+    with pytest.raises(
+        StorageError, match=r"out/lock cannot be read or written.*then continue with"
+    ):
         reconstruct(request(capture, out), Silent(), fake_stages())
 
 
