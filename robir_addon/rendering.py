@@ -2,6 +2,7 @@
 """Cycles settings, stills and films."""
 
 import os
+import struct
 from pathlib import Path
 
 import bpy
@@ -11,6 +12,10 @@ from .lut import ToneTable
 
 FRAMES_PER_SECOND = 12
 """A light that goes round in 48 frames then takes four seconds: shadows can be followed."""
+
+_SIGNATURE_BYTES = 8
+_NOTES = (b"tEXt", b"zTXt", b"iTXt", b"tIME", b"eXIf")
+"""Chunks of a PNG that hold words, dates and the like."""
 
 
 def prepare_scene(scene: bpy.types.Scene) -> None:
@@ -68,10 +73,25 @@ def render_still(scene: bpy.types.Scene, path: Path, table: ToneTable | None = N
         bpy.ops.render.render(write_still=True, scene=scene.name)
         if table is not None:
             _develop(raw, temporary, table)
+        else:
+            _strip(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
         raw.unlink(missing_ok=True)
+
+
+def _strip(path: Path) -> None:
+    """Take Blender's notes out of a PNG: whose folder it was rendered in, when, and how long."""
+    content = path.read_bytes()
+    kept, at = [content[:_SIGNATURE_BYTES]], _SIGNATURE_BYTES
+    while at < len(content):
+        size, kind = struct.unpack_from(">I4s", content, at)
+        end = at + 12 + size
+        if kind not in _NOTES:
+            kept.append(content[at:end])
+        at = end
+    path.write_bytes(b"".join(kept))
 
 
 def _develop(raw: Path, path: Path, table: ToneTable) -> None:
