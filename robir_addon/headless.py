@@ -26,11 +26,14 @@ from .gateway import JobPaths, file_in
 from .importer import import_result, read_tone_curve
 from .lights import show_environment, turn_light
 from .lut import ToneTable, read_tone_table
-from .rendering import prepare_scene, render_still, set_threads, write_film
+from .rendering import cut_short, prepare_scene, render_still, set_threads, write_film
 from .view_transform import match_view_transform
 
 _FOLLOWED = "ROBIR_FOLLOWED"
 """Set by who starts a command and keeps its standard input open for as long as it waits."""
+
+_COMPRESSED_END = b"\xb1\xea\x92\x8f"
+"""Last bytes of a whole compressed .blend: the mark of the table of its parts."""
 
 _INTERRUPTED = 130
 _DISK = 6
@@ -121,6 +124,8 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     temporary = path.with_name(f".{path.stem}-{os.getpid()}.blend")
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
+        if not temporary.read_bytes().endswith(_COMPRESSED_END):
+            raise cut_short(path)
         temporary.replace(path)
     except RuntimeError as fault:
         raise ResultError(f"{path} cannot be written: {fault}") from fault

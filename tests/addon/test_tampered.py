@@ -115,3 +115,22 @@ def test_a_command_ends_with_the_process_that_waits_for_it(copy):
         finally:
             process.kill()
     assert not list(copy.renders.glob("rerender_*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="takes POSIX limits")
+def test_a_disk_that_takes_no_more_is_told_as_such(copy):
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    run = subprocess.run(
+        [sys.executable, "-m", "robir_addon.headless", "scene", str(copy.root)],
+        capture_output=True, text=True, check=False, preexec_fn=limited,
+    )  # fmt: skip
+    assert run.returncode == 6, run.stderr
+    assert run.stderr.startswith("error: ")
+    assert "only a part of it could be written" in run.stderr  # of which Blender says nothing
+    assert "; make room" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert not list(copy.export.glob(".scene*"))

@@ -16,15 +16,14 @@ from typing import Any
 
 from robir.errors import CancelledError, DeviceError, QualityError, RobirError, StorageError
 
+_FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+_DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
+"""How libraries tell of them that raise an error of their own."""
+
 _AWAY = ("ESTALE", "ETIMEDOUT", "ENOTCONN", "EHOSTDOWN", "ENXIO", "ENODEV")
 """How a network drive or a disk that was pulled out is told; not every system knows all."""
 
-_DISK_ERRORS = frozenset(
-    {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO}
-    | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
-)
-_DISK_WORDS = {os.strerror(number).lower(): number for number in _DISK_ERRORS}
-"""How libraries tell of them that raise an error of their own."""
+_DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
 
 _FULL_BELOW_BYTES = 1 << 20
 
