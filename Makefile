@@ -6,6 +6,8 @@
 # make setup                       only the environment; .venv/bin/robir is then the command
 # make fuzz [SECONDS=300]          hostile bytes for every reader, with atheris
 # make audit                       known weaknesses of the pinned versions
+# make hashes                      anew the versions and hashes that Install Engine may download
+# make hostile [ROUNDS=10]         hours of harm: mutated captures, kills, faults of the disk, leaks
 # make blenders                    further Blender versions, for the tests of the extension
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
@@ -16,6 +18,10 @@ DEMO ?= demo
 VALIDATOR := 2.0.0-dev.3.10
 
 SECONDS ?= 300
+SEED ?= 35
+ROUNDS ?= 10
+KILLS ?= 40
+RUNS ?= 100
 TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
   colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
   worker_log run manifest capture_json arrays
@@ -27,7 +33,7 @@ SOURCES := core tests blender_scenes robir_addon build_addon.py
 SYSTEM_LIBRARIES := libXrender.so.1 libXfixes.so.3 libXi.so.6 libxkbcommon.so.0 libSM.so.6 libGL.so.1
 SYSTEM_PACKAGES := libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1
 
-.PHONY: setup demo addon blenders validator test fast lint fuzz audit system-packages
+.PHONY: setup demo addon blenders validator test fast lint fuzz audit hashes hostile system-packages
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -156,10 +162,37 @@ fuzz: setup
 	@for target in $(TARGETS); do \
 	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
 
-# Known weaknesses of the pinned versions; asks the index's database.
+# Mutated captures, kills over all stages, faults of the disk and leaks, each with its own count.
+hostile: setup
+	@set -e; export PYTHONPATH=core:.:tests OMP_NUM_THREADS=1; \
+	$(BIN)/python -m hostile.corpus $(SEED) $(ROUNDS); \
+	$(BIN)/python -m hostile.kills $(KILLS) $(SEED); \
+	$(BIN)/python -m hostile.disk; \
+	$(BIN)/python -m hostile.leaks $(RUNS)
+
+# Known weaknesses of the pinned versions, and what the rules of semgrep find; both ask the network.
 audit: setup
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip-audit>=2.7'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip-audit>=2.7' 'semgrep>=1.100'
 	$(BIN)/pip-audit --requirement constraints.txt --no-deps
+	$(BIN)/semgrep scan --config p/python --metrics off $(SHIPPED)
+
+# What pip may take from the usual index, whatever the system: all files of the pinned versions.
+hashes: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'uv>=0.5'
+	@sh -c "$$PIN_HASHES"
+
+define PIN_HASHES
+set -eu
+folder=robir_addon/engine
+pin() { "$(BIN)/uv" pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+  --no-annotate --no-header "$$@"; }
+echo 'pip>=25.1' | pin - >$$folder/hashes-pip.txt
+# torch and what its build for CUDA needs are a list of their own: other builds do without
+pin pyproject.toml --constraint constraints.txt | awk -v folder=$$folder '
+  /^[a-z]/ { list = /^(torch|triton|nvidia-[a-z0-9-]+|cuda-[a-z]+)==/ ? "-torch" : "" }
+  { print > (folder "/hashes" list ".txt") }'
+endef
+export PIN_HASHES
 
 # The Khronos validator of glTF files, beside the environment's own node.
 validator: setup

@@ -3,14 +3,18 @@
 
 Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
 end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
-0 done, 1 bug or damaged result, 2 usage, 130 interrupted.
+0 done, 1 bug or damaged result, 2 usage, 6 the disk failed, 130 interrupted.
 """
 
 import argparse
+import errno
 import json
 import math
 import os
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -22,24 +26,85 @@ from .gateway import JobPaths, file_in
 from .importer import import_result, read_tone_curve
 from .lights import show_environment, turn_light
 from .lut import ToneTable, read_tone_table
-from .rendering import prepare_scene, render_still, set_threads, write_film
+from .rendering import cut_short, prepare_scene, render_still, set_threads, write_film
 from .view_transform import match_view_transform
+
+_FOLLOWED = "ROBIR_FOLLOWED"
+"""Set by who starts a command and keeps its standard input open for as long as it waits."""
+
+_COMPRESSED_END = b"\xb1\xea\x92\x8f"
+"""Last bytes of a whole compressed .blend: the mark of the table of its parts."""
+
+_INTERRUPTED = 130
+_DISK = 6
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     options = _parser().parse_args(arguments)
-    reports = _own_standard_output()
-    try:
-        files, notes = options.command(options, reports)
-    except AddonError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return error.exit_code
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
-    _say(reports, {"files": [str(file) for file in files], "notes": list(notes)})
+    with _own_standard_output() as reports, _ending_with_the_caller(reports):
+        try:
+            files, notes = options.command(options, reports)
+        except (AddonError, OSError, RuntimeError) as error:
+            if _is_of_the_disk(error):
+                where = "make room or mend the folder, then continue with --resume"
+                sys.stderr.write(f"error: {_line(error)}; {where}\n")
+                return _DISK
+            if not isinstance(error, AddonError):
+                raise
+            sys.stderr.write(f"error: {error}\n")
+            return error.exit_code
+        except KeyboardInterrupt:
+            sys.stderr.write("interrupted\n")
+            return _INTERRUPTED
+        _say(reports, {"files": [str(file) for file in files], "notes": list(notes)})
     return 0
+
+
+def _is_of_the_disk(error: BaseException) -> bool:
+    """Whether a disk that is full or broken is behind an error; Blender tells it only in words."""
+    link: BaseException | None = error
+    while link is not None:
+        words = str(link)
+        if getattr(link, "errno", None) in _DISK_ERRORS:
+            return True
+        if any(os.strerror(number) in words for number in _DISK_ERRORS):
+            return True
+        link = link.__cause__ or link.__context__
+    return False
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+@contextmanager
+def _ending_with_the_caller(reports: TextIO) -> Iterator[None]:
+    """Die with a caller that was killed: a run that goes on in its folder must not meet this one.
+
+    At the end the reports are closed, upon which the caller closes standard input: Blender would
+    wait for ever at its exit for a thread that still reads there.
+    """
+    if not os.environ.get(_FOLLOWED):
+        yield
+        return
+    is_done = threading.Event()
+
+    def wait() -> None:
+        while os.read(0, 1):
+            pass
+        if not is_done.is_set():
+            os._exit(_INTERRUPTED)
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_done.set()
+        reports.close()
+        thread.join()
 
 
 def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
@@ -59,6 +124,8 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     temporary = path.with_name(f".{path.stem}-{os.getpid()}.blend")
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
+        if not temporary.read_bytes().endswith(_COMPRESSED_END):
+            raise cut_short(path)
         temporary.replace(path)
     except RuntimeError as fault:
         raise ResultError(f"{path} cannot be written: {fault}") from fault

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles settings, stills and films."""
 
+import errno
 import os
+import struct
 from pathlib import Path
 
 import bpy
@@ -11,6 +13,12 @@ from .lut import ToneTable
 
 FRAMES_PER_SECOND = 12
 """A light that goes round in 48 frames then takes four seconds: shadows can be followed."""
+
+_SIGNATURE_BYTES = 8
+_NOTES = (b"tEXt", b"zTXt", b"iTXt", b"tIME", b"eXIf")
+"""Chunks of a PNG that hold words, dates and the like."""
+
+_END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
 def prepare_scene(scene: bpy.types.Scene) -> None:
@@ -68,10 +76,35 @@ def render_still(scene: bpy.types.Scene, path: Path, table: ToneTable | None = N
         bpy.ops.render.render(write_still=True, scene=scene.name)
         if table is not None:
             _develop(raw, temporary, table)
+        _strip(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
         raw.unlink(missing_ok=True)
+
+
+def cut_short(path: Path) -> OSError:
+    """What is wrong with a file that Blender wrote without a complaint, and only in part."""
+    return OSError(errno.EIO, "only a part of it could be written", str(path))
+
+
+def _strip(path: Path) -> None:
+    """Take Blender's notes out of a PNG: whose folder it was rendered in, when, and how long.
+
+    Raises:
+        OSError: If it does not end as a whole one does; Blender may not notice a full disk.
+    """
+    content = path.read_bytes()
+    if not content.endswith(_END):
+        raise cut_short(path)
+    kept, at = [content[:_SIGNATURE_BYTES]], _SIGNATURE_BYTES
+    while at < len(content):
+        size, kind = struct.unpack_from(">I4s", content, at)
+        end = at + 12 + size
+        if kind not in _NOTES:
+            kept.append(content[at:end])
+        at = end
+    path.write_bytes(b"".join(kept))
 
 
 def _develop(raw: Path, path: Path, table: ToneTable) -> None:

@@ -33,6 +33,9 @@ from .states import GO_ON, Record, read_record, wheel_hash, wheel_version, write
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 
+HASHES, TORCH_HASHES, PIP_HASHES = "hashes.txt", "hashes-torch.txt", "hashes-pip.txt"
+"""Versions and hashes: of what the core needs, of torch as the usual index has it, of pip."""
+
 STEPS = {"environment": 0.04, "pip": 0.02, "torch": 0.64, "robir": 0.27, "check": 0.03}
 """Share of each step in the time."""
 
@@ -96,23 +99,13 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
     pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
     if options.wheels is None and not pip.can_resume:
         with suppress(EngineError):  # an old one works too, it begins a broken file again
-            pip.install(["--upgrade", "pip>=25.1"], 2 * MEBIBYTE, steps.of("pip"), "pip")
+            pip.install(_hashed(options, PIP_HASHES), 2 * MEBIBYTE, steps.of("pip"), "pip")
     if before is not None and before.torch_build != options.torch:
         pip.uninstall("torch")
-    pip.install(
-        [*_torch_words(options), "--constraint", str(options.constraints)],
-        TORCH_BYTES[options.torch],
-        steps.of("torch"),
-        "torch",
-    )
+    pip.install(_torch_words(options), TORCH_BYTES[options.torch], steps.of("torch"), "torch")
     if before is None or before.wheel_sha256 != wheel_hash(options.wheel):
         pip.uninstall("robir")
-    pip.install(
-        [str(options.wheel), "--constraint", str(options.constraints)],
-        OTHER_BYTES,
-        steps.of("robir"),
-        "RobIR",
-    )
+    pip.install(_robir_words(options), OTHER_BYTES, steps.of("robir"), "RobIR")
     steps.of("check")(0.0, "checking the engine")
     record = _checked(place, options)
     shutil.rmtree(place.cache, ignore_errors=True)
@@ -164,12 +157,27 @@ def _torch_words(options: argparse.Namespace) -> list[str]:
     reach. What torch needs besides comes from the usual index with the rest.
     """
     is_usual = {"linux": "CUDA", "win32": "CPU", "darwin": "CPU"}.get(sys.platform)
-    if options.wheels is not None or options.torch == is_usual:
-        return ["torch"]
+    if options.wheels is not None:
+        return ["torch", "--constraint", str(options.constraints)]
+    if options.torch == is_usual:
+        return _hashed(options, TORCH_HASHES)
     label, index = ("cpu", CPU_INDEX) if options.torch == "CPU" else ("cu130", CUDA_INDEX)
     text = options.constraints.read_text(encoding="utf-8")
     version = re.search(r"^torch==([\w.]+)", text, re.MULTILINE)
     return [f"torch=={version[1]}+{label}", "--no-deps", "--index-url", index]
+
+
+def _robir_words(options: argparse.Namespace) -> list[str]:
+    """The core with what it needs: from the network nothing but what was tested, by its hash."""
+    if options.wheels is not None:
+        return [str(options.wheel), "--constraint", str(options.constraints)]
+    address = f"{options.wheel.as_uri()}#sha256={wheel_hash(options.wheel)}"
+    return [*_hashed(options, HASHES), f"robir @ {address}"]
+
+
+def _hashed(options: argparse.Namespace, name: str) -> list[str]:
+    """All packages of a list in the versions and with the hashes that it states, and no others."""
+    return ["--require-hashes", "--no-deps", "--requirement", str(options.hashes / name)]
 
 
 def _refuse_little_room(place: Place, build: str) -> None:
@@ -229,6 +237,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--root", type=_absolute, required=True, help="the engine's folder")
     parser.add_argument("--wheel", type=_absolute, required=True, help="wheel of the core")
     parser.add_argument("--constraints", type=_absolute, required=True, help="versions to take")
+    parser.add_argument(
+        "--hashes",
+        type=_absolute,
+        default=Path(__file__).parent,
+        help="folder of the lists of what the network may give; default those beside this file",
+    )
     parser.add_argument("--torch", choices=("CPU", "CUDA"), required=True)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(

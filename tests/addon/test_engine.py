@@ -11,11 +11,21 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+import tomllib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from addon.wheelhouse import CONSTRAINTS, build_robir, serve, stand_ins
+from addon.wheelhouse import (
+    CONSTRAINTS,
+    ROOT,
+    build_robir,
+    plain,
+    serve,
+    stand_ins,
+    write_hashes,
+)
+from packaging.requirements import Requirement
 
 import robir
 from robir_addon.engine import EngineError, Place, remove, status
@@ -34,6 +44,7 @@ class Source:
     robir: Path
     wheels: Path
     cuda_wheels: Path
+    hashes: Path
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +53,14 @@ def source(tmp_path_factory) -> Source:
     wheels, cuda = folder / 'it\'s "all" hére', folder / "cuda"
     stand_ins(wheels)
     stand_ins(cuda, "cu130")
-    return Source(build_robir(folder / "robir"), wheels, cuda)
+    hashes = write_hashes(folder / "hashes", cuda)
+    return Source(build_robir(folder / "robir"), wheels, cuda, hashes)
 
 
 def command(place, source, *, build="CPU", wheels=None):
     words = ["--root", str(place.root), "--wheel", str(source.robir), "--torch", build]
-    origin = ["--online"] if wheels == "" else ["--wheels", str(wheels or source.wheels)]
+    network = ["--online", "--hashes", str(source.hashes)]
+    origin = network if wheels == "" else ["--wheels", str(wheels or source.wheels)]
     return worker_command(*words, "--constraints", str(CONSTRAINTS), *origin)
 
 
@@ -230,6 +243,40 @@ def test_a_download_that_breaks_off_goes_on(copy, source, tmp_path):
     assert not copy.cache.exists()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere torch has an index of its own")
+@pytest.mark.parametrize("name", ["torch", "scipy"])
+def test_what_is_not_as_it_was_pinned_is_not_installed(copy, source, tmp_path, name):
+    """An index that gives the right version with other contents."""
+    forget(copy, "torch", "scipy")
+    lists = shutil.copytree(source.hashes, tmp_path / "hashes")
+    file = lists / ("hashes-torch.txt" if name == "torch" else "hashes.txt")
+    file.write_text(re.sub(rf"({name}==\S+ --hash=sha256:)....", r"\g<1>0000", file.read_text()))
+    words = command(copy, replace(source, hashes=lists), build="CUDA", wheels="")
+    with serve(source.cuda_wheels) as index:
+        code, lines, _ = run(words, PIP_INDEX_URL=index.url, PIP_TRUSTED_HOST="127.0.0.1")
+    assert code == 4
+    assert "arrived damaged" in lines[-1]["error"]
+    assert not list(copy.site_packages.glob(f"{name}-*"))
+
+
+def test_the_network_may_give_the_pinned_versions_and_nothing_else():
+    """The lists hold all that the core needs, in the versions of constraints.txt, with hashes."""
+    folder = ROOT / "robir_addon/engine"
+    texts = [(folder / f"hashes{name}.txt").read_text() for name in ("", "-torch", "-pip")]
+    blocks = re.split(r"\n(?=\S)", "\n".join(text.strip() for text in texts))
+    assert all(block.count(" --hash=sha256:") >= 1 for block in blocks)
+    found = [re.match(r"([a-z][\w.-]*)==(\S+)", block) for block in blocks]
+    listed = {(plain(entry[1]), entry[2]) for entry in found if entry}
+    assert len(listed) == len(blocks)
+    pins = [Requirement(line) for line in CONSTRAINTS.read_text().splitlines() if line[0] != "#"]
+    pinned = {(plain(pin.name), str(pin.specifier).removeprefix("==")) for pin in pins}
+    names = {name for name, _ in pinned}
+    assert {entry for entry in listed if entry[0] in names} <= pinned
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {plain(Requirement(line).name) for line in project["dependencies"]}
+    assert needed <= {name for name, _ in listed}
+
+
 def test_no_network_at_all(copy, source):
     forget(copy, "torch")
     words = command(copy, source, build="CUDA", wheels="")
@@ -269,7 +316,7 @@ def test_another_build_of_the_same_version_is_installed_anew(copy, source, tmp_p
     file = copy.site_packages / "robir/cli.py"
     file.unlink()
     file.write_text("spoilt")
-    assert run(command(copy, Source(newer, source.wheels, source.wheels)))[0] == 0
+    assert run(command(copy, replace(source, robir=newer)))[0] == 0
     assert status(copy, newer, "CPU").state == "ready"
     assert "spoilt" not in file.read_text()
 

@@ -113,23 +113,24 @@ def test_a_blender_without_a_python(monkeypatch, executable):
 
 CPU_LABEL = ["--no-deps", "--index-url", installer.CPU_INDEX]
 CUDA_LABEL = ["--no-deps", "--index-url", installer.CUDA_INDEX]
+PINNED = ["--require-hashes", "--no-deps", "--requirement", "lists/hashes-torch.txt"]
 
 
 @pytest.mark.parametrize(
     ("platform", "build", "wheels", "expected"),
     [
         ("linux", "CPU", None, ["torch==2.13.0+cpu", *CPU_LABEL]),
-        ("linux", "CUDA", None, ["torch"]),
-        ("win32", "CPU", None, ["torch"]),
+        ("linux", "CUDA", None, PINNED),
+        ("win32", "CPU", None, PINNED),
         ("win32", "CUDA", None, ["torch==2.13.0+cu130", *CUDA_LABEL]),
-        ("darwin", "CPU", None, ["torch"]),
-        ("linux", "CPU", Path("wheels"), ["torch"]),
+        ("darwin", "CPU", None, PINNED),
+        ("linux", "CPU", Path("wheels"), ["torch", "--constraint", str(CONSTRAINTS)]),
     ],
 )
 def test_torch_for_each_system(monkeypatch, platform, build, wheels, expected):
     """Never the larger one by chance, never one that cannot use the card."""
     monkeypatch.setattr(sys, "platform", platform)
-    options = Namespace(torch=build, wheels=wheels, constraints=CONSTRAINTS)
+    options = Namespace(torch=build, wheels=wheels, constraints=CONSTRAINTS, hashes=Path("lists"))
     assert installer._torch_words(options) == expected
 
 

@@ -54,6 +54,8 @@ def test_scene_renders_like_the_photographs(built):
         assert np.mean((ours[..., 3] > 0.5) == (view.mask > 127)) > 0.99
         # the photographs are of a purely diffuse sphere; Principled adds its gloss
         assert psnr(ours[..., :3], view.image_display / 255.0, inside) > 23.0
+        with Image.open(built.renders / f"rerender_{view.name}.png") as shown:
+            assert set(shown.info) <= {"dpi", "gamma", "srgb"}  # neither folder nor date
 
 
 @pytest.mark.parametrize("family", ["standard", "robir_aces", "agx"])

@@ -2,9 +2,12 @@
 """Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
 
 import json
+import os
+import re
 import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -14,6 +17,7 @@ pytestmark = pytest.mark.blender
 
 TAMPER = """
 import sys
+import time
 import bpy
 
 scene, mark = sys.argv[1:]
@@ -29,6 +33,7 @@ bpy.ops.wm.save_as_mainfile(filepath=scene)
 
 RUNS_SCRIPTS = """
 import sys
+import time
 import bpy
 from robir_addon.headless import main
 
@@ -90,3 +95,44 @@ def test_cameras_that_cannot_be(copy, change):
     copy.cameras.write_text(json.dumps(table))
     with pytest.raises(ResultError, match=r"cameras\.json"):
         read_cameras(copy)
+
+
+@pytest.mark.slow
+def test_a_command_ends_with_the_process_that_waits_for_it(copy):
+    """What a killed run leaves behind would write into the folder that goes on without it."""
+    words = ["render", str(copy.root), "--views", "all", "--samples", "100000"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "robir_addon.headless", *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "ROBIR_FOLLOWED": "1"},
+    ) as process:
+        assert b"progress" in process.stdout.readline()
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.stdin.close()
+        try:
+            assert process.wait(20) == 130
+        finally:
+            process.kill()
+    assert not list(copy.renders.glob("rerender_*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="takes POSIX limits")
+def test_a_disk_that_takes_no_more_is_told_as_such(copy):
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    run = subprocess.run(
+        [sys.executable, "-m", "robir_addon.headless", "scene", str(copy.root)],
+        capture_output=True, text=True, check=False, preexec_fn=limited,
+    )  # fmt: skip
+    assert run.returncode == 6, run.stderr
+    assert run.stderr.startswith("error: ")
+    # Blender notices it only where its last block is not the one that is cut
+    assert re.search("only a part of it could be written|File too large", run.stderr)
+    assert "; make room" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert not list(copy.export.glob(".scene*"))

@@ -7,6 +7,7 @@ hold next to nothing: that is all pip's resolver looks at.
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 import tomllib
@@ -74,6 +75,20 @@ def write_wheel(folder: Path, name: str, version: str, size: int = 0) -> Path:
         archive.writestr(f"{info}/WHEEL", tags)
         archive.writestr(f"{info}/RECORD", "")
     return file
+
+
+def write_hashes(folder: Path, wheels: Path) -> Path:
+    """The lists of what an index may give, for one that offers the wheels of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lists: dict[str, str] = {"hashes.txt": "", "hashes-torch.txt": "", "hashes-pip.txt": ""}
+    for wheel in sorted(wheels.glob("*.whl")):
+        name, version = wheel.name.split("-")[:2]
+        digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+        line = f"{name}=={version} --hash=sha256:{digest}\n"
+        lists["hashes-torch.txt" if name == "torch" else "hashes.txt"] += line
+    for name, text in lists.items():
+        (folder / name).write_text(text)
+    return folder
 
 
 @dataclass

@@ -17,15 +17,20 @@ from robir.config import RunConfig
 from robir.errors import RobirError, StorageError, UsageError
 from robir.evaluation.evaluate import evaluate
 from robir.evaluation.levels import level_scores
+from robir.export import stage
+from robir.export.config import ExportConfig
 from robir.jobs import client
+from robir.jobs.context import StageContext
 from robir.jobs.folder import create
 from robir.jobs.names import UnsafeNameError, file_in
-from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.jobs.records import DamagedFileError, check
 from robir.jobs.status import StatusWriter
 from robir.pipeline.faults import translated
 from robir.pipeline.folder import new_run, read_run
 from robir.pipeline.ledger import clear_for_rerun, stage_state
+from robir.pipeline.reporter import RunReporter
+from tests.pipeline.fakes import Silent
 
 
 @pytest.fixture(scope="module")
@@ -199,3 +204,19 @@ def test_new_runs_are_read_again(tmp_path):
     )  # fmt: skip
     write_json(paths.run, run)
     assert read_run(paths) == run
+
+
+def test_a_full_disk_under_blender_stops_the_export(whole, tmp_path, monkeypatch):
+    """Else the run would count as whole, without what a run that goes on could still make."""
+    program = tmp_path / "blender"
+    program.write_text("#!/bin/sh\necho 'error: No space left on device; make room' >&2\nexit 6\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("ROBIR_BLENDER", str(program))
+    paths = JobPaths(shutil.copytree(whole, tmp_path / "out"))
+    context = StageContext(
+        paths=paths, config=ExportConfig(), source=tmp_path, masks=None, seed=0, device="cpu",
+        reporter=RunReporter(paths, Silent(), STAGES),
+    )  # fmt: skip
+    context.reporter.begin("export")
+    with pytest.raises(StorageError, match=r"^No space left on device; make room$"):
+        stage.run(context)

@@ -170,7 +170,9 @@ def test_an_output_that_cannot_be_made_is_refused(tmp_path):
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
     (out / "lock").mkdir(parents=True)
-    with pytest.raises(StorageError, match=r"out/lock cannot be written.*then continue with"):
+    with pytest.raises(
+        StorageError, match=r"out/lock cannot be read or written.*then continue with"
+    ):
         reconstruct(request(capture, out), Silent(), fake_stages())
 
 
@@ -191,3 +193,49 @@ def test_progress_tells_the_time_left(tmp_path):
     lefts = [left for _, left in seen if left is not None]
     assert lefts[-1] == pytest.approx(0.0, abs=1e-6)
     assert max(lefts) < 60 * total
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EIO])
+def test_a_library_that_met_a_failing_disk_is_understood(tmp_path, number):
+    """OpenEXR, for one, raises an error of its own that only quotes the system's words."""
+    said = f'Failed to write pixel data to image file "x.exr". {os.strerror(number)}.'
+    with pytest.raises(StorageError, match=f"{os.strerror(number)}; make room"):
+        run_with_mischief(tmp_path, raising(RuntimeError(said)))
+
+
+def test_a_disk_that_went_away_is_told_where_no_file_is_named(tmp_path):
+    with pytest.raises(StorageError, match="geometry: Stale file handle"):
+        run_with_mischief(tmp_path, raising(OSError(errno.ESTALE, os.strerror(errno.ESTALE))))
+
+
+def test_a_log_that_cannot_be_written_says_nothing_more(tmp_path, monkeypatch, capsys):
+    """The run itself has told of the full disk; logging would print its own traceback."""
+    import logging
+
+    def full(handler, record):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(logging.FileHandler, "flush", lambda handler: full(handler, None))
+    run_with_mischief(tmp_path, lambda context: context.reporter.warn("few views"))
+    assert "Logging error" not in capsys.readouterr().err
+
+
+def test_a_lock_that_cannot_be_removed_hides_no_error(tmp_path, monkeypatch):
+    def refused(path, missing_ok=False):
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    path = tmp_path / "lock"
+    with pytest.raises(ZeroDivisionError), folder_lock(path):
+        monkeypatch.setattr(Path, "unlink", refused)
+        raise ZeroDivisionError
+    monkeypatch.undo()
+    with folder_lock(path):
+        pass
+
+
+def test_a_folder_whose_first_file_could_not_be_written_is_still_ours(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("status.json", "events.jsonl", ".run-x.json", ".status-y.json", "log.txt"):
+        (out / name).touch()
+    reconstruct(request(make_capture(tmp_path / "capture"), out), Silent(), fake_stages())

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,6 +22,12 @@ from robir.capture.refusal import refuse
 from robir.masking.opencv import cv2
 
 Bytes = NDArray[np.uint8]
+
+_AT_ONCE = 1 << 24
+"""Largest picture, in pixels, that is shrunk as a whole."""
+
+_BAND = 64
+"""Rows of the result that are made at a time of larger ones."""
 
 MESH = 8
 """Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
@@ -181,14 +188,47 @@ def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, B
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
 
+    if mask.size > _AT_ONCE:
+        return _shrink_in_bands(image, mask, width, height)
+    small = cv2.resize(_weighted(image, mask), (width, height), interpolation=cv2.INTER_AREA)
+    return _straight(small)
+
+
+def _weighted(image: Bytes, mask: Bytes) -> NDArray[np.float32]:
+    """Colours times the mask, and the mask, (H, W, 4)."""
     layers = np.empty((*mask.shape, 4), np.float32)
     # A grain of weight keeps the picture where there is no object at all.
     np.add(mask, np.float32(1e-3), out=layers[:, :, 3])
     np.multiply(image, layers[:, :, 3:], out=layers[:, :, :3])
-    small = cv2.resize(layers, (width, height), interpolation=cv2.INTER_AREA)
-    small[:, :, :3] /= small[:, :, 3:]
-    codes = _bytes(small)
+    return layers
+
+
+def _straight(layers: NDArray[np.float32]) -> tuple[Bytes, Bytes]:
+    """The picture and the mask of `_weighted`."""
+    layers[:, :, :3] /= layers[:, :, 3:]
+    codes = _bytes(layers)
     return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+
+
+def _shrink_in_bands(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
+    """As `shrink`, some rows at a time: all at once takes 20 bytes a pixel and more."""
+    small = np.empty((height, width, 3), np.uint8)
+    small_mask = np.empty((height, width), np.uint8)
+    step = len(mask) / height
+    for top in range(0, height, _BAND):
+        rows = np.arange(top, min(top + _BAND, height))
+        first, last = int(top * step), min(len(mask), math.ceil((rows[-1] + 1) * step))
+        part = np.s_[first:last]
+        size = (width, last - first)
+        layers = cv2.resize(_weighted(image[part], mask[part]), size, interpolation=cv2.INTER_AREA)
+        # what each row of the file has in common with each row that is wanted
+        at = np.arange(first, last)
+        start = np.maximum(at, (rows * step)[:, None])
+        end = np.minimum(at + 1, ((rows + 1) * step)[:, None])
+        share = (np.maximum(end - start, 0.0) / step).astype(np.float32)
+        band = (share @ layers.reshape(len(at), -1)).reshape(len(rows), width, 4)
+        small[rows], small_mask[rows] = _straight(band)
+    return small, small_mask
 
 
 def resize_view(view: View, max_side: int) -> View:
@@ -310,6 +350,11 @@ def _bytes(values: NDArray[np.float32]) -> Bytes:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
+def _array_of(picture: Image.Image, mode: str) -> Bytes:
+    """Pixels in a mode; Pillow would copy those that have it already once more."""
+    return np.array(picture if picture.mode == mode else picture.convert(mode))
+
+
 def pixels_of(picture: Image.Image, path: Path, turn: int = 1) -> Photo:
     """Pixels of a decoded picture as 8-bit RGB and alpha.
 
@@ -330,16 +375,18 @@ def pixels_of(picture: Image.Image, path: Path, turn: int = 1) -> Photo:
         )
     if picture.mode.startswith("I"):
         # 16-bit grey; 65535 / 255 = 257.
-        grey = np.clip(np.rint(np.asarray(picture).astype(np.float64) / 257), 0, 255)
+        grey = np.clip(np.asarray(picture), 0, 65535).astype(np.int32)
+        grey += 128  # so that whole numbers are rounded, not cut
+        grey //= 257
         return Photo(
             image_display=np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2),
             alpha=None,
             orientation=turn,
         )
     if not picture.has_transparency_data:
-        image = np.array(picture.convert("RGB"))
+        image = _array_of(picture, "RGB")
         return Photo(image_display=image, alpha=None, orientation=turn)
-    pixels = np.array(picture.convert("RGBA"))
+    pixels = _array_of(picture, "RGBA")
     alpha = np.ascontiguousarray(pixels[:, :, 3])
     return Photo(
         image_display=np.ascontiguousarray(pixels[:, :, :3]),

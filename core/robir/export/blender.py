@@ -21,15 +21,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robir.errors import CancelledError, DeviceError, RobirError, UsageError
+from robir.errors import CancelledError, DeviceError, RobirError, StorageError, UsageError
+
+_DISK = 6
+"""What the command exits with where a file cannot be written or read."""
 
 _ERRORS: dict[int, type[RobirError]] = {
-    error.exit_code: error for error in (UsageError, DeviceError, CancelledError)
+    _DISK: StorageError,
+    **{error.exit_code: error for error in (UsageError, DeviceError, CancelledError)},
 }
 
 _EXECUTABLE = "ROBIR_BLENDER"
 _ADDON = "ROBIR_ADDON"
 _COMMAND = "robir_scene"
+_FOLLOWED = "ROBIR_FOLLOWED"
+"""Tells the command that its standard input ends with whoever waits for it, and it then, too."""
 
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 
@@ -90,12 +96,13 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
         subprocess.Popen(
             command,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=complaints,
             text=True,
             encoding="utf-8",
             errors="replace",
-            env=environment,
+            env={**environment, _FOLLOWED: "1"},
         ) as process,
     ):
         try:
@@ -104,6 +111,8 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
                 if "progress" in report:
                     on_progress(report["progress"], report["message"])
                 last = report or last
+            if process.stdin:
+                process.stdin.close()
         except BaseException:
             process.terminate()
             raise

@@ -12,7 +12,7 @@ from typing import Any
 
 from robir.capture.capture import Capture
 from robir.capture.store import load_settled, plain_view, view_path
-from robir.errors import CancelledError, RobirError
+from robir.errors import CancelledError, RobirError, StorageError
 from robir.evaluation.layers import load_textures, result_mesh
 from robir.export.blender import Outcome, run_headless
 from robir.export.config import ExportConfig
@@ -147,8 +147,8 @@ def _render(
 
         try:
             done[name] = run_headless(arguments, follow)
-        except CancelledError:
-            raise
+        except (CancelledError, StorageError):
+            raise  # what is missing for want of room is made when the run goes on
         except RobirError as error:
             context.reporter.warn(f"no {name} in Cycles: {error}")
             missing.append(f"{name} in Cycles: {error}")

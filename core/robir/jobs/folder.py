@@ -35,9 +35,11 @@ def create(paths: JobPaths) -> None:
         StorageError: If it cannot be made.
     """
     root = paths.root
-    first = (paths.run, paths.lock, paths.log, paths.cancel, paths.worker, paths.worker_log)
-    ours = {path.name for path in first}
-    halves = tuple(f".{path.stem}-" for path in (paths.run, paths.worker))
+    # what may be there before run.json: by its starter, or where that could not be written
+    first = (paths.lock, paths.log, paths.cancel, paths.worker_log, paths.events)
+    whole = (paths.run, paths.worker, paths.status)
+    ours = {path.name for path in (*first, *whole)}
+    halves = tuple(f".{path.stem}-" for path in whole)
     try:
         root.mkdir(parents=True, exist_ok=True)
         strangers = [

@@ -11,7 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from robir.errors import UsageError
@@ -46,8 +46,12 @@ def holder(path: Path) -> int | None:
     Returns:
         Its number, 0 where it has not said yet, or None if nobody holds the lock.
     """
+    wait_for_nothing = getattr(os, "O_NONBLOCK", 0)
     try:
-        handle = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
+        try:
+            handle = os.open(path, os.O_RDWR | wait_for_nothing)
+        except PermissionError:  # another user's run can be followed all the same
+            handle = os.open(path, os.O_RDONLY | wait_for_nothing)
     except OSError:
         return None
     try:
@@ -77,11 +81,14 @@ def folder_lock(path: Path) -> Iterator[None]:
         os.write(handle, f"{os.getpid()}\n".encode())
         yield
     finally:
+        # On a disk that is read-only by now it stays; without a holder it means nothing.
         if sys.platform == "win32":
             os.close(handle)
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
         else:
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
             os.close(handle)
 
 

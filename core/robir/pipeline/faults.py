@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import shutil
 import signal
 import threading
@@ -15,7 +16,15 @@ from typing import Any
 
 from robir.errors import CancelledError, DeviceError, QualityError, RobirError, StorageError
 
-_DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+_FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+_DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
+"""How libraries tell of them that raise an error of their own."""
+
+_AWAY = ("ESTALE", "ETIMEDOUT", "ENOTCONN", "EHOSTDOWN", "ENXIO", "ENODEV")
+"""How a network drive or a disk that was pulled out is told; not every system knows all."""
+
+_DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
+
 _FULL_BELOW_BYTES = 1 << 20
 
 _MEMORY_CURES = {
@@ -46,7 +55,7 @@ def translated(error: BaseException, stage: str, out: Path) -> BaseException:
     disk = _disk_error(error, out)
     if disk is not None:
         return StorageError(
-            f"{disk.filename or out} cannot be written in {stage or 'the result folder'}: "
+            f"{disk.filename or out} cannot be read or written in {stage or 'the result folder'}: "
             f"{disk.strerror}; make room or mend the folder, then continue with --resume"
         )
     if _is_out_of_memory(error):
@@ -111,6 +120,10 @@ def _disk_error(error: BaseException, out: Path) -> OSError | None:
         seen.add(id(link))
         if isinstance(link, OSError) and (link.errno in _DISK_ERRORS or _is_below(link, out)):
             return link
+        text = str(link).lower()
+        for words, number in _DISK_WORDS.items():
+            if words in text:
+                return OSError(number, os.strerror(number))
         link = link.__cause__ or link.__context__
     return None
 

@@ -24,9 +24,16 @@ _TRUTH = "truth"
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a regular file's contents, 64 hex digits."""
+    """SHA-256 of a regular file's contents, 64 hex digits.
+
+    Raises:
+        OSError: If it cannot be read; names the file, which a bad block alone does not.
+    """
     with os.fdopen(open_regular(path), "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        try:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def capture_fingerprint(

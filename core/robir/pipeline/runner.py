@@ -8,7 +8,7 @@ import importlib
 import logging
 import random
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -239,7 +239,7 @@ def _seed_everything(seed: int) -> None:
 @contextmanager
 def _logging_to(path: Path) -> Iterator[None]:
     """Copy our log and Python's warnings to a file for the length of the block."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    handler = _RunLog(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     loggers = [logging.getLogger(name) for name in ("robir", "py.warnings")]
     for logger in loggers:
@@ -249,4 +249,12 @@ def _logging_to(path: Path) -> Iterator[None]:
     finally:
         for logger in loggers:
             logger.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
+
+
+class _RunLog(logging.FileHandler):
+    """The log for people; that a disk is full is told by the run itself, once."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  the name is logging's
+        """A line that cannot be written is lost."""

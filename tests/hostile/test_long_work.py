@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Short shares of what `make hostile` does for hours, on a real run of all stages."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hostile.leaks import growth
+from hostile.sandbox import tried
+
+ROOT = Path(__file__).parents[2]
+
+FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="takes fork")
+
+
+def run(*words: str, lines: int = 1) -> str:
+    """The last lines that a harness prints; it has to end well."""
+    command = [sys.executable, "-m", *words]
+    search = os.pathsep.join(map(str, (ROOT / "core", ROOT, ROOT / "tests")))
+    environment = os.environ | {"PYTHONPATH": search, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return "\n".join(done.stdout.splitlines()[-lines:])
+
+
+@FORKS
+@pytest.mark.slow
+def test_mutated_captures_keep_the_promises():
+    assert "0 broke a promise" in run("hostile.corpus", "0", "1", "1/3")
+
+
+@FORKS
+@pytest.mark.slow
+def test_kills_over_all_stages_leave_the_same_files(tmp_path):
+    """Without Blender; one in the midst of the fit, one in the export, one of them twice."""
+    program = f"""
+from pathlib import Path
+from hostile.kills import Range
+shots = Range(Path({str(tmp_path / "kills")!r}), has_renders=False)
+kills = [shots.kill("early", 0.3 * shots.seconds, is_group=True, again=0.2 * shots.seconds)]
+kills.append(shots.kill("late", 0.95 * shots.seconds, is_group=False))
+print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.expected))
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert found.stdout.startswith("[(True, ()), (True, ())] "), found.stdout + found.stderr
+    assert int(found.stdout.split()[-1]) > 40
+
+
+@FORKS
+@pytest.mark.slow
+@pytest.mark.skipif(
+    sys.platform != "linux" or not shutil.which("cc"), reason="takes Linux and a C compiler"
+)
+def test_faults_of_the_disk_are_told_and_overcome():
+    """Some of the kinds that take no root; `make hostile` has all, and disks of ten sizes."""
+    said = run("hostile.disk", "readonly:1", "gone:1", "write:1", lines=20)
+    assert "3 of 3 faults" in said, said
+
+
+def test_growth_is_between_the_second_and_the_last_quarter():
+    assert growth([50, 60, 100, 100, 100, 100, 101, 101]) == pytest.approx(0.01)
+
+
+def forbidden(folder: Path) -> dict[str, tuple]:
+    return {
+        "a program": (lambda: os.system("true"), "STARTED"),
+        "a file": (lambda: (folder / "x").write_text(""), "WROTE"),
+        "a folder": (lambda: (folder / "d").mkdir(), "WROTE"),
+        "a removal": (lambda: (folder / "there").unlink(), "WROTE"),
+        "a crash": (lambda: 1 // 0, "traceback"),
+        "a code": (lambda: 1, "ended with 1"),
+        "a signal": (lambda: os.kill(os.getpid(), signal.SIGKILL), "ended with -9"),
+    }
+
+
+@FORKS
+@pytest.mark.parametrize("what", forbidden(Path()))
+def test_a_broken_promise_is_noticed(tmp_path, what):
+    (tmp_path / "there").touch()
+    call, expected = forbidden(tmp_path)[what]
+    outcome = tried(lambda: call() or 0, (0,))
+    assert any(expected in fault for fault in outcome.faults), outcome
+    assert not tried(lambda: 0, (0,)).faults
+
+
+@FORKS
+def test_what_takes_too_much_memory_or_time_is_noticed(monkeypatch):
+    monkeypatch.setattr("hostile.sandbox.MAX_BYTES", 10_000_000)
+    assert any("GB" in fault for fault in tried(lambda: 0, (0,)).faults)
+    monkeypatch.setattr("hostile.sandbox._PATIENCE", 0.2)
+    start = time.monotonic()
+    assert any("took" in fault for fault in tried(lambda: time.sleep(60) or 0, (0,)).faults)
+    assert time.monotonic() - start < 10
