@@ -13,8 +13,8 @@ from blender_scenes.environment import (
     LUMINANCE,
     UP,
     irradiance,
+    softened,
     sun_spot,
-    texel_solid_angles,
     with_sun_share,
 )
 from blender_scenes.recipe import Sky
@@ -42,9 +42,6 @@ SECOND_SUN = (2.0 / 3.0, 1.0 / 3.0)
 
 SECOND_TURN = float(np.radians(120.0))
 """Azimuth of the second lamp beyond the first's, at the same height."""
-
-SOFTENED = 12.0
-"""The most that a softened map shines, over its mean radiance: windows stay, suns go."""
 
 
 @dataclass(frozen=True)
@@ -149,12 +146,7 @@ def _drawn_rig(environment: np.ndarray, sky: Sky) -> LightRig:
     """
     environment = turned(environment, sky.turn)
     if sky.is_softened:
-        solid = texel_solid_angles(environment.shape[0]) / (4.0 * np.pi)
-        brightness = environment @ LUMINANCE
-        limit = SOFTENED * float((brightness * solid).sum())
-        environment = (
-            environment * np.minimum(limit / np.maximum(brightness, limit), 1.0)[..., None]
-        )
+        environment = softened(environment)
     tint = LAMP_TINT / (LAMP_TINT @ LUMINANCE)
     lamps = []
     for sun in sky.suns:

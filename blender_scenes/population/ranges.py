@@ -91,7 +91,7 @@ MARGIN = (1.02, 1.3)
 RESOLUTION_LOG = (96, 256)
 VIEWS_LOG = (16, 80)
 TEST_VIEWS = 6
-MOST_SAMPLES = 48
-LEAST_SAMPLES = 12
-PIXEL_SAMPLES = 24e6
+MOST_SAMPLES = 64
+LEAST_SAMPLES = 16
+PIXEL_SAMPLES = 40e6
 """Pixels times samples that a capture may cost; many large views share them, and get fewer."""
