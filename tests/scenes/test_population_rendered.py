@@ -126,7 +126,8 @@ def test_captures_say_what_they_are(population: Path) -> None:
         assert classes["backdrop"] == (one.tone.backdrop or "alpha")
         assert len(scene["lamps"]) == len(one.request.recipe.sky.suns)
         assert scene["recipe"]["parts"][0]["kind"] == one.request.recipe.parts[0].kind
-        mode = Image.open(capture / "train" / "r_000.png").mode
+        with Image.open(capture / "train" / "r_000.png") as picture:
+            mode = picture.mode
         assert mode == ("RGBA" if one.tone.backdrop is None else "RGB")
         assert 0.02 < truth.mask.mean() < 0.9
         seen = truth.position[(truth.hit > 0.5) & (truth.mask > 0.99)]
@@ -147,8 +148,9 @@ def test_a_matt_thing_is_lit_by_the_second_light(population: Path) -> None:
         with OpenEXR.File(str(file), separate_channels=True) as opened:
             planes = {name: c.pixels for name, c in opened.channels().items()}
         relit = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1)
-        np.testing.assert_array_equal(planes["mask"] > 0, truth.mask > 0)
-        inside = truth.mask > 0.99
+        # with four samples a pixel of the outline is met in one of the renders and not in the other
+        assert ((planes["mask"] > 0) != (truth.mask > 0)).mean() < 0.03
+        inside = (truth.mask > 0.99) & (planes["mask"] > 0.99)
         ratio = (relit @ LUMINANCE)[inside] / np.maximum((truth.radiance @ LUMINANCE)[inside], 1e-4)
         assert (relit[inside] > 0.0).mean() > 0.95
         assert ratio.std() > 0.05
