@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Command line: `python -m blender_scenes SCENE OUT [options]`."""
+"""Command line: `python -m blender_scenes SCENE OUT [options]`, or `population DIR [options]`."""
 
 import argparse
 import json
@@ -8,12 +8,13 @@ from pathlib import Path
 
 from blender_scenes import cache
 from blender_scenes.format import ToneMapping, capture_facts, write_capture
+from blender_scenes.population import command
 from blender_scenes.request import (
     DEFAULT_GROUND,
     GROUNDS,
     LIGHTS,
+    NAMED_SCENES,
     PRESETS,
-    SCENES,
     SceneError,
     SceneRequest,
     fingerprint,
@@ -23,6 +24,8 @@ from blender_scenes.view_transform import VIEW_TRANSFORMS
 from blender_scenes.wheel import wheel_version
 
 USAGE_ERROR = 2
+POPULATION = "population"
+"""In place of a scene: random captures, see `blender_scenes.population`."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,7 +37,10 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         Exit code: 0 done, 2 a request that cannot be fulfilled, 130 interrupted.
     """
-    options = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] == [POPULATION]:
+        return command.main(words[1:])
+    options = _parser().parse_args(words)
     try:
         request = SceneRequest(
             scene=options.scene,
@@ -76,9 +82,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m blender_scenes",
         description="Renders a capture with ground truth in Cycles.",
+        epilog=f"python -m blender_scenes {POPULATION} --help: random captures, one a seed.",
     )
     add = parser.add_argument
-    add("scene", choices=SCENES, metavar="SCENE", help=", ".join(SCENES))
+    add("scene", choices=NAMED_SCENES, metavar="SCENE", help=", ".join(NAMED_SCENES))
     add("out", type=Path, metavar="OUT", help="folder to write the capture to")
     add("--ground", choices=GROUNDS, help="plate under the scene (truck: checker, others: plain)")
     add(

@@ -15,6 +15,9 @@ UP = np.array([0.0, 0.0, 1.0])
 SUN_SPOT_RADIUS = float(np.radians(4.0))
 """Angle about the sun's centre whose light counts as the sun's: disc and glare of a filmed sky."""
 
+SOFTENED = 12.0
+"""The most that a softened map shines, over its mean radiance: windows stay, suns go."""
+
 
 def map_directions(height: int) -> np.ndarray:
     """Unit world directions (H, 2H, 3) of the texel centres of a lat-long map."""
@@ -89,3 +92,11 @@ def with_sun_share(environment: np.ndarray, share: float) -> np.ndarray:
     sky = irradiance(environment, UP) @ LUMINANCE - sun
     factor = max(share / (1.0 - share) * sky / sun, 1.0)
     return np.where(disc[..., None], factor * environment, environment)
+
+
+def softened(environment: np.ndarray) -> np.ndarray:
+    """A map (H, 2H, 3) whose luminance is held to SOFTENED times its mean over the sphere."""
+    luminance = environment @ LUMINANCE
+    mean = float((luminance * texel_solid_angles(environment.shape[0])).sum()) / (4.0 * np.pi)
+    limit = SOFTENED * mean
+    return environment * (limit / np.maximum(luminance, limit))[..., None]

@@ -15,19 +15,26 @@ world z up, scene units.
 
 `*.png`: 8-bit RGBA, straight alpha. Alpha is the coverage of the pixel. RGB is round(255
 clip(T(radiance 2^exposure), 0, 1)) with T the view transform for an sRGB display and `radiance`
-that of the truth file; 0 where the coverage is 0.
+that of the truth file; 0 where the coverage is 0. With a `backdrop` the picture is RGB, mixed with
+black or white by the coverage. A `look` of Blender's comes before the view transform.
 
 `truth/scene.json`: `format_version`, `scene`, `ground`, `light`, `preset`, `view_transform`,
-`exposure` (stops), `seed`, `resolution`, `samples`, `views`, `test_views`, `hdri` and `asset`
-(file names or null), `fingerprint` (of everything that decides the linear pixels), `blender`
-(version of the wheel), `sun_direction` (unit, world, towards the sun; with a sun in the map the
-centroid of its brightest spot), `sun_irradiance_rgb` (of a surface facing the sun, linear
-Rec.709, from the lamp or integrated over the spot), `sun_is_lamp`, `scene_centre` (middle of the
-bounding box), `scene_radius` (of the sphere about it that holds all geometry), scene units.
+`exposure` (stops), `look`, `backdrop` (null, "black" or "white"), `seed`, `resolution`, `samples`,
+`views`, `test_views`, `hdri` and `asset` (file names or null), `fingerprint` (of everything that
+decides the linear pixels), `blender` (version of the wheel), `sun_direction` (unit, world, towards
+the sun; with a sun in the map the centroid of its brightest spot), `sun_irradiance_rgb` (of a
+surface facing the sun, linear Rec.709, from the lamp or integrated over the spot), `sun_is_lamp`,
+`sun_share` (of the sun in the irradiance of a surface that faces it), `lamps` (`direction`,
+`irradiance_rgb` and `size` in degrees of each), `scene_centre` (middle of the bounding box),
+`scene_radius` (of the sphere about it that holds all geometry), scene units. Captures of a
+population also have their `classes` and `recipe`.
 
 `truth/environment.exr`: lat-long, 2:1, linear Rec.709 radiance as rendered (turned and scaled),
 without the lamp, in Blender's world frame: u = 0.5 - atan2(y, x) / 2 pi from the left, v = 0.5 -
 asin(z) / pi from the top.
+
+`truth/relit/r_*.exr` and `truth/second_light.exr`, where there are any: radiance and mask of the
+test views under another map, which is laid out like environment.exr, without any lamps.
 
 `truth/mesh.ply`: all render geometry, triangles, world frame.
 
@@ -49,8 +56,11 @@ alpha):
 import json
 import os
 import shutil
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -60,6 +70,7 @@ from blender_scenes.view_transform import codes_from_display, display_from_linea
 
 FORMAT_VERSION = 1
 SPLITS = ("train", "test")
+SECOND_LIGHT = "second_light.exr"
 
 _AXES = {"radiance": "RGB", "albedo": "RGB", "normal": "XYZ", "position": "XYZ"}
 _FULL_FLOAT = ("radiance", "position")
@@ -82,10 +93,19 @@ class ViewTruth:
 
 @dataclass(frozen=True)
 class ToneMapping:
-    """How linear radiance becomes a picture: a view transform's name and the exposure in stops."""
+    """How linear radiance becomes a picture.
+
+    Attributes:
+        view_transform: one of `view_transform.VIEW_TRANSFORMS`.
+        exposure: stops.
+        look: None or the name of a look of Blender's, put before the view transform.
+        backdrop: None for alpha, else "black" or "white".
+    """
 
     view_transform: str
     exposure: float = 0.0
+    look: str | None = None
+    backdrop: str | None = None
 
 
 def write_view(file: Path, view: ViewTruth) -> None:
@@ -118,6 +138,13 @@ def read_view(file: Path) -> ViewTruth:
             else channels[field.name]
         )
     return ViewTruth(**values)
+
+
+def write_relit(file: Path, radiance: np.ndarray, mask: np.ndarray) -> None:
+    """Writes radiance (H, W, 3) and coverage (H, W) of a view under another light as an EXR."""
+    values = radiance.astype(np.float32)
+    channels = {f"radiance.{a}": np.ascontiguousarray(values[..., i]) for i, a in enumerate("RGB")}
+    _write_exr(file, channels | {"mask": np.ascontiguousarray(mask, dtype=np.float16)})
 
 
 def write_environment(file: Path, environment: np.ndarray) -> None:
@@ -168,20 +195,25 @@ def view_name(index: int) -> str:
 
 
 def picture(view: ViewTruth, tone: ToneMapping) -> np.ndarray:
-    """The (H, W, 4) 8-bit straight-alpha picture of a view."""
-    display = display_from_linear(view.radiance, tone.view_transform, tone.exposure)
+    """The 8-bit picture of a view: (H, W, 4) with straight alpha, or (H, W, 3) on a backdrop."""
+    display = display_from_linear(view.radiance, tone.view_transform, tone.exposure, tone.look)
     display[view.mask <= 0.0] = 0.0
     alpha = np.clip(view.mask, 0.0, 1.0)[..., None]
+    if tone.backdrop is not None:
+        return codes_from_display(display * alpha + (tone.backdrop == "white") * (1.0 - alpha))
     return codes_from_display(np.concatenate([display, alpha], axis=-1))
 
 
-def write_capture(out: Path, rendered: Path, tone: ToneMapping) -> None:
+def write_capture(
+    out: Path, rendered: Path, tone: ToneMapping, more: Mapping[str, Any] = MappingProxyType({})
+) -> None:
     """Makes the capture folder from linear renders; it appears whole or not at all.
 
     Args:
         out: folder to make; must be missing or empty.
         rendered: finished folder of linear renders: what `truth` holds, plus the transforms files.
         tone: how to make pictures of them.
+        more: further entries of scene.json.
     """
     scene = json.loads((rendered / "scene.json").read_text(encoding="utf-8"))
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -199,7 +231,10 @@ def write_capture(out: Path, rendered: Path, tone: ToneMapping) -> None:
             )
         for name in ("environment.exr", "mesh.ply"):
             shutil.copyfile(rendered / name, partial / "truth" / name)
-        write_json(partial / "truth" / "scene.json", scene | capture_facts(tone))
+        if (rendered / "relit").is_dir():
+            shutil.copytree(rendered / "relit", partial / "truth" / "relit")
+            shutil.copyfile(rendered / SECOND_LIGHT, partial / "truth" / SECOND_LIGHT)
+        write_json(partial / "truth" / "scene.json", scene | capture_facts(tone) | more)
         partial.replace(out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -207,7 +242,7 @@ def write_capture(out: Path, rendered: Path, tone: ToneMapping) -> None:
 
 def capture_facts(tone: ToneMapping) -> dict:
     """The part of scene.json that the tone mapping decides."""
-    return {"view_transform": tone.view_transform, "exposure": tone.exposure}
+    return asdict(tone)
 
 
 def _write_exr(file: Path, channels: dict[str, np.ndarray]) -> None:

@@ -9,8 +9,17 @@ import numpy as np
 from mathutils import Quaternion, Vector
 from skimage.transform import resize_local_mean
 
-from blender_scenes.environment import LUMINANCE, UP, irradiance, sun_spot, with_sun_share
+from blender_scenes.environment import (
+    LUMINANCE,
+    UP,
+    irradiance,
+    softened,
+    sun_spot,
+    with_sun_share,
+)
+from blender_scenes.recipe import Sky
 from blender_scenes.request import SceneError, SceneRequest
+from blender_scenes.variation import Variation
 from blender_scenes.wheel import data_folder
 
 GREY_TARGET = 0.52
@@ -42,10 +51,12 @@ class Lamp:
     Attributes:
         direction: (3,) unit, world frame, towards the lamp.
         irradiance_rgb: (3,) of a surface that faces it.
+        size: full angle of its disc in degrees.
     """
 
     direction: np.ndarray
     irradiance_rgb: np.ndarray
+    size: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,15 @@ class LightRig:
     sun_irradiance_rgb: np.ndarray
     lamps: tuple[Lamp, ...] = ()
 
+    @property
+    def sun_share(self) -> float:
+        """Share of the strongest sun in the irradiance of a surface that faces it, 0..1."""
+        sun = self.sun_irradiance_rgb @ LUMINANCE
+        lit = irradiance(self.environment, self.sun_direction)
+        for lamp in self.lamps:
+            lit = lit + lamp.irradiance_rgb * max(float(lamp.direction @ self.sun_direction), 0.0)
+        return float(sun / (lit @ LUMINANCE))
+
 
 def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
     """The light of a request: direction by `rng`, strength by the rule of GREY_TARGET.
@@ -81,6 +101,8 @@ def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
     environment = _load_map(file, 256 if has_lamp else 512)
     if not (irradiance(environment, UP) @ LUMINANCE > 0.0):
         raise SceneError(f"{file}: the upper half of this map is black; choose another --hdri")
+    if request.recipe is not None:
+        return _drawn_rig(environment, request.recipe.sky)
     environment = np.roll(environment, int(rng.integers(environment.shape[1])), axis=1)
     if has_lamp:
         share = request.variation.sun_share
@@ -97,24 +119,75 @@ def light_rig(request: SceneRequest, rng: np.random.Generator) -> LightRig:
             environment = with_sun_share(environment, SUN_SHARE[None])
             direction, sun = sun_spot(environment)
         beside = np.zeros(3)
-    horizontal = (irradiance(environment, UP) + beside * direction[2]) @ LUMINANCE
-    facing = (irradiance(environment, direction) + beside) @ LUMINANCE
-    scale = 2.0 * np.pi * min(GREY_TARGET / horizontal, FACING_LIMIT / facing)
-    lamps = _lamps(direction, beside * scale, request.variation.suns)
+    scale = _scale(environment, direction, beside)
+    lamps = _lamps(direction, beside * scale, request.variation)
     strongest = lamps[0].irradiance_rgb if lamps else sun * scale
     return LightRig((environment * scale).astype(np.float32), direction, strongest, lamps)
 
 
-def _lamps(direction: np.ndarray, irradiance_rgb: np.ndarray, count: int) -> tuple[Lamp, ...]:
+def _scale(environment: np.ndarray, direction: np.ndarray, lamp: np.ndarray) -> float:
+    """Factor by which a map and a lamp of irradiance (3,) keep to GREY_TARGET and FACING_LIMIT."""
+    horizontal = (irradiance(environment, UP) + lamp * max(direction[2], 0.0)) @ LUMINANCE
+    facing = (irradiance(environment, direction) + lamp) @ LUMINANCE
+    return 2.0 * np.pi * float(min(GREY_TARGET / horizontal, FACING_LIMIT / facing))
+
+
+def turned(environment: np.ndarray, turn: float) -> np.ndarray:
+    """A map (H, 2H, 3) turned about z by a share of a whole turn."""
+    return np.roll(environment, round(turn * environment.shape[1]), axis=1)
+
+
+def _drawn_rig(environment: np.ndarray, sky: Sky) -> LightRig:
+    """The light that a recipe says: its map, turned, with its suns.
+
+    Args:
+        environment: (H, 2H, 3) as the file has it.
+        sky: what to make of it.
+    """
+    environment = turned(environment, sky.turn)
+    if sky.is_softened:
+        environment = softened(environment)
+    tint = LAMP_TINT / (LAMP_TINT @ LUMINANCE)
+    lamps = []
+    for sun in sky.suns:
+        elevation, azimuth = np.radians([sun.elevation, sun.azimuth])
+        flat = np.cos(elevation)
+        towards = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        beside = irradiance(environment, towards) @ LUMINANCE
+        lamps.append(Lamp(towards, tint * beside * sun.share / (1.0 - sun.share), sun.size))
+    if lamps:
+        strongest = max(lamps, key=lambda lamp: float(lamp.irradiance_rgb.sum()))
+        direction, spot = strongest.direction, strongest.irradiance_rgb
+        scale = _scale(environment, direction, spot)
+    else:
+        direction, spot = sun_spot(environment)
+        scale = _scale(environment, direction, np.zeros(3))
+    scaled = tuple(Lamp(lamp.direction, scale * lamp.irradiance_rgb, lamp.size) for lamp in lamps)
+    return LightRig((environment * scale).astype(np.float32), direction, spot * scale, scaled)
+
+
+def second_map(file: Path, turn: float) -> np.ndarray:
+    """Another light, a map alone, turned and brought to the same brightness; (H, 2H, 3) float32."""
+    environment = turned(_load_map(file, 256), turn)
+    direction, _ = sun_spot(environment)
+    return (environment * _scale(environment, direction, np.zeros(3))).astype(np.float32)
+
+
+def _lamps(
+    direction: np.ndarray, irradiance_rgb: np.ndarray, variation: Variation
+) -> tuple[Lamp, ...]:
     """The lamps that share an irradiance (3,), the strongest first; none where it is nothing."""
     if not irradiance_rgb.any():
         return ()
-    if count == 1:
-        return (Lamp(direction, irradiance_rgb),)
+    if variation.suns == 1:
+        return (Lamp(direction, irradiance_rgb, variation.sun_size),)
     cosine, sine = np.cos(SECOND_TURN), np.sin(SECOND_TURN)
-    turned = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ direction
+    beyond = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ direction
     first, second = SECOND_SUN
-    return (Lamp(direction, first * irradiance_rgb), Lamp(turned, second * irradiance_rgb))
+    return (
+        Lamp(direction, first * irradiance_rgb, variation.sun_size),
+        Lamp(beyond, second * irradiance_rgb, variation.sun_size),
+    )
 
 
 def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -133,14 +206,15 @@ def _lamp(sky: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.n
     return direction, tint * (sky @ LUMINANCE) * share / (1.0 - share) / direction[2]
 
 
-def add_lights(rig: LightRig, environment_file: Path, sun_angle: float) -> None:
-    """Puts the rig into the open Blender scene.
+def add_lights(rig: LightRig, environment_file: Path) -> None:
+    """Puts the rig into the open Blender scene, in place of any light that is there.
 
     Args:
         rig: the light.
         environment_file: `rig.environment` as an EXR file.
-        sun_angle: full angle of the lamps' discs in radians.
     """
+    for old in [o for o in bpy.context.scene.objects if o.type == "LIGHT"]:
+        bpy.data.objects.remove(old)
     world = bpy.data.worlds.new("environment")
     bpy.context.scene.world = world
     if bpy.app.version < (5, 0, 0):
@@ -155,7 +229,7 @@ def add_lights(rig: LightRig, environment_file: Path, sun_angle: float) -> None:
     for lamp in rig.lamps:
         strength = float(lamp.irradiance_rgb.max())
         light = bpy.data.lights.new("sun", "SUN")
-        light.angle = sun_angle
+        light.angle = float(np.radians(lamp.size))
         light.energy = strength
         light.color = (lamp.irradiance_rgb / strength).tolist()
         sun = bpy.data.objects.new("sun", light)

@@ -132,6 +132,26 @@ def render_view(
     Returns:
         The view's channels.
     """
+    return _truth(_rendered(camera, pose, seed), mesh, sun_direction)
+
+
+def render_radiance(
+    camera: bpy.types.Object, pose: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Renders one view and gathers nothing else: straight radiance (H, W, 3), coverage (H, W).
+
+    Args:
+        camera: the scene's camera; moved to `pose`.
+        pose: (4, 4) camera_to_world, OpenGL axes.
+        seed: of the sampling noise.
+    """
+    channels = _rendered(camera, pose, seed)
+    mask = channels["Combined.A"]
+    return _straight(np.stack([channels[f"Combined.{a}"] for a in "RGB"], axis=-1), mask), mask
+
+
+def _rendered(camera: bpy.types.Object, pose: np.ndarray, seed: int) -> dict[str, np.ndarray]:
+    """Channels of a view by name."""
     scene = bpy.context.scene
     camera.matrix_world = pose.T  # Blender's matrices are filled by column
     scene.cycles.seed = seed
@@ -140,7 +160,15 @@ def render_view(
     bpy.ops.render.render(write_still=True)
     channels = _read_multilayer(file)
     file.unlink()
-    return _truth(channels, mesh, sun_direction)
+    return channels
+
+
+def _straight(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Values (H, W) or (H, W, 3) of the covered part of each pixel, 0 where nothing is covered."""
+    if values.ndim == 3:
+        mask = mask[..., None]
+    covered = mask > 0.0
+    return np.where(covered, values / np.where(covered, mask, 1.0), 0.0)
 
 
 def _read_multilayer(file: Path) -> dict[str, np.ndarray]:
@@ -160,7 +188,6 @@ def _truth(
 
     mask = channels["Combined.A"]
     covered = mask > 0.0
-    whole = np.where(covered, mask, 1.0)
     normal = stacked("Normal", "XYZ")
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), 0.0)
@@ -168,13 +195,10 @@ def _truth(
     position = np.where(hit[..., None], stacked("Position", "XYZ"), 0.0)
     visible = np.zeros_like(mask)
     visible[hit] = sun_visibility(position[hit], normal[hit], mesh, sun_direction)
-    values = {
-        name: np.where(covered, channels[f"{name}.X"] / whole, 0.0)
-        for name in ("roughness", "metallic")
-    }
+    values = {name: _straight(channels[f"{name}.X"], mask) for name in ("roughness", "metallic")}
     return ViewTruth(
-        radiance=np.where(covered[..., None], stacked("Combined", "RGB") / whole[..., None], 0.0),
-        albedo=np.where(covered[..., None], stacked("albedo", "RGB") / whole[..., None], 0.0),
+        radiance=_straight(stacked("Combined", "RGB"), mask),
+        albedo=_straight(stacked("albedo", "RGB"), mask),
         normal=normal,
         position=position,
         mask=mask,

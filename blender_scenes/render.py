@@ -15,6 +15,7 @@ import trimesh
 
 from blender_scenes import format as capture_format
 from blender_scenes import lights, objects, passes, repaint, rig
+from blender_scenes.recipe import SecondLight
 from blender_scenes.request import SceneRequest, random_stream
 from blender_scenes.wheel import wheel_version
 
@@ -41,7 +42,7 @@ def build_scene(request: SceneRequest, environment_file: Path) -> lights.LightRi
         objects.add_truth_outputs(material)
     light = lights.light_rig(request, random_stream(request, "light"))
     capture_format.write_environment(environment_file, light.environment)
-    lights.add_lights(light, environment_file, float(np.radians(request.variation.sun_size)))
+    lights.add_lights(light, environment_file)
     bpy.context.view_layer.update()
     return light
 
@@ -66,10 +67,7 @@ def render_missing(
         camera = passes.add_camera(rig.CAMERA_ANGLE_X)
         mesh = passes.scene_mesh()
     rendered = done = 0
-    poses = {
-        "train": rig.camera_poses(request.views, random_stream(request, "train")),
-        "test": rig.camera_poses(request.test_views, random_stream(request, "test")),
-    }
+    poses = _poses(request, mesh)
     for split in capture_format.SPLITS:
         (folder / split).mkdir(exist_ok=True)
         for index, pose in enumerate(poses[split]):
@@ -86,6 +84,8 @@ def render_missing(
             poses[split], split, rig.CAMERA_ANGLE_X, request.resolution
         )
         capture_format.write_json(folder / f"transforms_{split}.json", transforms)
+    if request.recipe is not None:
+        _relight(request.recipe.second_light, folder, camera, poses["test"])
     _write_mesh(folder / "mesh.ply", mesh)
     capture_format.write_json(
         folder / "scene.json", _description(request, light, mesh, fingerprint)
@@ -93,15 +93,59 @@ def render_missing(
     return rendered
 
 
+def _poses(request: SceneRequest, mesh: trimesh.Trimesh) -> dict[str, np.ndarray]:
+    """Cameras (V, 4, 4) of each split."""
+    found = {}
+    for split, count in (("train", request.views), ("test", request.test_views)):
+        rng = random_stream(request, split)
+        if request.recipe is None:
+            found[split] = rig.camera_poses(count, rng)
+        else:
+            centre, radius = _sphere(mesh)
+            found[split] = rig.drawn_poses(count, rng, request.recipe.cameras, centre, radius)
+    return found
+
+
+def _sphere(mesh: trimesh.Trimesh) -> tuple[np.ndarray, float]:
+    """Middle (3,) of the bounding box and radius of the sphere about it that holds a mesh."""
+    centre = mesh.bounds.mean(axis=0)
+    return centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
+
+
+def _relight(
+    second: SecondLight, folder: Path, camera: bpy.types.Object, poses: np.ndarray
+) -> None:
+    """Renders the test views once more under another map.
+
+    Args:
+        second: the map.
+        folder: of the linear renders.
+        camera: the scene's.
+        poses: (V, 4, 4) of the test views.
+    """
+    with _quiet():
+        environment = lights.second_map(second.file, second.turn)
+        file = folder / capture_format.SECOND_LIGHT
+        capture_format.write_environment(file, environment)
+        # a map alone: where its sun stands is nobody's business here
+        nowhere = np.array([0.0, 0.0, 1.0])
+        lights.add_lights(lights.LightRig(environment, nowhere, np.zeros(3)), file)
+        (folder / "relit").mkdir(exist_ok=True)
+        for index, pose in enumerate(poses):
+            radiance, mask = passes.render_radiance(camera, pose, index)
+            name = f"{capture_format.view_name(index)}.exr"
+            capture_format.write_relit(folder / "relit" / name, radiance, mask)
+
+
 def _description(
     request: SceneRequest, light: lights.LightRig, mesh: trimesh.Trimesh, fingerprint: str
 ) -> dict:
     """What scene.json holds apart from the tone mapping."""
-    centre = mesh.bounds.mean(axis=0)
+    centre, radius = _sphere(mesh)
     return {
         "format_version": capture_format.FORMAT_VERSION,
         "scene": request.scene,
-        "ground": request.ground,
+        "ground": _ground_name(request),
         "light": request.light,
         "preset": request.preset,
         "seed": request.seed,
@@ -117,9 +161,26 @@ def _description(
         "sun_direction": light.sun_direction.tolist(),
         "sun_irradiance_rgb": light.sun_irradiance_rgb.tolist(),
         "sun_is_lamp": bool(light.lamps),
+        "sun_share": light.sun_share,
+        "lamps": [
+            {
+                "direction": lamp.direction.tolist(),
+                "irradiance_rgb": lamp.irradiance_rgb.tolist(),
+                "size": lamp.size,
+            }
+            for lamp in light.lamps
+        ],
         "scene_centre": centre.tolist(),
-        "scene_radius": float(np.linalg.norm(mesh.vertices - centre, axis=1).max()),
+        "scene_radius": radius,
     }
+
+
+def _ground_name(request: SceneRequest) -> str:
+    """The ground as the command line calls it, or as the recipe says it."""
+    if request.recipe is None:
+        return request.ground
+    ground = request.recipe.ground
+    return "none" if ground is None else f"{ground.paint.pattern} {ground.shape}"
 
 
 def _write_mesh(file: Path, mesh: trimesh.Trimesh) -> None:

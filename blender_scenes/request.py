@@ -9,9 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_scenes.recipe import Recipe
 from blender_scenes.variation import AS_BUILT, Variation
 
-SCENES = ("truck", "chessboard", "still_life", "hotdog", "asset")
+SCENES = ("truck", "chessboard", "still_life", "hotdog", "asset", "drawn")
+NAMED_SCENES = SCENES[:-1]
+"""Those that a command line can ask for by name; the other one needs a recipe."""
+
 GROUNDS = ("checker", "plain", "none")
 LIGHTS = ("lamp", "hdri-sun")
 PRESETS = ("high_illumination",)
@@ -44,6 +48,7 @@ class SceneRequest:
         samples: Cycles samples per pixel, denoised afterwards.
         seed: decides layout, colours, cameras and light direction.
         variation: what differs from the scene as its file builds it.
+        recipe: all of scene "drawn", else None.
     """
 
     scene: str
@@ -58,6 +63,7 @@ class SceneRequest:
     samples: int = 64
     seed: int = 0
     variation: Variation = AS_BUILT
+    recipe: Recipe | None = None
 
     def __post_init__(self) -> None:
         """Refuses contradictions and impossible values, in words."""
@@ -139,10 +145,22 @@ def fingerprint(request: SceneRequest, wheel_version: str) -> str:
     facts = asdict(request) | {
         "hdri": _content_hash([request.hdri] if request.hdri else []),
         "asset": _content_hash(_asset_files(request.asset)),
+        "recipe": _recipe_facts(request.recipe),
         "bpy": wheel_version,
         "code": code_version(Path(__file__).parent, request.scene),
     }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _recipe_facts(recipe: Recipe | None) -> dict | None:
+    """A recipe as plain values, its files by content."""
+    if recipe is None:
+        return None
+    facts = asdict(recipe)
+    for part in facts["parts"]:
+        part["file"] = _content_hash(_asset_files(part["file"]))
+    facts["second_light"]["file"] = _content_hash([recipe.second_light.file])
+    return facts
 
 
 def code_version(package: Path, scene: str) -> str:

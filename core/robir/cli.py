@@ -160,7 +160,17 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "bench", help="run captures x methods and chart speed against accuracy"
     )
     parser.set_defaults(command=commands.bench)
-    _add_plan(parser, "captures, methods and seeds")
+    parser.add_argument(
+        "plan", type=Path, nargs="?", metavar="PLAN.toml", help="captures, methods and seeds"
+    )
+    parser.add_argument(
+        "--population",
+        type=Path,
+        metavar="DIR",
+        help="instead of a plan: all captures that `python -m blender_scenes population` made, and "
+        "the distribution of their scores",
+    )
+    _add_runs(parser)
 
 
 def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -168,11 +178,13 @@ def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
         "stability", help="spoil captures one factor at a time and chart what that costs"
     )
     parser.set_defaults(command=commands.stability)
-    _add_plan(parser, "as for bench, with a table [factors]")
+    parser.add_argument(
+        "plan", type=Path, metavar="PLAN.toml", help="as for bench, with a table [factors]"
+    )
+    _add_runs(parser)
 
 
-def _add_plan(parser: argparse.ArgumentParser, content: str) -> None:
-    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help=content)
+def _add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
     parser.add_argument(
         "--budget",

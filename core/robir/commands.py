@@ -166,13 +166,21 @@ def selftest(options: Namespace) -> int:
 
 
 def bench(options: Namespace) -> int:
-    """Run a plan, chart and tabulate its scores; prints the page's path.
+    """Run a plan or a population, chart and tabulate its scores; prints the page's path.
 
-    Its exit code is the largest of its runs'.
+    Of a plan the exit code is the largest of its runs'; of a population, where failures are counted
+    among the scores, only a bug is a failure.
     """
-    from robir.bench.page import write_bench
+    from robir.bench.page import write_bench, write_population
     from robir.bench.plan import read_plan
+    from robir.bench.population import read_population
 
+    if (options.plan is None) == (options.population is None):
+        raise UsageError("give either PLAN.toml or --population DIR")
+    if options.population is not None:
+        runs = read_population(options.population)
+        tried = _carried_out(runs, write_population, options, is_truth_needed=True)
+        return 1 if 1 in tried else 0
     return max(_carried_out(read_plan(options.plan), write_bench, options, is_truth_needed=False))
 
 

@@ -48,3 +48,5 @@ def test_view_transforms_nobody_knows_have_no_score():
     found = {"family": "filmic", "parameters": {}}
     assert tone_scores(found, {"view_transform": "Raw"})["stops"] is None
     assert true_curve({"view_transform": "Khronos PBR Neutral"}).name == "khronos_pbr_neutral"
+    assert true_curve({"view_transform": "Filmic", "look": "High Contrast"}) is None
+    assert true_curve({"view_transform": "Filmic", "look": None}).name == "filmic"

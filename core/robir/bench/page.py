@@ -13,9 +13,17 @@ from PIL import Image
 
 from robir.bench.chart import speed_accuracy
 from robir.bench.curves import calibration, tone_curves
+from robir.bench.distribution import CONFIDENCE
 from robir.bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
 from robir.bench.pictures import PHOTOGRAPHED_TILES, TILES, tile
 from robir.bench.plan import OURS, BenchRun
+from robir.bench.population import (
+    MISSED_SUN,
+    capture_classes,
+    distribution,
+    population_tables,
+    verdicts,
+)
 from robir.bench.runs import picture_file
 from robir.bench.scores import ALBEDO
 from robir.bench.table import (
@@ -29,7 +37,7 @@ from robir.bench.table import (
 )
 from robir.evaluation.level_table import level_notes
 from robir.export.report import page_template
-from robir.jobs.paths import replacing
+from robir.jobs.paths import replacing, write_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +109,27 @@ def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Re
         tables=bench_tables(tried),
     )
     return _write(folder, "scores.md", page)
+
+
+def write_population(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
+    """Write population.md, distribution.json and index.html of a population; returns the page."""
+    tried = [records[run.name] for run in runs if run.name in records]
+    done, _failed = split(tried)
+    classes, kept = capture_classes(runs), verdicts(runs)
+    page = Page(
+        title="A population",
+        lead=f"{len(done)} of {len(runs)} captures are scored, {len(tried) - len(done)} failed; "
+        f"{kept} are of seeds for verdicts. In brackets {100 * CONFIDENCE:.0f} % percentile "
+        "bootstrap intervals over captures, too narrow where these are few. One in ten is worse "
+        "than the worst tenth. Where there is a sun and none was found its angle counts as "
+        f"{MISSED_SUN:.0f} degrees; shadow and sun are told of captures with a sun alone; a run "
+        "without a result counts as below the photo, and in no other figure.",
+        rows=_method_rows(folder, [run for run in runs if "scores" in records.get(run.name, {})]),
+        charts=_bench_charts(done) if done else [],
+        tables=population_tables(tried, classes),
+    )
+    write_json(folder / "distribution.json", distribution(tried, classes))
+    return _write(folder, "population.md", page)
 
 
 def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:

@@ -16,6 +16,7 @@ from typing import Any
 from robir.bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 from robir.config import resolve
 from robir.errors import QualityError, RobirError
+from robir.evaluation.relighting import second_light
 from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.paper.config import VARIANTS, shrunken
@@ -23,6 +24,9 @@ from robir.pipeline.usage import Usage
 from robir.presets import PRESETS
 
 Record = dict[str, Any]
+
+RELIT_SAMPLES = "32"
+"""Cycles samples a pixel of relit pictures, denoised; as many as the truth about has."""
 
 _BORROWED = ("capture", "geometry")
 """Stages that the methods of BORROWERS share with the whole method and are charged for."""
@@ -94,6 +98,7 @@ def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
             run.perturbation.make(run.capture, run.seed)
         _borrow_stages(run, folder, out)
         held_out = _made(run, out)
+        _relight(run, out)
     except RobirError as error:
         return run.facts | {"error": str(error), "exit_code": error.exit_code}
     truth = ["--truth", str(run.capture)] if is_truth_needed or has_truth(run.capture) else []
@@ -143,6 +148,16 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
     if fitted.returncode != 0 and not (is_doubtful and _is_whole(JobPaths(out))):
         raise _RunError(_last_line(fitted.stderr), fitted.returncode)
     return read_json(JobPaths(out).report_json)["held_out"]
+
+
+def _relight(run: BenchRun, out: Path) -> None:
+    """Show a result under the second light that its capture has the truth of, if it has one."""
+    light = second_light(run.capture)
+    if light is not None:
+        command = ("relight", str(out), "--environment", str(light), "--samples", RELIT_SAMPLES)
+        relit = _robir(*command, "--progress", "plain")
+        if relit.returncode != 0:
+            raise _RunError(_last_line(relit.stderr), relit.returncode)
 
 
 def _is_whole(paths: JobPaths) -> bool:

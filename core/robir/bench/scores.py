@@ -17,14 +17,14 @@ class Score:
     Attributes:
         title: Heading with the unit.
         path: Dotted place in the scores; "a - b" is a difference of two.
-        best: Which end is good: "high", "low", "one" for ratios that should be 1, or "nine tenths"
-            for shares that should be that.
+        best: Which end is good: "high", "low", "one" for ratios that should be 1, "zero" for errors
+            with a sign, or "nine tenths" for shares that should be that.
         digits: Decimals shown.
     """
 
     title: str
     path: str
-    best: Literal["high", "low", "one", "nine tenths"]
+    best: Literal["high", "low", "one", "zero", "nine tenths"]
     digits: int
 
     def value(self, scores: Mapping[str, Any]) -> float | None:
@@ -40,6 +40,7 @@ class Score:
             "high": -value,
             "low": value,
             "one": abs(value - 1.0),
+            "zero": abs(value),
             "nine tenths": abs(value - 0.9),
         }[self.best]
 
@@ -78,7 +79,18 @@ SCORES = (
 )
 """Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
 
-ALBEDO, SHADOW = SCORES[0], SCORES[3]
+ALBEDO, ABOVE_PHOTO, RAW_ALBEDO, SHADOW, SUN, NORMALS = SCORES[:6]
+ROUGHNESS = SCORES[8]
+
+LEVEL = Score(title="light level (ln)", path="light.level_log_error", best="zero", digits=2)
+HUE = Score(title="light hue (ln)", path="light.hue_log_error", best="low", digits=3)
+RELIT = Score(
+    title="relit, per channel (dB)",
+    path="relighting.psnr_srgb.per_channel_lsq",
+    best="high",
+    digits=1,
+)
+RELIT_RAW = Score(title="relit, raw (dB)", path="relighting.psnr_srgb.raw", best="high", digits=1)
 
 COSTS = (
     Score(title="re-render (dB)", path="held_out.psnr", best="high", digits=1),
@@ -130,7 +142,8 @@ LEVEL_SCORES = (
 def score_lines(scores: Mapping[str, Any]) -> list[str]:
     """One line a score, for a terminal."""
     width = max(len(score.title) for score in SCORES)
-    lines = [f"{score.title:<{width}}  {score.text(score.value(scores))}" for score in SCORES]
+    shown = (*SCORES, LEVEL, HUE, RELIT, RELIT_RAW)
+    lines = [f"{score.title:<{width}}  {score.text(score.value(scores))}" for score in shown]
     tone = scores["tone_curve"]
     families = f"{tone['family']} (true: {tone['true_view_transform']})"
     return [*lines, f"{'tone curve':<{width}}  {families}"]

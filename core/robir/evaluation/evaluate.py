@@ -25,6 +25,7 @@ from robir.evaluation.layers import (
     view_layers,
 )
 from robir.evaluation.light import light_scores, load_light
+from robir.evaluation.relighting import relight_scores
 from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.tone import tone_scores
 from robir.evaluation.truth import TrueView, Truth, load_truth
@@ -47,7 +48,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
     Returns:
         Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
         "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
-        "tone_curve", "views".
+        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views".
 
     Raises:
         StorageError: If the result folder lacks a stage.
@@ -71,12 +72,14 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
         **geometry_scores(layers, mesh, known),
         "light": light_scores(
             load_light(paths.stage("appearance") / "light.json"),
-            known.environment_linear,
+            known.environment_linear * known.exposed,
             known.sun_direction,
+            _pooled([_unit(view) for view in known.views], [view.hit for view in known.views]),
         ),
         "tone_curve": tone_scores(
             stored_facts(paths.stage("appearance") / "tone_curve.json", TONE_CURVE), known.scene
         ),
+        "relighting": relight_scores(paths, known),
     }
     if sheet is not None:
         scale = scores["albedo"]["scale"]["per_channel_lsq"]

@@ -16,13 +16,14 @@ from robir.errors import StorageError
 from robir.evaluation import metrics
 from robir.jobs.records import NUMBERS, read_record
 from robir.maths import spherical_gaussian as sg
-from robir.maths.vectors import equirect_directions
+from robir.maths.vectors import equirect_directions, equirect_solid_angles
 
 Array = NDArray[np.floating[Any]]
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SCORE_ROWS = 64
 _CHUNK_ROWS = 64
+_MAX_NORMALS = 500
 _LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, "kind": str}]}
 
 
@@ -101,24 +102,62 @@ def load_light(path: Path) -> RecoveredLight:
 
 
 def light_scores(
-    light: RecoveredLight, truth_linear: Array, sun_direction: Array
+    light: RecoveredLight, truth_linear: Array, sun_direction: Array, normals: Array
 ) -> dict[str, float | None]:
     """Error of the recovered light.
 
     Args:
         light: Recovered.
-        truth_linear: (H, 2H, 3) true lat-long radiance, lamp included.
+        truth_linear: (H, 2H, 3) true lat-long radiance, lamps included, times the exposure: as the
+            tone curve was given it.
         sun_direction: (3,) true, towards the sun.
+        normals: (N, 3) of what the test views show, unit, world.
 
     Returns:
         "strongest_lobe_degrees": angle of the strongest sharp lobe to the sun, None without one;
-        "environment_log_rmse": `metrics.environment_log_rmse` at 64 x 128 texels.
+        "environment_log_rmse": `metrics.environment_log_rmse` at 64 x 128 texels; "level_log_error"
+        and "hue_log_error": see `level_and_hue`.
     """
     axis = light.strongest_direction()
     small = resize_local_mean(truth_linear, (_SCORE_ROWS, 2 * _SCORE_ROWS))
+    ours = light.environment(_SCORE_ROWS)
     return {
         "strongest_lobe_degrees": (
             None if axis is None else metrics.direction_error(axis, sun_direction)
         ),
-        "environment_log_rmse": metrics.environment_log_rmse(light.environment(_SCORE_ROWS), small),
+        "environment_log_rmse": metrics.environment_log_rmse(ours, small),
+        **level_and_hue(ours, small, normals),
     }
+
+
+def level_and_hue(estimate_linear: Array, truth_linear: Array, normals: Array) -> dict[str, float]:
+    """How bright and of which hue the light is that falls on a surface, beside the true one.
+
+    Of both maps the irradiance of unoccluded surfaces is taken and averaged over the normals: what
+    the estimate has too much of here its albedo has too little of.
+
+    Args:
+        estimate_linear: (H, 2H, 3) lat-long radiance.
+        truth_linear: The same of the truth.
+        normals: (N, 3), unit, world; at most some hundreds of them are used.
+
+    Returns:
+        "level_log_error": natural logarithm of the ratio of luminances, above 0 where the estimate
+        is too bright; "hue_log_error": standard deviation over the channels of the logarithms of
+        their ratios, 0 where the hue is right.
+    """
+    ours, true = (_mean_irradiance(image, normals) for image in (estimate_linear, truth_linear))
+    return {
+        "level_log_error": float(np.log((ours @ _LUMINANCE) / (true @ _LUMINANCE))),
+        "hue_log_error": float(np.std(np.log(ours / true))),
+    }
+
+
+def _mean_irradiance(image: Array, normals: Array) -> Array:
+    """Irradiance (3,) by a map (H, 2H, 3), averaged over normals (N, 3), above 0."""
+    rows = image.shape[0]
+    thinned = normals[:: len(normals) // _MAX_NORMALS + 1]
+    solid = equirect_solid_angles(rows).numpy().reshape(-1, 1)
+    directions = equirect_directions(rows).numpy().reshape(-1, 3)
+    seen = np.maximum(thinned @ directions.T, 0.0).mean(axis=0)[:, None] * solid
+    return np.maximum((seen * image.reshape(-1, 3)).sum(axis=0), 1e-9)

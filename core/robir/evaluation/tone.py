@@ -23,9 +23,12 @@ def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
     """The curve that a scene.json tells of, or None if it is none of ours.
 
     Args:
-        scene: With "view_transform", a view transform of Blender or a family of ours, and
-            "display_power" where the photographs were re-toned afterwards.
+        scene: With "view_transform", a view transform of Blender or a family of ours,
+            "display_power" where the photographs were re-toned afterwards, and "look" where a look
+            of Blender's came first, which makes it none of ours.
     """
+    if scene.get("look"):
+        return None
     for curve in tone.families():
         if scene["view_transform"] in (curve.blender_view_transform, curve.name):
             return tone.powered(curve, float(scene.get(DISPLAY_POWER, 1.0)))

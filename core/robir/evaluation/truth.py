@@ -57,7 +57,7 @@ class Truth:
         root: The capture folder.
         scene: Contents of truth/scene.json.
         views: Test views.
-        environment_linear: (H, 2H, 3) lat-long radiance, with the lamp as one bright texel.
+        environment_linear: (H, 2H, 3) lat-long radiance, with each lamp as one bright texel.
         sun_direction: (3,) unit, towards the sun.
         vertices: (Nv, 3) of all render geometry.
         faces: (Nf, 3).
@@ -72,6 +72,11 @@ class Truth:
     vertices: Array
     faces: NDArray[np.int32]
     radius: float
+
+    @property
+    def exposed(self) -> float:
+        """Factor that brings true radiance to what the tone curve was given."""
+        return 2.0 ** float(self.scene.get("exposure", 0.0))
 
 
 def has_truth(capture: Path) -> bool:
@@ -167,13 +172,21 @@ def _environment(path: Path, scene: dict[str, Any]) -> Array:
     """The map as rendered; a lamp's irradiance is put into the texel of its direction."""
     image = read_exr(path)
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
-    if scene["sun_is_lamp"]:
-        rows, columns = linear.shape[:2]
-        x, y, z = scene["sun_direction"]
+    rows, columns = linear.shape[:2]
+    for direction, irradiance_rgb in _lamps(scene):
+        x, y, z = direction
         u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
         row = min(int((0.5 - np.arcsin(z) / np.pi) * rows), rows - 1)
         top, bottom = (np.sin(np.pi * (0.5 - r / rows)) for r in (row, row + 1))
         solid_angle = (top - bottom) * 2 * np.pi / columns
         column = min(int(u * columns), columns - 1)
-        linear[row, column] += np.array(scene["sun_irradiance_rgb"]) / solid_angle
+        linear[row, column] += np.array(irradiance_rgb) / solid_angle
     return linear
+
+
+def _lamps(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
+    """Direction and irradiance of each lamp; older captures tell of the strongest alone."""
+    if "lamps" in scene:
+        return [(lamp["direction"], lamp["irradiance_rgb"]) for lamp in scene["lamps"]]
+    is_lamp = scene["sun_is_lamp"]
+    return [(scene["sun_direction"], scene["sun_irradiance_rgb"])] if is_lamp else []

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is drawn for a capture of the population, and how its exposure is held."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_scenes.environment import LUMINANCE, SOFTENED, softened, texel_solid_angles
+from blender_scenes.format import ToneMapping, ViewTruth, picture
+from blender_scenes.population import command, ranges
+from blender_scenes.population.draw import Drawn, Sources, draw
+from blender_scenes.population.exposing import held
+from blender_scenes.request import fingerprint
+from blender_scenes.view_transform import display_from_linear
+
+MANY = 400
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
+    folder = tmp_path_factory.mktemp("files")
+    files = [folder / name for name in ("cow.obj", "car.gltf", "noon.hdr", "dusk.exr")]
+    for file in files:
+        file.write_text(file.name)
+    return Sources(tuple(files[:2]), tuple(files[2:]))
+
+
+@pytest.fixture(scope="module")
+def drawn(sources: Sources) -> list[Drawn]:
+    return [draw(seed, sources) for seed in range(MANY)]
+
+
+def test_a_seed_says_everything(sources: Sources, drawn: list[Drawn]) -> None:
+    assert [draw(seed, sources) for seed in range(20)] == drawn[:20]
+    assert len({fingerprint(one.request, "1") for one in drawn[:8]}) == 8
+
+
+def test_what_a_recipe_says_enters_the_fingerprint_and_files_by_content(
+    sources: Sources, drawn: list[Drawn]
+) -> None:
+    one = next(d for d in drawn if d.thing == "asset").request
+    before = fingerprint(one, "1")
+    thicker = replace(one.recipe.parts[0], size=1.01)
+    changed = replace(one, recipe=replace(one.recipe, parts=(thicker,)))
+    assert fingerprint(changed, "1") != before
+    file = one.recipe.parts[0].file
+    other = file.with_name(f"other{file.suffix}")
+    other.write_bytes(file.read_bytes())
+    moved = replace(
+        one, recipe=replace(one.recipe, parts=(replace(one.recipe.parts[0], file=other),))
+    )
+    assert len({fingerprint(r, "1") for r in (one, moved)}) == 1
+    text = file.read_text()
+    try:
+        file.write_text("another shape")
+        assert fingerprint(one, "1") != before
+    finally:
+        file.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("share", "is_so"),
+    [
+        (ranges.GROUND, lambda one: one.request.recipe.ground is not None),
+        (ranges.PATTERNED, lambda one: one.has_pattern),
+        (ranges.METAL, lambda one: any(p.paint.metallic for p in one.request.recipe.parts)),
+        (0.6, lambda one: one.tone.backdrop is None),
+        (0.2, lambda one: one.thing == "clutter"),
+        (0.15, lambda one: len(one.request.recipe.sky.suns) == 2),
+    ],
+)
+def test_choices_come_as_often_as_the_table_says(drawn: list[Drawn], share, is_so) -> None:
+    found = sum(map(is_so, drawn))
+    assert abs(found - share * MANY) < 3.5 * np.sqrt(MANY * share * (1.0 - share))
+
+
+def test_everything_lies_in_its_range(drawn: list[Drawn]) -> None:
+    for one in drawn:
+        request, recipe = one.request, one.request.recipe
+        assert 96 <= request.resolution <= 256
+        assert 16 <= request.views <= 80
+        assert abs(one.tone.exposure) <= 1.5
+        cost = request.resolution**2 * (request.views + 2 * request.test_views) * request.samples
+        assert cost <= 1.05 * ranges.PIXEL_SAMPLES
+        for part in recipe.parts:
+            assert all(0.02 <= c <= 0.9 for colour in part.paint.colours for c in colour)
+            assert all(0.05 <= r <= 1.0 for r in part.paint.roughness)
+        assert 1 <= len(recipe.parts) <= 5
+        assert (one.thing == "clutter") == (len(recipe.parts) > 1)
+        for sun in recipe.sky.suns:
+            assert sun.elevation >= 5.0
+            assert 0.5 < sun.size <= 20.0
+            assert 0.0 < sun.share < 1.0
+
+
+def test_things_of_a_heap_keep_their_distance(drawn: list[Drawn]) -> None:
+    for one in drawn:
+        parts = one.request.recipe.parts
+        for i, part in enumerate(parts):
+            for other in parts[:i]:
+                apart = np.hypot(*np.subtract(part.place, other.place))
+                assert apart >= ranges.CLUTTER_GAP * (part.size + other.size) - 1e-9
+
+
+def test_without_assets_there_are_none(sources: Sources) -> None:
+    bare = Sources((), sources.maps)
+    things = [draw(seed, bare) for seed in range(60)]
+    assert all(part.file is None for one in things for part in one.request.recipe.parts)
+    assert {one.thing for one in things} == set(ranges.THINGS) - {"asset"}
+
+
+def view(radiance: np.ndarray) -> ViewTruth:
+    """A view that shows nothing but a radiance (H, W)."""
+    flat = np.ones(radiance.shape, dtype=np.float32)
+    image = np.repeat(radiance[..., None], 3, axis=-1).astype(np.float32)
+    return ViewTruth(image, image, flat, flat, image, image, flat, flat, flat)
+
+
+def test_an_exposure_that_clips_too_much_is_lowered_as_little_as_it_takes() -> None:
+    """Of radiance spread evenly over 0..1 a tenth lies above .9: that is where white must be."""
+    views = [view(np.linspace(0.0, 1.0, 10_000).reshape(100, 100))]
+    found = held(views, ToneMapping("Standard", 1.4)).exposure
+    assert 0.9 * 2.0**found == pytest.approx(1.0, rel=0.1)
+    assert 0.9 * 2.0**found <= 1.005
+    assert held(views, ToneMapping("Standard", -0.5)).exposure == -0.5
+
+
+def test_a_black_picture_is_brightened() -> None:
+    views = [view(np.full((20, 20), 0.004))]
+    tone = held(views, ToneMapping("Filmic", -1.5, "High Contrast"))
+    shown = 255.0 * display_from_linear(np.full((1, 3), 0.004), "Filmic", tone.exposure, tone.look)
+    assert ranges.LEAST_CODE <= shown.max() < 1.25 * ranges.LEAST_CODE
+
+
+def test_brightening_ends_where_it_would_clip() -> None:
+    radiance = np.full((10, 10), 0.0005)
+    radiance[:2] = 0.9
+    found = held([view(radiance)], ToneMapping("Standard", -0.2))
+    assert found.exposure < 0.3
+
+
+@pytest.mark.parametrize(("backdrop", "code"), [("black", 0), ("white", 255)])
+def test_on_a_backdrop_pictures_have_no_alpha_and_mix_by_coverage(backdrop: str, code: int) -> None:
+    mask = np.array([[0.0, 0.5, 1.0]], dtype=np.float32)
+    one = replace(view(np.full((1, 3), 0.2)), mask=mask)
+    shown = picture(one, ToneMapping("Standard", 0.0, None, backdrop))
+    whole = 255.0 * display_from_linear(np.full((1, 3), 0.2), "Standard")[0, 0]
+    assert shown.shape == (1, 3, 3)
+    assert shown[0, :, 0] == pytest.approx([code, 0.5 * (code + whole), whole], abs=0.51)
+
+
+def test_a_softened_map_keeps_all_but_its_sun() -> None:
+    sky = np.full((32, 64, 3), [0.2, 0.4, 0.8])
+    sky[5, 7] = [900.0, 800.0, 700.0]
+    found = softened(sky)
+    mean = ((sky @ LUMINANCE) * texel_solid_angles(32)).sum() / (4.0 * np.pi)
+    assert found[5, 7] @ LUMINANCE == pytest.approx(SOFTENED * mean)
+    assert found[5, 7] / found[5, 7, 0] == pytest.approx(sky[5, 7] / 900.0)
+    found[5, 7] = sky[5, 7]
+    np.testing.assert_array_equal(found, sky)
+
+
+@pytest.mark.parametrize(("first", "is_said"), [(998, False), (999, True), (1000, True)])
+def test_verdict_seeds_are_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, first: int, is_said: bool
+) -> None:
+    made = []
+    monkeypatch.setattr(command, "_maps", lambda _folder: ())
+    monkeypatch.setattr(command, "_make", lambda _out, seed, _sources: made.append(seed))
+    assert command.main([str(tmp_path), "--count", "2", "--seed", str(first)]) == 0
+    assert made == [first, first + 1]
+    assert ("for verdicts" in capsys.readouterr().err) == is_said
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path, capsys) -> None:
+    nowhere = tmp_path / "nowhere"
+    words = [str(tmp_path), "--count", "1", "--seed", "0", "--assets", str(nowhere)]
+    assert command.main(words) == 2
+    assert f"{nowhere}: no such folder" in capsys.readouterr().err

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tiny captures of the population, rendered: the same to the bit, resumable, as they say."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from blender_scenes.environment import LUMINANCE
+from blender_scenes.format import SECOND_LIGHT, read_view
+from blender_scenes.population.draw import Sources, draw
+from blender_scenes.wheel import data_folder
+
+pytestmark = [
+    pytest.mark.blender,
+    pytest.mark.skipif(
+        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
+    ),
+]
+
+ROOT = Path(__file__).parents[2]
+
+TINY = """
+import sys
+from blender_scenes.population import command, ranges
+ranges.RESOLUTION_LOG = (32, 32)
+ranges.VIEWS_LOG = (2, 2)
+ranges.TEST_VIEWS = 1
+ranges.MOST_SAMPLES = ranges.LEAST_SAMPLES = 4
+sys.exit(command.main(sys.argv[1:]))
+"""
+"""The command with the last rows of its table changed: seconds instead of minutes."""
+
+
+def run(out: Path, first: int, count: int) -> subprocess.CompletedProcess:
+    words = [str(out), "--seed", str(first), "--count", str(count)]
+    command = [sys.executable, "-c", TINY, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def bare(seed: int):
+    """What is drawn without assets or further maps."""
+    maps = tuple(sorted(data_folder("studiolights/world").glob("*.exr")))
+    return draw(seed, Sources((), maps))
+
+
+def seeds_of_every_shape() -> list[int]:
+    """Seeds that together have what Blender's own modifiers make, a ground, and two suns."""
+    wanted = {"boolean", "monkey", "ground", "two suns", "alpha", "backdrop"}
+    chosen = []
+    for seed in range(1000):
+        recipe, tone = bare(seed).request.recipe, bare(seed).tone
+        has = {part.kind for part in recipe.parts}
+        has |= {"ground"} if recipe.ground is not None else set()
+        has |= {"two suns"} if len(recipe.sky.suns) == 2 else set()
+        has |= {"alpha" if tone.backdrop is None else "backdrop"}
+        if wanted & has:
+            wanted -= has
+            chosen.append(seed)
+        if not wanted:
+            return chosen
+    raise AssertionError(wanted)
+
+
+SEEDS = seeds_of_every_shape()
+
+
+@pytest.fixture(scope="module")
+def population(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("population")
+    for seed in SEEDS:
+        run(folder, seed, 1)
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
+
+
+def captures(folder: Path) -> list[Path]:
+    return [folder / f"seed_{seed:04d}" for seed in SEEDS]
+
+
+def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path: Path) -> None:
+    """In another process and another folder, and after other captures in that process."""
+    again = tmp_path / "a folder with a longer name"
+    run(again, SEEDS[0], SEEDS[-1] - SEEDS[0] + 1)
+    for capture in captures(population):
+        before, after = contents(capture), contents(again / capture.name)
+        assert before.keys() == after.keys()
+        assert [name for name in before if before[name] != after[name]] == []
+    assert not (again / ".renders").exists()
+
+
+def test_a_finished_capture_is_not_rendered_again_and_a_lost_one_is(population: Path) -> None:
+    first = captures(population)[0]
+    before = {p: p.stat().st_mtime_ns for p in first.rglob("*")}
+    done = run(population, SEEDS[0], 1)
+    assert f"{first.name}: already there" in done.stderr
+    assert {p: p.stat().st_mtime_ns for p in first.rglob("*")} == before
+
+
+def test_a_capture_of_another_table_is_refused(population: Path) -> None:
+    words = [str(population), "--seed", str(SEEDS[0]), "--count", "1"]
+    command = [sys.executable, "-m", "blender_scenes", "population", *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "made from another table" in done.stderr
+
+
+def test_captures_say_what_they_are(population: Path) -> None:
+    for seed, capture in zip(SEEDS, captures(population), strict=True):
+        scene = json.loads((capture / "truth" / "scene.json").read_text())
+        one, classes = bare(seed), scene["classes"]
+        truth = read_view(capture / "truth" / "train" / "r_000.exr")
+        assert (classes["ground"] == "ground") == (one.request.recipe.ground is not None)
+        assert classes["backdrop"] == (one.tone.backdrop or "alpha")
+        assert len(scene["lamps"]) == len(one.request.recipe.sky.suns)
+        assert scene["recipe"]["parts"][0]["kind"] == one.request.recipe.parts[0].kind
+        with Image.open(capture / "train" / "r_000.png") as picture:
+            mode = picture.mode
+        assert mode == ("RGBA" if one.tone.backdrop is None else "RGB")
+        assert 0.02 < truth.mask.mean() < 0.9
+        seen = truth.position[(truth.hit > 0.5) & (truth.mask > 0.99)]
+        lowest = -0.06 if one.request.recipe.ground is not None else -0.01
+        assert seen[:, 2].min() > lowest
+        # nothing leaves the picture, unless the hand that held the camera strayed
+        if one.request.recipe.cameras.kind != "handheld":
+            assert not np.concatenate([truth.mask[[0, -1]].ravel(), truth.mask[:, 0]]).any()
+
+
+def test_a_matt_thing_is_lit_by_the_second_light(population: Path) -> None:
+    """Radiance under the second map is neither the first's nor black, over the same pixels."""
+    for capture in captures(population):
+        with OpenEXR.File(str(capture / "truth" / SECOND_LIGHT)) as opened:
+            assert opened.channels()["RGB"].pixels.shape == (256, 512, 3)
+        truth = read_view(capture / "truth" / "test" / "r_000.exr")
+        file = capture / "truth" / "relit" / "r_000.exr"
+        with OpenEXR.File(str(file), separate_channels=True) as opened:
+            planes = {name: c.pixels for name, c in opened.channels().items()}
+        relit = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1)
+        # with four samples a pixel of the outline is met in one of the renders and not in the other
+        assert ((planes["mask"] > 0) != (truth.mask > 0)).mean() < 0.03
+        inside = (truth.mask > 0.99) & (planes["mask"] > 0.99)
+        ratio = (relit @ LUMINANCE)[inside] / np.maximum((truth.radiance @ LUMINANCE)[inside], 1e-4)
+        assert (relit[inside] > 0.0).mean() > 0.95
+        assert ratio.std() > 0.05
