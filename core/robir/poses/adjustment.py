@@ -110,11 +110,14 @@ def adjust(views: Sequence[View]) -> Adjustment | None:
     """
     found = matching.features(views, FEATURES)
     tracks = followed(found)
-    given = Bundle.of([each.camera for each in found]) if found else None
-    if given is None or tracks.count < FEWEST:
+    if tracks.count < FEWEST:
         return None
-    tracks = _met(given, tracks)
     named = {view.name: view for view in views}
+    reduced = [
+        named[each.name].camera.resized(each.camera.width, each.camera.height) for each in found
+    ]
+    given = Bundle.of(reduced)
+    tracks = _met(given, tracks)
     on_object = _on_object([named[each.name] for each in found], found, tracks)
     is_kept = np.arange(tracks.count) % KEPT == 0
     if (on_object & is_kept).sum() * KEPT < FEWEST:
@@ -126,7 +129,7 @@ def adjust(views: Sequence[View]) -> Adjustment | None:
     if lead(judges.view, before, after) < LEAST_LEAD:
         return None
     moved = {
-        each.name: _camera(named[each.name].camera, each.camera, better, row)
+        each.name: _camera(named[each.name].camera, reduced[row], better, row)
         for row, each in enumerate(found)
     }
     return Adjustment(
