@@ -154,7 +154,7 @@ def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
 
 
 def object_hull(
-    capture: Capture, photos: list[Photo], config: GeometryConfig
+    capture: Capture, photos: list[Photo], config: GeometryConfig, *, guessed: bool = False
 ) -> tuple[Lattice, Tensor]:
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
@@ -165,11 +165,12 @@ def object_hull(
         capture: In the unit frame.
         photos: Its training photographs, reduced.
         config: Of the stage.
+        guessed: Whether masks are as guessed at first: as for `hull_of`. Cut again they agree, and
+            a hull that some may not bound has notches.
     """
-    guessed = capture.has_guessed_masks
     carver = hull_of(photos, config.hull_views, guessed=guessed)
     lattice, values = carve(carver, config.hull_cells)
-    if guessed and capture.table is not None:
+    if capture.has_guessed_masks and capture.table is not None:
         height = capture.table.height(lattice.nodes().double().numpy())
         values = torch.maximum(values, torch.from_numpy(CLEARANCE - height).float())
     return lattice, values

@@ -53,7 +53,7 @@ def remasked(
     pictures = reduced(capture.views, SIDE)
     for number in range(ROUNDS):
         photos = [reduce_view(view, coarse.image_side) for view in capture.train]
-        hull = object_hull(capture, photos, config)
+        hull = object_hull(capture, photos, config, guessed=True)
         mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         outlines = [mask_distance(_shown(tracer, picture.camera)) for picture in pictures]
