@@ -33,14 +33,15 @@ ranges.RESOLUTION_LOG = (32, 32)
 ranges.VIEWS_LOG = (2, 2)
 ranges.TEST_VIEWS = 1
 ranges.MOST_SAMPLES = ranges.LEAST_SAMPLES = 4
-sys.exit(command.main(sys.argv[1:]))
+for seed in sys.argv[2:]:
+    if code := command.main([sys.argv[1], "--count", "1", "--seed", seed]):
+        sys.exit(code)
 """
 """The command with the last rows of its table changed: seconds instead of minutes."""
 
 
-def run(out: Path, first: int, count: int) -> subprocess.CompletedProcess:
-    words = [str(out), "--seed", str(first), "--count", str(count)]
-    command = [sys.executable, "-c", TINY, *words]
+def run(out: Path, *seeds: int) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-c", TINY, str(out), *map(str, seeds)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done
@@ -76,8 +77,7 @@ SEEDS = seeds_of_every_shape()
 @pytest.fixture(scope="module")
 def population(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("population")
-    for seed in SEEDS:
-        run(folder, seed, 1)
+    run(folder, *SEEDS)
     return folder
 
 
@@ -91,9 +91,9 @@ def captures(folder: Path) -> list[Path]:
 
 
 def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path: Path) -> None:
-    """In another process and another folder, and after other captures in that process."""
+    """In another process, another folder and another order."""
     again = tmp_path / "a folder with a longer name"
-    run(again, SEEDS[0], SEEDS[-1] - SEEDS[0] + 1)
+    run(again, *reversed(SEEDS))
     for capture in captures(population):
         before, after = contents(capture), contents(again / capture.name)
         assert before.keys() == after.keys()
@@ -104,7 +104,7 @@ def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path
 def test_a_finished_capture_is_not_rendered_again_and_a_lost_one_is(population: Path) -> None:
     first = captures(population)[0]
     before = {p: p.stat().st_mtime_ns for p in first.rglob("*")}
-    done = run(population, SEEDS[0], 1)
+    done = run(population, SEEDS[0])
     assert f"{first.name}: already there" in done.stderr
     assert {p: p.stat().st_mtime_ns for p in first.rglob("*")} == before
 
@@ -135,7 +135,8 @@ def test_captures_say_what_they_are(population: Path) -> None:
         assert seen[:, 2].min() > lowest
         # nothing leaves the picture, unless the hand that held the camera strayed
         if one.request.recipe.cameras.kind != "handheld":
-            assert not np.concatenate([truth.mask[[0, -1]].ravel(), truth.mask[:, 0]]).any()
+            edge = np.concatenate([truth.mask[[0, -1]].ravel(), truth.mask[:, [0, -1]].ravel()])
+            assert edge.max() < 1e-3
 
 
 def test_a_matt_thing_is_lit_by_the_second_light(population: Path) -> None:
