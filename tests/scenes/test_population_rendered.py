@@ -33,14 +33,15 @@ ranges.RESOLUTION_LOG = (32, 32)
 ranges.VIEWS_LOG = (2, 2)
 ranges.TEST_VIEWS = 1
 ranges.MOST_SAMPLES = ranges.LEAST_SAMPLES = 4
-sys.exit(command.main(sys.argv[1:]))
+for seed in sys.argv[2:]:
+    if code := command.main([sys.argv[1], "--count", "1", "--seed", seed]):
+        sys.exit(code)
 """
 """The command with the last rows of its table changed: seconds instead of minutes."""
 
 
-def run(out: Path, first: int, count: int) -> subprocess.CompletedProcess:
-    words = [str(out), "--seed", str(first), "--count", str(count)]
-    command = [sys.executable, "-c", TINY, *words]
+def run(out: Path, *seeds: int) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-c", TINY, str(out), *map(str, seeds)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done
@@ -76,8 +77,7 @@ SEEDS = seeds_of_every_shape()
 @pytest.fixture(scope="module")
 def population(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("population")
-    for seed in SEEDS:
-        run(folder, seed, 1)
+    run(folder, *SEEDS)
     return folder
 
 
@@ -91,9 +91,9 @@ def captures(folder: Path) -> list[Path]:
 
 
 def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path: Path) -> None:
-    """In another process and another folder, and after other captures in that process."""
+    """In another process, another folder and another order."""
     again = tmp_path / "a folder with a longer name"
-    run(again, SEEDS[0], SEEDS[-1] - SEEDS[0] + 1)
+    run(again, *reversed(SEEDS))
     for capture in captures(population):
         before, after = contents(capture), contents(again / capture.name)
         assert before.keys() == after.keys()
@@ -104,7 +104,7 @@ def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path
 def test_a_finished_capture_is_not_rendered_again_and_a_lost_one_is(population: Path) -> None:
     first = captures(population)[0]
     before = {p: p.stat().st_mtime_ns for p in first.rglob("*")}
-    done = run(population, SEEDS[0], 1)
+    done = run(population, SEEDS[0])
     assert f"{first.name}: already there" in done.stderr
     assert {p: p.stat().st_mtime_ns for p in first.rglob("*")} == before
 
@@ -135,11 +135,12 @@ def test_captures_say_what_they_are(population: Path) -> None:
         assert seen[:, 2].min() > lowest
         # nothing leaves the picture, unless the hand that held the camera strayed
         if one.request.recipe.cameras.kind != "handheld":
-            assert not np.concatenate([truth.mask[[0, -1]].ravel(), truth.mask[:, 0]]).any()
+            edge = np.concatenate([truth.mask[[0, -1]].ravel(), truth.mask[:, [0, -1]].ravel()])
+            assert edge.max() < 1e-3
 
 
-def test_a_matt_thing_is_lit_by_the_second_light(population: Path) -> None:
-    """Radiance under the second map is neither the first's nor black, over the same pixels."""
+def test_test_views_are_lit_by_the_second_light(population: Path) -> None:
+    """Sides of the scene gain and lose: by its light alone a picture's noise would average out."""
     for capture in captures(population):
         with OpenEXR.File(str(capture / "truth" / SECOND_LIGHT)) as opened:
             assert opened.channels()["RGB"].pixels.shape == (256, 512, 3)
@@ -147,10 +148,15 @@ def test_a_matt_thing_is_lit_by_the_second_light(population: Path) -> None:
         file = capture / "truth" / "relit" / "r_000.exr"
         with OpenEXR.File(str(file), separate_channels=True) as opened:
             planes = {name: c.pixels for name, c in opened.channels().items()}
-        relit = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1)
+        relit = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1) @ LUMINANCE
         # with four samples a pixel of the outline is met in one of the renders and not in the other
         assert ((planes["mask"] > 0) != (truth.mask > 0)).mean() < 0.03
         inside = (truth.mask > 0.99) & (planes["mask"] > 0.99)
-        ratio = (relit @ LUMINANCE)[inside] / np.maximum((truth.radiance @ LUMINANCE)[inside], 1e-4)
-        assert (relit[inside] > 0.0).mean() > 0.95
-        assert ratio.std() > 0.05
+        x, y, z = np.moveaxis(truth.normal, -1, 0)
+        sides = [inside & side for side in (x > 0.3, x < -0.3, y > 0.3, y < -0.3, z > 0.8)]
+        gains = [
+            relit[side].mean() / (truth.radiance @ LUMINANCE)[side].mean()
+            for side in sides
+            if side.sum() > 15
+        ]
+        assert max(gains) > 1.4 * min(gains)
