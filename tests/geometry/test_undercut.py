@@ -16,6 +16,7 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice
 from robir.geometry.pixel_rays import pixels_of
 from robir.geometry.stage import reconstruct
+from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.undercut import undercut
 from tests.geometry.scenes import camera_at, capture_of, disc, drum, ground_of
 
@@ -111,6 +112,12 @@ def test_room_is_freed_at_the_end_of_every_level(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(stage, "undercut", record)
     scene = trimesh.util.concatenate([disc(), drum(0.3, TOP, TOP + 0.2)])
     capture = capture_of(scene, views=24, side=64, low=0.12, paint=grey_below)
-    config = GeometryConfig(level_cells=(32, 48), level_steps=(30, 30), rays=512, face_budget=800)
+    config = GeometryConfig(
+        level_cells=(32, 48),
+        level_steps=(30, 30),
+        rays=512,
+        face_budget=800,
+        stereo=StereoConfig(image_side=0),  # which would end so short a fit
+    )
     reconstruct(capture, config, 0, "cpu", Mock())
     assert len(cells) == 2 and cells[0] > 1.4 * cells[1]
