@@ -12,7 +12,9 @@ import time
 from pathlib import Path
 
 import pytest
+from hostile.corpus import judged
 from hostile.leaks import growth
+from hostile.mutants import corpus
 from hostile.sandbox import tried
 
 ROOT = Path(__file__).parents[2]
@@ -101,3 +103,11 @@ def test_what_takes_too_much_memory_or_time_is_noticed(monkeypatch):
     start = time.monotonic()
     assert any("took" in fault for fault in tried(lambda: time.sleep(60) or 0, (0,)).faults)
     assert time.monotonic() - start < 10
+
+
+def test_cells_that_coincide_as_numbers_are_not_divided_for_minutes():
+    """Poses on shifted lines: the masks' hull was a point, of ever more cells."""
+    name = "colmap_text-lines-3"
+    mutants = [mutant for mutant in corpus(91, 4) if mutant.name == name]
+    ((_, outcome),) = judged(mutants)
+    assert not outcome.faults, outcome.faults

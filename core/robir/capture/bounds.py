@@ -35,6 +35,9 @@ INSIDE = 64
 _LEVELS = 3
 _AGREEMENT = 0.9
 
+_FINEST = 1e-9
+"""Side of a cell, as a share of its distance from the origin, that numbers still tell apart."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hull:
@@ -303,6 +306,8 @@ def _refined(silhouettes: Sequence[_Silhouette], cells: Array, half: float, diss
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)
     for _ in range(_LEVELS):
+        if half <= _FINEST * np.abs(centre).max():
+            break  # cells that coincide as numbers have no hull, and eight times as many each time
         # The sphere shrinks by a cell's diagonal at most, so deeper cells cannot decide it.
         outer = np.linalg.norm(cells - centre, axis=1) >= radius - 4 * np.sqrt(3.0) * half
         half = 0.5 * half
