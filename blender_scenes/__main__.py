@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from blender_scenes import cache
+from blender_scenes.command_line import carried_out, say
 from blender_scenes.format import ToneMapping, capture_facts, write_capture
 from blender_scenes.population import command
 from blender_scenes.request import (
@@ -19,11 +20,10 @@ from blender_scenes.request import (
     SceneRequest,
     fingerprint,
 )
-from blender_scenes.variation import VariationError, parse
+from blender_scenes.variation import parse
 from blender_scenes.view_transform import VIEW_TRANSFORMS
 from blender_scenes.wheel import wheel_version
 
-USAGE_ERROR = 2
 POPULATION = "population"
 """In place of a scene: random captures, see `blender_scenes.population`."""
 
@@ -41,41 +41,34 @@ def main(arguments: list[str] | None = None) -> int:
     if words[:1] == [POPULATION]:
         return command.main(words[1:])
     options = _parser().parse_args(words)
-    try:
-        request = SceneRequest(
-            scene=options.scene,
-            ground=options.ground or DEFAULT_GROUND.get(options.scene, "plain"),
-            light=options.light,
-            preset=options.preset,
-            hdri=options.hdri,
-            asset=options.asset,
-            resolution=options.resolution,
-            views=options.views,
-            test_views=options.test_views,
-            samples=options.samples,
-            seed=options.seed,
-            variation=parse(options.vary),
+    return carried_out(lambda: _make(options), options.out)
+
+
+def _make(options: argparse.Namespace) -> None:
+    """Renders the capture that is asked for, unless it is there."""
+    request = SceneRequest(
+        scene=options.scene,
+        ground=options.ground or DEFAULT_GROUND.get(options.scene, "plain"),
+        light=options.light,
+        preset=options.preset,
+        hdri=options.hdri,
+        asset=options.asset,
+        resolution=options.resolution,
+        views=options.views,
+        test_views=options.test_views,
+        samples=options.samples,
+        seed=options.seed,
+        variation=parse(options.vary),
+    )
+    tone = ToneMapping(options.view_transform, options.exposure)
+    if _already_there(options.out, request, tone):
+        say("already there, nothing to do")
+    else:
+        folder, rendered = cache.linear_renders(
+            request, options.cache or cache.default_folder(), _report
         )
-        tone = ToneMapping(options.view_transform, options.exposure)
-        if _already_there(options.out, request, tone):
-            _say("already there, nothing to do")
-        else:
-            folder, rendered = cache.linear_renders(
-                request, options.cache or cache.default_folder(), _report
-            )
-            write_capture(options.out, folder, tone)
-            _say(f"{rendered} views rendered now, the others taken from {folder}")
-    except (SceneError, VariationError) as error:
-        _say(f"error: {error}")
-        return USAGE_ERROR
-    except OSError as error:
-        _say(f"error: {error.filename or options.out}: {error.strerror or error}")
-        return USAGE_ERROR
-    except KeyboardInterrupt:
-        _say("interrupted; the same command goes on from here")
-        return 130
-    sys.stdout.write(f"{options.out}\n")
-    return 0
+        write_capture(options.out, folder, tone)
+        say(f"{rendered} views rendered now, the others taken from {folder}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -154,13 +147,7 @@ def _already_there(out: Path, request: SceneRequest, tone: ToneMapping) -> bool:
 
 
 def _report(done: int, total: int) -> None:
-    _say(f"rendered {done}/{total}", ending="\n" if done == total else "\r")
-
-
-def _say(sentence: str, ending: str = "\n") -> None:
-    """Writes to standard error; standard output is for the result's path alone."""
-    sys.stderr.write(sentence + ending)
-    sys.stderr.flush()
+    say(f"rendered {done}/{total}", ending="\n" if done == total else "\r")
 
 
 if __name__ == "__main__":

@@ -4,13 +4,13 @@
 import argparse
 import json
 import shutil
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from blender_scenes import cache
+from blender_scenes.command_line import carried_out, say
 from blender_scenes.format import read_view, write_capture
 from blender_scenes.population import ranges
 from blender_scenes.population.draw import Drawn, Sources, draw
@@ -19,7 +19,6 @@ from blender_scenes.population.facts import classes
 from blender_scenes.request import SceneError, fingerprint
 from blender_scenes.wheel import data_folder, wheel_version
 
-USAGE_ERROR = 2
 RENDERS = ".renders"
 """Folder beside the captures where linear renders grow until a capture is whole."""
 
@@ -36,25 +35,17 @@ def main(arguments: Sequence[str]) -> int:
     options = _parser().parse_args(arguments)
     seeds = range(options.seed, options.seed + options.count)
     if seeds and seeds[-1] >= ranges.VERDICT_SEED:
-        _say(
+        say(
             f"seeds from {ranges.VERDICT_SEED} on are for verdicts: run them to report, never to "
             "choose or to tune by"
         )
-    try:
+
+    def render() -> None:
         sources = Sources(_files(options.assets, ("obj", "gltf", "glb")), _maps(options.hdris))
         for number, seed in enumerate(seeds, 1):
-            _say(f"{number}/{len(seeds)} {_make(options.out, seed, sources)}")
-    except SceneError as error:
-        _say(f"error: {error}")
-        return USAGE_ERROR
-    except OSError as error:
-        _say(f"error: {error.filename or options.out}: {error.strerror or error}")
-        return USAGE_ERROR
-    except KeyboardInterrupt:
-        _say("interrupted; the same command goes on from here")
-        return 130
-    sys.stdout.write(f"{options.out}\n")
-    return 0
+            say(f"{number}/{len(seeds)} {_make(options.out, seed, sources)}")
+
+    return carried_out(render, options.out)
 
 
 def capture_name(seed: int) -> str:
@@ -88,8 +79,7 @@ def _make(folder: Path, seed: int, sources: Sources) -> str:
 
 
 def _progress(done: int, total: int) -> None:
-    sys.stderr.write(f"rendered {done}/{total}\r")
-    sys.stderr.flush()
+    say(f"rendered {done}/{total}", ending="\r")
 
 
 def _recipe(drawn: Drawn) -> dict:
@@ -155,9 +145,3 @@ def _count(text: str) -> int:
     if number < 0:
         raise argparse.ArgumentTypeError("must not be negative")
     return number
-
-
-def _say(sentence: str) -> None:
-    """Writes to standard error; standard output is for the result's path alone."""
-    sys.stderr.write(sentence + "\n")
-    sys.stderr.flush()

@@ -29,9 +29,9 @@ from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texel_size import pixel_width, solved_side, texture_side
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
-from robir.capture import nerf_synthetic
 from robir.capture.capture import Capture
 from robir.capture.images import resize_view
+from robir.capture.nerf_synthetic import is_by_camera
 from robir.capture.preview import save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
@@ -99,7 +99,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    by_camera = capture.format != nerf_synthetic.FORMAT
+    by_camera = is_by_camera(capture)
     scene = replace(scene, exposures=compared.exposures, by_camera=by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")

@@ -7,10 +7,16 @@ from pathlib import Path
 from typing import Literal
 
 from robir.capture import transforms
+from robir.capture.capture import Capture
 from robir.capture.frames import Array, Frame, FrameSet, Lens, unique_names
 
 FORMAT = "nerf-synthetic"
 TRAIN = "transforms_train.json"
+
+
+def is_by_camera(capture: Capture) -> bool:
+    """Whether a camera took the photographs: whoever renders a capture writes it in this format."""
+    return capture.format != FORMAT
 
 
 def read(root: Path) -> FrameSet:

@@ -21,10 +21,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture import nerf_synthetic
 from robir.capture.capture import Capture, View
 from robir.capture.findings import clipped_share
 from robir.capture.images import resize_view
+from robir.capture.nerf_synthetic import is_by_camera
 from robir.evaluation.surfaces import MeshCaster, intersection_over_union
 from robir.geometry.hull import mask_distance
 from robir.geometry.mesh import Mesh
@@ -64,10 +64,9 @@ class Sign:
 
     def limit_of(self, capture: Capture) -> float:
         """Where doubt begins for a capture."""
-        is_rendered = capture.format == nerf_synthetic.FORMAT
-        if self.of_photographs is None or is_rendered:
-            return self.limit
-        return self.of_photographs
+        if self.of_photographs is not None and is_by_camera(capture):
+            return self.of_photographs
+        return self.limit
 
     def is_doubtful(self, value: float, limit: float) -> bool:
         """Whether the value lies on the wrong side of a limit."""

@@ -18,11 +18,8 @@ from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.rays import Photo
+from robir.masking.guess import DISSENT
 from robir.maths.vectors import farthest_points
-
-DISSENT = 0.05
-"""Share of guessed masks that may be wrong at a point, one at least: as when they are guessed, in
-the end."""
 
 CLEARANCE = 0.015
 """Height above the table from which something belongs to the object, unit frame."""
@@ -107,14 +104,15 @@ def hull_of(photos: list[Photo], views: int, *, guessed: bool = False) -> HullCa
     Args:
         photos: With masks.
         views: Photographs at most.
-        guessed: Whether masks were guessed, so that DISSENT of them may be wrong at any point.
+        guessed: Whether masks were guessed, so that some may be wrong at any point: as many
+            as in the last round of guessing, one at least.
     """
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, views)]
     return HullCarver(
         [photo.camera for photo in kept],
         [photo.coverage for photo in kept],
-        outvoted=max(1, round(DISSENT * len(kept))) if guessed else 0,
+        outvoted=max(1, round(DISSENT[-1] * len(kept))) if guessed else 0,
     )
 
 

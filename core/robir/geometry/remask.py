@@ -20,12 +20,13 @@ from robir.geometry.field import Field
 from robir.geometry.hull import mask_distance, object_hull
 from robir.geometry.rays import reduce_view
 from robir.geometry.rival import smooth_surface
+from robir.geometry.stereo.fusion import entry_depth
 from robir.geometry.stereo.surface import stereo_surface
 from robir.geometry.tracer import EmbreeTracer
 from robir.masking.finish import sharpened
 from robir.masking.guess import SIDE
 from robir.masking.recut import recut
-from robir.masking.sight import Camera, reduced
+from robir.masking.sight import reduced
 
 COARSENESS = 0.64
 """Size of the photographs and of the lattice for these surfaces, as a share of the final ones."""
@@ -51,26 +52,20 @@ def remasked(
         cells=round(COARSENESS * stereo.cells),
     )
     pictures = reduced(capture.views, SIDE)
+    sizes = [picture.lab.shape[1::-1] for picture in pictures]
+    cameras = [view.camera.resized(*size) for view, size in zip(capture.views, sizes, strict=True)]
     for number in range(ROUNDS):
         photos = [reduce_view(view, coarse.image_side) for view in capture.train]
         hull = object_hull(capture, photos, config, guessed=True)
         mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        outlines = [mask_distance(_shown(tracer, picture.camera)) for picture in pictures]
+        shown = [np.isfinite(entry_depth(tracer, camera)) for camera in cameras]
+        outlines = [mask_distance(one.astype(np.float32)) for one in shown]
         beliefs = recut(pictures, outlines)
         cut = zip(capture.views, beliefs, strict=True)
         capture = replace(capture, views=tuple(_with_mask(*pair) for pair in cut))
         progress((number + 1) / ROUNDS)
     return capture
-
-
-def _shown(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
-    """1 where a camera sees a surface, (H, W), else 0."""
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    pixels = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
-    origins, directions = (part.astype(np.float32) for part in camera.rays(pixels))
-    hit = np.isfinite(tracer.first_hits(origins, directions).distance)
-    return hit.reshape(camera.height, camera.width).astype(np.float32)
 
 
 def _with_mask(view: View, belief: NDArray[np.float32]) -> View:

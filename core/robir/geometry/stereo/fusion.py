@@ -61,7 +61,7 @@ def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[De
     maps = []
     for own in farthest_points(positions, config.views):
         picture, camera = pictures[own], pictures[own].camera
-        entry = _entry(tracer, camera)
+        entry = entry_depth(tracer, camera)
         if len(sources[own]) < 2 or not (picture.whole & np.isfinite(entry)).any():
             continue
         far = float(((hull.vertices - camera.position) @ camera.forward).max())
@@ -69,7 +69,7 @@ def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[De
     return maps
 
 
-def _entry(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
+def entry_depth(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
     """Depth (H, W) at which a camera's rays meet a mesh; infinite where they do not."""
     origins, directions = camera.rays(camera.pixel_centres())
     hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
