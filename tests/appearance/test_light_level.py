@@ -12,14 +12,17 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.gloss import estimate_gloss
-from robir.appearance.light import log_sent
+from robir.appearance.light import MEAN_ALBEDO, log_sent
 from robir.appearance.light_level import (
     FACTORS,
+    LIMIT,
     MISREAD,
-    SKY_BESIDE,
+    UNSEEN,
     USUAL,
+    expected,
     level_by_highlights,
-    most_likely,
+    misread,
+    usual,
 )
 from robir.appearance.problem import make_problem
 from robir.appearance.solver import refit
@@ -43,37 +46,44 @@ def level_of(problem, light):
     return float(log_sent(light.irradiance(problem, rows), problem.indirect[rows]).mean())
 
 
-@pytest.mark.parametrize("wrong", [-0.4, 0.0, 0.4])
+@pytest.mark.parametrize("wrong", [-1.2, -0.4, 0.0, 0.4, 1.2])
 def test_highlights_tell_the_brightness(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.full((3,), wrong))
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
     told = level_by_highlights(problem, supposed, gloss, 0)
     assert told is not None
-    # half of what is told wrongly is what the sky about a sun adds elsewhere, but not here
-    assert told == pytest.approx(level_of(problem, light), abs=0.2)
+    # what reflections miss elsewhere, they do not miss on a ball whose surface is known
+    assert told == pytest.approx(level_of(problem, light) + UNSEEN, abs=0.2)
 
 
-def test_without_highlights_no_brightness_is_told(ball):
+def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)
-    assert level_by_highlights(problem, light, replace(gloss, has_highlights=False), 0) is None
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
     assert level_by_highlights(problem, light, all_metal, 0) is None
 
 
-def test_the_less_highlights_say_the_less_is_changed():
-    def told(deviation):
-        return most_likely(-0.5 * ((FACTORS - 0.5) / deviation) ** 2)
+def test_without_evidence_paints_are_common_ones():
+    shares = np.array([0.05, 0.1, MEAN_ALBEDO, 1.5])
+    told = [expected(usual(np.log(np.full((1000, 3), share)))) for share in shares]
+    assert (np.diff(told) > 0).all()
+    assert told[0] < -1
+    # what seems to return more than it receives bounds the light from below
+    assert told[-1] > np.log(1.5) - LIMIT
+    some = np.log(np.full((1000, 3), 0.05))
+    some[:50] = 0.0
+    assert expected(usual(some)) > -LIMIT
 
-    sure, less = told(0.05), told(0.15)
-    assert sure is not None
-    assert less is not None
-    variance = USUAL**2 + MISREAD**2
-    assert sure == pytest.approx((0.5 - SKY_BESIDE) * USUAL**2 / (variance + 0.05**2), abs=0.01)
-    assert less == pytest.approx((0.5 - SKY_BESIDE) * USUAL**2 / (variance + 0.15**2), abs=0.01)
-    assert told(0.3) is None
-    assert most_likely(np.zeros(len(FACTORS))) is None
+
+@pytest.mark.parametrize("deviation", [0.1, 0.5])
+def test_the_less_highlights_say_the_less_is_changed(deviation):
+    albedo = np.log(np.full((10, 3), MEAN_ALBEDO))
+    told = -0.5 * ((FACTORS - 1.0) / deviation) ** 2
+    # a product of Gaussians, and a dim light that makes paint too bright is out of question
+    variance = MISREAD**2 + deviation**2
+    wanted = (1.0 + UNSEEN) * USUAL**2 / (USUAL**2 + variance)
+    assert expected(misread(told) + usual(albedo)) == pytest.approx(wanted, abs=0.03)
 
 
 @pytest.mark.parametrize("level", [-0.3, 0.3])

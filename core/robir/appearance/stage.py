@@ -44,7 +44,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 
-REVISION = 59
+REVISION = 60
 
 TEXTURE_VIEWS = 48
 

@@ -5,8 +5,7 @@ A fit of a field and its colours explains what it cannot otherwise by pits: high
 exposures, masks that are a pixel off. Depth maps and a mesh moved to where patches agree know
 nothing of colours. On renderings, whose masks and poses are exact, the fit is the better one. So
 the first level of the fit and the stereo surface are both asked to let photographs predict each
-other, see prediction.py, and the stereo surface, the smoother of the two, goes on unless the fit is
-clearly better.
+other, see prediction.py. Where they do so about equally well, the surface that bends less goes on.
 """
 
 from __future__ import annotations
@@ -37,9 +36,7 @@ from robir.jobs.choice import Choice
 STEREO, FIELD = "by depth maps", "by a fit of field and colours"
 
 CLEAR_LEAD = 3.0
-"""Standard errors by which the fit must lead. Of nine renderings eight led by 3.8 to 15, by 2.8 a
-cow as smooth as the stereo surface; photographs of fruit and a glossy figure, dented all over, by
-2, and over the smooth surface those kept aside were predicted as well once it was refined."""
+"""Standard errors by which a surface must lead to go on though it bends more."""
 
 SMOOTH_ROUNDS = 5
 """Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""
@@ -61,7 +58,7 @@ class Rival:
         config: Settings of the stage.
 
     Attributes:
-        leads: Whether photographs predict each other about as well over it as over the fit.
+        leads: Whether it goes on instead of the fit.
         choices: What was compared, for the report; nothing if nothing was.
     """
 
@@ -87,11 +84,11 @@ class Rival:
             return False
         self._was_asked = True
         started = time.process_time()
-        first, own = (
-            self._predictions.errors(mesh) for mesh in (smooth_surface(field), self._mesh)
-        )
-        ahead = lead(first, own)
-        self.leads = ahead > -CLEAR_LEAD
+        surfaces = smooth_surface(field), self._mesh
+        ahead = lead(*(self._predictions.errors(mesh) for mesh in surfaces))
+        bends = [bending(mesh) for mesh in surfaces]
+        is_clear = abs(ahead) >= CLEAR_LEAD
+        self.leads = ahead > 0 if is_clear else bends[1] < bends[0]
         names = (STEREO, FIELD) if self.leads else (FIELD, STEREO)
         self.choices = (
             Choice(
@@ -99,8 +96,9 @@ class Rival:
                 chosen=names[0],
                 alternatives=names[1:],
                 why="over depth maps photographs predict each other better by "
-                f"{ahead:+.1f} standard errors than over the first level of the fit, "
-                f"which must lead by {CLEAR_LEAD:g}",
+                f"{ahead:+.1f} standard errors than over the first level of the fit, which bends "
+                f"{bends[0] / bends[1]:.1f} times as much; less than {CLEAR_LEAD:g} errors leave "
+                "it to the bends",
                 cost_seconds=time.process_time() - started,
             ),
         )
@@ -147,3 +145,19 @@ def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
 def smooth_surface(field: Field) -> Mesh:
     """Surface of a field, freed of loose pieces and of the steps of its cells."""
     return taubin(largest_pieces(extract(field.lattice, field.sdf)), SMOOTH_ROUNDS)
+
+
+def bending(mesh: Mesh) -> float:
+    """Total absolute mean curvature of a surface over the root of its area, of a sphere 3.54.
+
+    The sum over edges of length times dihedral angle, halved (Cohen-Steiner and Morvan 2003).
+
+    Args:
+        mesh: Of any frame and unit.
+    """
+    import trimesh
+
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    ends = surface.vertices[surface.face_adjacency_edges]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return float(0.5 * (lengths @ surface.face_adjacency_angles) / np.sqrt(surface.area))
