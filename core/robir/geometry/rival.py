@@ -5,7 +5,7 @@ A fit of a field and its colours explains what it cannot otherwise by pits: high
 exposures, masks that are a pixel off. Depth maps and a mesh moved to where patches agree know
 nothing of colours. On renderings, whose masks and poses are exact, the fit is the better one. So
 the first level of the fit and the stereo surface are both asked to let photographs predict each
-other, see prediction.py. Where they do so about equally well, the surface that bends less goes on.
+other, see prediction.py, and what the one bends more than the other speaks against it.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from robir.jobs.choice import Choice
 
 STEREO, FIELD = "by depth maps", "by a fit of field and colours"
 
-CLEAR_LEAD = 3.0
-"""Standard errors by which a surface must lead to go on though it bends more."""
+BENT = 3.0
+"""Standard errors by which a surface must lead that bends e times as much."""
 
 SMOOTH_ROUNDS = 5
 """Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""
@@ -86,9 +86,8 @@ class Rival:
         started = time.process_time()
         surfaces = smooth_surface(field), self._mesh
         ahead = lead(*(self._predictions.errors(mesh) for mesh in surfaces))
-        bends = [bending(mesh) for mesh in surfaces]
-        is_clear = abs(ahead) >= CLEAR_LEAD
-        self.leads = ahead > 0 if is_clear else bends[1] < bends[0]
+        more = bending(surfaces[0]) / bending(surfaces[1])
+        self.leads = ahead + BENT * np.log(more) > 0
         names = (STEREO, FIELD) if self.leads else (FIELD, STEREO)
         self.choices = (
             Choice(
@@ -97,8 +96,7 @@ class Rival:
                 alternatives=names[1:],
                 why="over depth maps photographs predict each other better by "
                 f"{ahead:+.1f} standard errors than over the first level of the fit, which bends "
-                f"{bends[0] / bends[1]:.1f} times as much; less than {CLEAR_LEAD:g} errors leave "
-                "it to the bends",
+                f"{more:.1f} times as much: worth {BENT * np.log(more):+.1f}",
                 cost_seconds=time.process_time() - started,
             ),
         )
