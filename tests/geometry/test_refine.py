@@ -183,6 +183,14 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
     assert lead(true[:1], dented[:1]) == 0
 
 
+def test_a_surface_that_is_missing_predicts_nothing(photos):
+    whole = sphere()
+    kept = whole.vertices[whole.faces].mean(1)[:, 2] < 0.2 * RADIUS
+    part = plain_mesh(whole.vertices, whole.faces[kept])
+    predictions = Predictions(photos)
+    assert lead(predictions.errors(part), predictions.errors(whole)) > 2
+
+
 def test_the_rival_takes_the_place_of_a_worse_field_alone(capture, photos):
     lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), 48)
     nodes = lattice.nodes()

@@ -18,6 +18,7 @@ from robir.capture.camera import Camera
 from robir.geometry.mesh import Mesh
 from robir.geometry.rays import Photo
 from robir.geometry.tracer import EmbreeTracer
+from robir.masking.opencv import cv2
 from robir.maths.vectors import farthest_points
 
 JUDGES = 12
@@ -28,6 +29,9 @@ NEAREST = 4
 
 WHOLE = 0.95
 """Coverage from which a pixel is object."""
+
+OUTLINE = 2
+"""Pixels from the outline within which masks are not believed."""
 
 SLACK = 0.01
 """Distance, unit frame, by which a ray may end before the surface it is to see."""
@@ -61,7 +65,8 @@ class Predictions:
 
         Returns:
             Mean squared display error of every pixel that is wholly object; NaN where the surface
-            shows it to no other photograph.
+            shows it to no other photograph. Well inside the object, where there is no surface, it
+            is that of knowing no more than the object's mean colour.
         """
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         return [self._judged(tracer, own) for own in self._judges]
@@ -83,7 +88,10 @@ class Predictions:
             weight += sure
         shown = layers[rows, columns, :3][torch.from_numpy(met)]
         error = ((total / weight.clamp(min=1e-6) - shown) ** 2).mean(1)
-        result = np.full(len(rows), np.nan, np.float32)
+        display = layers[rows, columns, :3].numpy()
+        inner = _within(layers[..., 3].numpy() > WHOLE)[rows, columns]
+        blind = ((display - display.mean(0)) ** 2).mean(1)
+        result = np.where(inner, blind, np.nan).astype(np.float32)
         result[met] = torch.where(weight[:, 0] > 0, error, float("nan")).numpy()
         return result
 
@@ -100,6 +108,12 @@ class Predictions:
         values, held = _read(layers, camera, points)
         sure = held & (values[:, 3] > WHOLE) & torch.from_numpy(free)
         return values[:, :3], sure.float()[:, None]
+
+
+def _within(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels (H, W) of a mask that lie further than OUTLINE from what is not of it."""
+    square = np.ones((2 * OUTLINE + 1, 2 * OUTLINE + 1), np.uint8)
+    return cv2.erode(inside.astype(np.uint8), square, borderValue=1) == 1
 
 
 def _read(layers: Tensor, camera: Camera, points: NDArray[np.float64]) -> tuple[Tensor, Tensor]:

@@ -39,7 +39,7 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json
 from robir.maths.vectors import farthest_points
 
-REVISION = 28
+REVISION = 29
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
