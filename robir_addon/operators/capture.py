@@ -12,7 +12,7 @@ from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
 from ..preferences import engine_python
-from ..worker import absolute, box_of, in_panel_words, program
+from ..worker import absolute, box_of, in_panel_words, program, result_folder
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -42,6 +42,26 @@ class _Look:
         self._capture = capture
         self._facts: dict[str, Any] | None = None
         self.problem = ""
+
+    def end_clicked(self, code: int, said: str) -> None:
+        """Show the answer as one step that can be undone."""
+        self.end(code, said)
+        with monitor.in_window():
+            bpy.ops.ed.undo_push(message=ROBIR_OT_look_at_capture.bl_label)
+
+    def end_chosen(self, code: int, said: str) -> None:
+        """Show the answer; a run of this capture is followed, a finished one brought in.
+
+        A Blender that was closed without saving has left no other trace of the run.
+        """
+        self.end_clicked(code, said)
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or absolute(scene.robir.capture) != self._capture:
+            return
+        root = result_folder(scene.robir)
+        known = client.snapshot(root)
+        if known.is_live or (known.state == "done" and absolute(scene.robir.result) != root):
+            monitor.watch(root)
 
     def take(self, event: dict[str, Any]) -> None:
         """Remember the answer among what the engine prints."""
@@ -161,6 +181,12 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
     bl_description = "Recognise the capture, check it, and show its cameras in the viewport"
     bl_options = {"REGISTER", "UNDO"}
 
+    is_chosen: BoolProperty(
+        name="Just chosen",
+        description="Look for a run of the capture as well",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture is chosen, while nothing is at work."""
@@ -171,14 +197,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         look, command = self._begin(context)
         if look is None:
             return {"CANCELLED"}
-
-        label = self.bl_label  # the operator itself is gone by then
-
-        def end(code: int, said: str) -> None:
-            look.end(code, said)
-            with monitor.in_window():
-                bpy.ops.ed.undo_push(message=label)
-
+        end = look.end_chosen if self.is_chosen else look.end_clicked
         return self._run(context, monitor.run_task, command, look, end)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -285,7 +304,7 @@ def take_capture(
     """
     context.scene.robir.capture = str(capture)
     try:
-        return bpy.ops.robir.look_at_capture(way)
+        return bpy.ops.robir.look_at_capture(way, is_chosen=True)
     except RuntimeError as fault:  # how Blender passes on what that operator reported
         operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
         return {"CANCELLED"}

@@ -250,6 +250,39 @@ def find_again(capture, out):
     return answer
 
 
+def choose_as_clicked(capture):
+    """What a click on Choose Capture begins in a window."""
+    look = module("operators.capture")
+    settings().capture = capture
+    engine = bpy.context.preferences.addons[MODULE].preferences.python
+    command = [*look.program(engine), "check", capture, "--json"]
+    taken = look._Look(bpy.context.scene, Path(capture))
+    module("monitor").run_task("look", command, taken.take, taken.end_chosen)
+
+
+def unsaved(capture):
+    """Blender was closed without saving, once in the midst of a run and once after its end."""
+    monitor, answer = module("monitor"), {}
+    settings().capture = capture
+    root = start_worker()
+    pulse(lambda: module("gateway").client.snapshot(root).state == "running")
+    for name, is_enough in (
+        ("running", lambda: state().task != "look" and (state().stage or not state().task)),
+        ("finished", lambda: not monitor.is_busy()),
+    ):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
+        choose_as_clicked(capture)
+        pulse(is_enough)
+        answer[name] = told()
+        os.environ.pop("ROBIR_TEST_SLOWLY", None)
+        pulse(lambda: not monitor.is_busy())
+        answer[f"{name} meshes"] = len(bpy.data.meshes)
+    choose_as_clicked(capture)
+    pulse(lambda: not monitor.is_busy())
+    answer["shown already"] = [state().task, len(bpy.data.meshes)]
+    return answer
+
+
 def tasks(python):
     """A task that speaks, one that is stopped, one that fails, and one that cannot be run."""
     monitor, lines, ends, spoken = module("monitor"), [], [], []

@@ -189,6 +189,19 @@ def test_a_killed_worker_is_told_and_the_next_goes_on(
     assert answer["meshes"] == 1
 
 
+def test_a_capture_chosen_again_finds_its_run(
+    own_blender, session, shots, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
+    capture = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
+    out = str(capture.with_name(f"{capture.name}_robir"))
+    answer = session(own_blender, "unsaved", capture)
+    running = answer["running"]
+    assert (running["task"], running["job"], running["error"]) == ("reconstruct", out, "")
+    assert (answer["finished"]["result"], answer["finished meshes"]) == (out, 1)
+    assert answer["shown already"] == ["", 1]
+
+
 def test_a_killed_blender_leaves_the_worker_to_the_next(
     own_blender, session, capture, extension_zip, tmp_path, monkeypatch
 ):
