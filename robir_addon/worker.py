@@ -30,6 +30,7 @@ _WORDS = (
     ("with --masks DIR", "in a folder chosen as Masks"),
     ("Or say where the object is with the setting capture.box=[x, y, z, width, depth, height].",
      "Or press Add Object Box and move it about the object."),
+    ("do without them with --skip-missing", "press Leave Out"),
     ("with --set, ", "or take a lower preset, "),
     (", or try another --seed", ""),
     ("run `robir check` on the capture", "look at the findings under Check"),
