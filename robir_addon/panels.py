@@ -11,7 +11,9 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from . import growth
+from .operators.photographs import can_leave_out
 from .paragraphs import paragraph
+from .photographs import draw_photographs
 from .preferences import shown_engine_status
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
 from .summary import shown_summary
@@ -116,7 +118,7 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         row.operator("robir.clear_capture", text="", icon="X")
         if state.task == "look":
             _progress(layout, context)
-        elif state.recognised:
+        elif state.recognised and _is_looked_at(context):
             paragraph(layout, context, state.recognised, "CHECKMARK")
         choices = _split(layout)
         choices.prop(settings, "masks")
@@ -124,6 +126,7 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         row.prop(settings, "box")
         if shown_box(settings) is None:
             row.operator("robir.add_box", text="", icon="ADD")
+        draw_photographs(layout, settings)
 
 
 class ROBIR_PT_check(_Panel, bpy.types.Panel):
@@ -135,18 +138,18 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture was looked at."""
         state = context.window_manager.robir
-        return bool(state.recognised or state.findings)
+        return _is_looked_at(context) and bool(state.recognised or state.findings)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Faults in boxes; what is only good to know folded away."""
-        layout = self.layout
-        findings = context.window_manager.robir.findings
+        layout, settings = self.layout, context.scene.robir
+        findings = list(context.window_manager.robir.findings)
         faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
         notes = [f for f in findings if f.level == "note"]
         if not faults:
             layout.label(text="No faults found", icon="CHECKMARK")
         place = layout
-        if faults and context.scene.robir.result:  # out of the way of what comes next
+        if faults and settings.result:  # out of the way of what comes next
             header, place = layout.panel("ROBIR_faults", default_closed=True)
             header.label(text=f"Faults ({len(faults)})", icon=_FAULT_ICONS[faults[0].level])
         for fault in faults if place is not None else ():
@@ -154,6 +157,8 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
             paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
             if fault.cure:
                 paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+            if can_leave_out(fault, settings):
+                box.operator("robir.leave_out").finding = findings.index(fault)
         if notes:
             header, body = layout.panel("ROBIR_notes", default_closed=True)
             header.label(text=f"Good to know ({len(notes)})")
@@ -316,6 +321,12 @@ class ROBIR_PT_engine(_Panel, bpy.types.Panel):
         column.operator("robir.install_engine", text=_install_text(context), icon="IMPORT")
         column.operator("robir.remove_engine", icon="TRASH")
         _preferences(layout, text="Preferences")
+
+
+def _is_looked_at(context: bpy.types.Context) -> bool:
+    """Whether what is known is about the chosen capture, which undo may have changed."""
+    looked_at = context.window_manager.robir.looked_at
+    return bool(looked_at) and looked_at == context.scene.robir.capture
 
 
 def _preferences(layout: bpy.types.UILayout, text: str) -> None:

@@ -111,7 +111,7 @@ def _hang_photographs(
         camera, collection = bpy.data.objects.get(name), bpy.data.collections.get(collection_name)
         if camera is None or collection is None or _MARK not in camera:
             return
-        picture = _small_copy(Path(view["image"]))
+        picture = _small_copy(Path(view["image"]), view["name"])
         if picture is None:
             continue
         lens = camera.data
@@ -132,7 +132,7 @@ def _hang_photographs(
         collection.objects.link(photo)
 
 
-def _small_copy(file: Path) -> bpy.types.Image | None:
+def _small_copy(file: Path, view_name: str) -> bpy.types.Image | None:
     """A photograph reduced to a thumbnail that is kept in the Blender file; None if unreadable."""
     try:
         image = bpy.data.images.load(str(file))
@@ -145,9 +145,14 @@ def _small_copy(file: Path) -> bpy.types.Image | None:
         return None
     shrink = min(1.0, _SMALL_SIDE / max(width, height))
     image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
-    image.name = f"{file.stem} small"
+    image.name = small_copy_name(view_name)
     image.pack()
     return image
+
+
+def small_copy_name(view_name: str) -> str:
+    """Name of the small copy of a photograph."""
+    return f"{view_name} small"
 
 
 def _frame(scene: bpy.types.Scene, centre: list[float], reach: float) -> None:

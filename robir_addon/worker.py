@@ -13,6 +13,7 @@ import bpy
 from mathutils import Vector
 
 from .gateway import client
+from .photographs import left_out_of
 
 _WORDS = (
     ("; continue with --resume", "; press Reconstruct to go on"),
@@ -106,6 +107,8 @@ def request_of(settings: Any) -> client.Request:
         device=settings.device,
         masks=absolute(settings.masks),
         box=box_of(settings),
+        skips_missing=settings.skip_missing,
+        left_out=left_out_of(settings),
     )
 
 

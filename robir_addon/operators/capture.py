@@ -11,8 +11,9 @@ from .. import monitor, viewport
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
+from ..photographs import list_photographs
 from ..preferences import engine_python
-from ..worker import absolute, box_of, in_panel_words, program, result_folder
+from ..worker import absolute, in_panel_words, program, request_of, result_folder
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -86,7 +87,10 @@ class _Look:
                 )
                 monitor.show_problem(self.problem)
             return
+        state.looked_at = scene.robir.capture
         _show_findings(state, self._facts["findings"])
+        views = [view["name"] for view in self._facts.get("cameras", ())]
+        list_photographs(scene.robir, views, self._facts["findings"])
         if not self._facts["accepted"]:
             _faulty.add(self._capture)
             first = state.findings[0]
@@ -105,7 +109,7 @@ class _Look:
 
 def _forget(state: Any) -> None:
     """What was known of the capture before."""
-    state.recognised = ""
+    state.recognised = state.looked_at = ""
     state.findings.clear()
     _faulty.clear()
     monitor.drop_steps()
@@ -117,6 +121,7 @@ def _show_findings(state: Any, findings: list[dict[str, Any]]) -> None:
         shown.level = finding["level"]
         shown.text = in_panel_words(finding["message"]) + _named(finding["files"])
         shown.cure = in_panel_words(finding["cure"])
+        shown.code, shown.files = finding["code"], "\n".join(finding["files"])
 
 
 def _named(files: list[str]) -> str:
@@ -214,18 +219,17 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
     def _begin(self, context: bpy.types.Context) -> tuple[_Look | None, list[str]]:
         """The look and the engine's command; no look where there is no engine."""
         settings = context.scene.robir
-        capture, masks = absolute(settings.capture), absolute(settings.masks)
         try:
             words = program(engine_python(context))
         except EngineError as error:
             monitor.show_problem(str(error))
             self.report({"ERROR"}, str(error))
             return None, []
-        command = [*words, "check", str(capture), "--json"]
-        if masks is not None:
-            command += ["--masks", str(masks)]
-        command += client.box_words(box_of(settings))
-        return _Look(context.scene, capture), command
+        request = request_of(settings)
+        command = [*words, "check", str(request.capture), "--json"]
+        if request.masks is not None:
+            command += ["--masks", str(request.masks)]
+        return _Look(context.scene, request.capture), [*command, *request.choice_words()]
 
     def _run(
         self, context: bpy.types.Context, run: Any, command: list[str], look: _Look, end: Any
@@ -286,8 +290,8 @@ class ROBIR_OT_clear_capture(bpy.types.Operator):
         viewport.clear_capture()
         _forget(context.window_manager.robir)
         monitor.show_problem("")
+        _forget_choices(context.scene.robir)
         context.scene.robir.capture = ""
-        context.scene.robir.out = ""
         return {"FINISHED"}
 
 
@@ -302,12 +306,20 @@ def take_capture(
         capture: Absolute.
         way: INVOKE_DEFAULT looks without making the user wait, EXEC_DEFAULT waits.
     """
+    if absolute(context.scene.robir.capture) != capture:
+        _forget_choices(context.scene.robir)
     context.scene.robir.capture = str(capture)
     try:
         return bpy.ops.robir.look_at_capture(way, is_chosen=True)
     except RuntimeError as fault:  # how Blender passes on what that operator reported
         operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
         return {"CANCELLED"}
+
+
+def _forget_choices(settings: Any) -> None:
+    """What was chosen for one capture is no other's."""
+    for name in ("masks", "box", "photographs", "skip_missing", "out", "result"):
+        settings.property_unset(name)
 
 
 def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

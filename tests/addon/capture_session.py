@@ -219,6 +219,25 @@ def killed(capture, out):
     return answer
 
 
+def lacking(capture, other):
+    """A capture with a missing photograph: left out, one more left out, another capture."""
+    answer = {"chosen": attempt(bpy.ops.robir.choose_capture, directory=capture)}
+    answer["codes"] = [f.code for f in state().findings if f.level == "error"]
+    answer["left_out"] = attempt(bpy.ops.robir.leave_out, finding=0)
+    answer["recognised"] = state().recognised
+    answer["photographs"] = [p.name for p in settings().photographs]
+    settings().photographs[0].is_used = False
+    answer["again"] = attempt(bpy.ops.robir.look_at_capture)
+    answer["one_less"] = state().recognised
+    answer["kept"] = [[p.name, p.is_used, p.reason] for p in settings().photographs]
+    answer["words"] = module("worker").request_of(settings()).words()
+    settings().out = settings().result = other + "_elsewhere"
+    answer["other"] = attempt(bpy.ops.robir.choose_capture, directory=other)
+    words = module("worker").request_of(settings()).words()
+    answer["other_words"], answer["other_result"] = words, settings().result
+    return answer
+
+
 def start_and_wait(capture, out, ready):
     """A Blender that is going to be killed while its worker works."""
     settings().capture, settings().out = capture, out

@@ -132,6 +132,27 @@ def test_a_box_about_the_object_goes_to_the_engine(blender, session, capture):
     assert answer["looked"] == [["FINISHED"], ""] and answer["seen"] == answer["words"]
 
 
+def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots, tmp_path):
+    lacking = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
+    (lacking / "train/r_5.png").unlink()
+    answer = session(own_blender, "lacking", lacking, capture)
+    assert refused(answer["chosen"], "1 of 14", "press Leave Out")
+    assert answer["codes"] == ["missing-images"]
+    assert answer["left_out"] == answer["again"] == [["FINISHED"], ""]
+    assert answer["recognised"] == "NeRF-synthetic, 13 photographs, 2 kept aside"
+    assert len(answer["photographs"]) == 13
+    assert answer["one_less"] == "NeRF-synthetic, 12 photographs, 2 kept aside"
+    assert [used for _, used, _ in answer["kept"]].count(False) == 1
+    name = answer["photographs"][0]
+    assert [name, False, "left out"] in answer["kept"]
+    assert "--skip-missing" in answer["words"]
+    assert f'capture.leave_out=["{name}"]' in answer["words"]
+    assert answer["other"] == [["FINISHED"], ""]
+    assert "--skip-missing" not in answer["other_words"], "that was said of another capture"
+    assert answer["other_words"][3] == str(capture.with_name(f"{capture.name}_robir"))
+    assert answer["other_result"] == ""
+
+
 def test_tasks_are_followed_and_stopped(own_blender, session):
     answer = session(own_blender, "tasks", sys.executable)
     assert answer["lines"] == [
@@ -189,9 +210,7 @@ def test_a_killed_worker_is_told_and_the_next_goes_on(
     assert answer["meshes"] == 1
 
 
-def test_a_capture_chosen_again_finds_its_run(
-    own_blender, session, shots, tmp_path, monkeypatch
-):
+def test_a_capture_chosen_again_finds_its_run(own_blender, session, shots, tmp_path, monkeypatch):
     monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
     capture = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
     out = str(capture.with_name(f"{capture.name}_robir"))

@@ -74,6 +74,10 @@ def test_what_matters_is_said(seen):
     assert "40 photographs, 8 kept aside" in said("looked")
     assert "less exposure" in said("looked")
     assert "No faults found" in said("faultless")
+    assert "No faults found" not in said("undone"), "undone, nothing is known of any capture"
+    assert "less exposure" not in said("another"), "what was found of one capture is no other's"
+    assert "Photographs (2 of 3)" in said("lacking")
+    assert seen["states"]["lacking"]["buttons"].count("robir.leave_out") == 4  # two, drawn twice
     running = said("running")
     for words in ("42 %", "Shape", "1 h 33 min left", "27.3 dB on photographs kept aside"):
         assert words in running

@@ -25,7 +25,7 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
     missing = [f for f in frames.frames if skips and f.name not in known and not f.image.is_file()]
     found = []
     if chosen:
-        names = [frame.relative for frame in chosen]
+        names = [frame.name for frame in chosen]
         found.append(note("left-out", f"{len(chosen)} photographs are left out as asked", *names))
     if unwanted - known:
         found.append(
