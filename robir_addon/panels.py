@@ -226,9 +226,7 @@ class ROBIR_PT_result(_Panel, bpy.types.Panel):
         row = layout.row(align=True)
         row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
         row.operator("robir.import_result", text="", icon="FILEBROWSER")
-        again = row.row(align=True)
-        again.operator_context = "EXEC_DEFAULT"  # the shown one, without asking for a folder
-        again.operator("robir.import_result", text="", icon="FILE_REFRESH")
+        row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
         row.operator("robir.remove_result", text="", icon="X")
         column = layout.column(align=True)
         column.operator("robir.compare", icon="IMAGE_REFERENCE")

@@ -9,7 +9,8 @@ from bpy.props import StringProperty
 from ..arrival import bring_in
 from ..comparison import compare
 from ..errors import ResultError
-from ..importer import mark_of, read_cameras, read_tone_curve, remove_result
+from ..importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
+from ..materials import is_edited
 from ..pictures import put_image, read_codes, show_image
 from ..startup import bring_back
 from ..support import support_report
@@ -25,7 +26,10 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
 
     bl_idname = "robir.import_result"
     bl_label = "Import Result"
-    bl_description = "Bring a finished result into the scene; importing it again replaces it"
+    bl_description = (
+        "Bring a finished result into the scene; importing it again replaces mesh and textures, "
+        "and keeps place, modifiers, materials and light"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
@@ -38,10 +42,7 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Always but in edit mode, where objects cannot be replaced."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave the present mode for Object Mode first")
-            return False
-        return True
+        return _is_in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the folder, beginning with the one that is shown."""
@@ -56,10 +57,64 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
         if not folder:
             raise ResultError("no folder was given; choose one that `robir reconstruct` finished")
         root = Path(bpy.path.abspath(folder)).absolute()
-        notes = bring_in(context, root)
-        for note in notes:
-            self.report({"INFO"}, note)
-        context.window_manager.robir.message = ". ".join(notes)
+        if _is_edited(root):
+            raise ResultError(
+                "the object's mesh was edited and would be lost; press Refresh Result to have it "
+                "replaced"
+            )
+        _bring_in(self, context, root)
+
+
+class ROBIR_OT_refresh_result(ImportedOperator, bpy.types.Operator):
+    """What the result folder holds now, on the object as the user has it."""
+
+    bl_idname = "robir.refresh_result"
+    bl_label = "Refresh Result"
+    bl_description = (
+        "Read mesh and textures anew; place, modifiers, materials and light stay as you made them"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Where a result is in the file, but not in edit mode."""
+        return super().poll(context) and _is_in_object_mode(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first where the user has changed the mesh."""
+        if not _is_edited(result_root(context)):
+            return self.execute(context)
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Replace the edited mesh?",
+            message="You have changed this object's mesh; the newer one takes its place.",
+            confirm_text="Replace",
+            icon="WARNING",
+        )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Replace, edited or not."""
+        _bring_in(self, context, result_root(context))
+
+
+def _is_edited(root: Path) -> bool:
+    asset = asset_of(root)
+    return asset is not None and is_edited(asset)
+
+
+def _is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if context.mode != "OBJECT":
+        operator.poll_message_set("Leave the present mode for Object Mode first")
+        return False
+    return True
+
+
+def _bring_in(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:
+    notes = bring_in(context, root)
+    for note in notes:
+        operator.report({"INFO"}, note)
+    context.window_manager.robir.message = ". ".join(notes)
 
 
 class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
@@ -173,6 +228,7 @@ class ROBIR_OT_copy_report(bpy.types.Operator):
 
 CLASSES = (
     ROBIR_OT_import_result,
+    ROBIR_OT_refresh_result,
     ROBIR_OT_remove_result,
     ROBIR_OT_compare,
     ROBIR_OT_show_tone_curve,

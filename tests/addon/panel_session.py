@@ -160,7 +160,8 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, done, doubtful, unreadable, damaged, filming, installing, checking, engine_checked,
+        stopped, failed, done, doubtful, unreadable, damaged, filming, installing,
+        checking, engine_checked,
     )
 }  # fmt: skip
 
