@@ -312,7 +312,7 @@ class ROBIR_PT_engine(_Panel, bpy.types.Panel):
         if state.engine_text:
             icon = "CHECKMARK" if state.engine_ok else "ERROR"
             paragraph(layout, context, state.engine_text, icon)
-        if state.task in ("install", "check_engine"):
+        if state.task in ("install", "check_engine", "remove_engine"):
             _progress(layout, context)
         column = layout.column(align=True)
         column.operator("robir.check_engine", icon="CHECKMARK")

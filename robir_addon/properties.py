@@ -12,6 +12,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -91,6 +92,15 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Do without missing ones",
         description="Leave out photographs that have a pose but are not there",
     )
+    view_scale: FloatProperty(
+        name="Scale of the view",
+        description="How many times as large as in its own unit the capture is shown",
+        default=1.0,
+    )
+    view_shift: FloatVectorProperty(
+        name="Shift of the view",
+        description="Where the origin of the capture's own frame is shown",
+    )
     out: StringProperty(
         name="Result",
         description="Folder for the result; empty makes one beside the capture",
@@ -155,7 +165,8 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     """What goes on at this moment; emptied when a file is opened."""
 
     task: StringProperty(
-        description='"" idle, "look", "reconstruct", "install", "check_engine" or "turntable"'
+        description='"" idle, "look", "reconstruct", "install", "check_engine", "remove_engine" or '
+        '"turntable"'
     )
     fraction: FloatProperty(description="Share of the task that is done", min=0.0, max=1.0)
     stage: StringProperty(description="Stage of the reconstruction at work")

@@ -79,7 +79,7 @@ def shown_box(settings: Any) -> bpy.types.Object | None:
 def box_of(settings: Any) -> tuple[float, ...]:
     """Centre and sides of the box about the object along the world's axes; empty without one.
 
-    The capture's cameras are shown in the capture's own frame, so the world's is the capture's.
+    In the capture's own frame and unit, which the viewport may show at another place and scale.
     """
     chosen = shown_box(settings)
     if chosen is None:
@@ -90,7 +90,9 @@ def box_of(settings: Any) -> tuple[float, ...]:
         corners = [Vector(signs) * size for signs in product((-1.0, 1.0), repeat=3)]
     else:
         corners = [Vector(corner) for corner in chosen.bound_box]
-    columns = list(zip(*(chosen.matrix_world @ corner for corner in corners), strict=True))
+    shift, scale = Vector(settings.view_shift), settings.view_scale
+    placed = [(chosen.matrix_world @ corner - shift) / scale for corner in corners]
+    columns = list(zip(*placed, strict=True))
     centre = [0.5 * (min(column) + max(column)) for column in columns]
     return (*centre, *(max(column) - min(column) for column in columns))
 

@@ -208,7 +208,14 @@ def _checked(place: Place, options: argparse.Namespace) -> Record:
         torch=facts.torch,
         numpy=facts.numpy,
         python=facts.python,
+        size=_size(place.environment),
     )
+
+
+def _size(folder: Path) -> int:
+    """Bytes of all files below a folder."""
+    files = (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
+    return sum(file.lstat().st_size for file in files)
 
 
 class _Steps:

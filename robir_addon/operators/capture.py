@@ -13,6 +13,7 @@ from ..errors import AddonError
 from ..gateway import client
 from ..photographs import list_photographs
 from ..preferences import engine_python
+from ..startup import bring_back
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
 
 _FORMATS = {
@@ -25,6 +26,9 @@ _FORMATS = {
 
 _MOST_NAMES = 3
 """Files that a finding names in the panel; `robir check` names more."""
+
+_PLACE = ("view_scale", "view_shift")
+"""Settings that say how the capture was brought into view."""
 
 _faulty: set[Path] = set()
 """Captures that the last look at them refused."""
@@ -135,7 +139,8 @@ def _named(files: list[str]) -> str:
 def _recognised(facts: dict[str, Any]) -> str:
     name = _FORMATS.get(facts["format"], facts["format"])
     count = facts["views"] + facts["held_out"]
-    return f"{name}, {count} photographs, {facts['held_out']} kept aside"
+    width = 2.0 * facts["radius"]
+    return f"{name}, {count} photographs, {facts['held_out']} kept aside, {width:.3g} units wide"
 
 
 class ROBIR_OT_choose_capture(bpy.types.Operator):
@@ -158,8 +163,8 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work."""
-        return may_begin(cls, context)
+        """Not while something is at work but the engine's installation."""
+        return may_choose(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the folder, beginning with the one that is chosen."""
@@ -288,6 +293,8 @@ class ROBIR_OT_clear_capture(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Forget it, and remove all that was shown of it."""
         viewport.clear_capture()
+        if not context.scene.robir.result:
+            bring_back(context.scene, context.view_layer)
         _forget(context.window_manager.robir)
         monitor.show_problem("")
         _forget_choices(context.scene.robir)
@@ -309,6 +316,8 @@ def take_capture(
     if absolute(context.scene.robir.capture) != capture:
         _forget_choices(context.scene.robir)
     context.scene.robir.capture = str(capture)
+    if is_engine_coming(context):
+        return {"FINISHED"}  # it is looked at when the engine is there
     try:
         return bpy.ops.robir.look_at_capture(way, is_chosen=True)
     except RuntimeError as fault:  # how Blender passes on what that operator reported
@@ -318,8 +327,26 @@ def take_capture(
 
 def _forget_choices(settings: Any) -> None:
     """What was chosen for one capture is no other's."""
-    for name in ("masks", "box", "photographs", "skip_missing", "out", "result"):
+    for name in ("masks", "box", "photographs", "skip_missing", "out", "result", *_PLACE):
         settings.property_unset(name)
+
+
+def may_choose(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether a capture can be chosen: while the engine is installed it can, and waits."""
+    return is_engine_coming(context) or may_begin(operator, context)
+
+
+def is_engine_coming(context: bpy.types.Context) -> bool:
+    """Whether the engine is being installed or checked; a capture can be chosen meanwhile."""
+    return context.window_manager.robir.task in ("install", "check_engine")
+
+
+def look_at_waiting(context: bpy.types.Context) -> None:
+    """Look at the capture that was chosen before there was an engine."""
+    state = context.window_manager.robir
+    if state.looked_at != context.scene.robir.capture and not bpy.app.background:
+        with monitor.in_window():
+            bpy.ops.robir.look_at_capture("INVOKE_DEFAULT", is_chosen=True)
 
 
 def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

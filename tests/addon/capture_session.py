@@ -238,6 +238,48 @@ def lacking(capture, other):
     return answer
 
 
+def millimetres(capture):
+    """A capture as it is, and as if its unit were a 240th and its origin far off."""
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+    look, answer, taken = module("operators.capture"), {}, []
+    original = look._Look.take
+
+    def take(self, event):
+        original(self, event)
+        taken.append(event)
+
+    look._Look.take = take
+    attempt(bpy.ops.robir.choose_capture, directory=capture)
+    facts = next(event for event in taken if "accepted" in event)
+    answer["plain"] = seen_bounds()
+    for view in facts["cameras"]:
+        for row in view["camera_to_world"][:3]:
+            row[3] = row[3] * 240.0 / facts["radius"] + 795.0
+    middle = [c * 240.0 / facts["radius"] + 795.0 for c in facts["centre"]]
+    facts |= {"centre": middle, "radius": 240.0}
+    list(module("viewport").show_capture(bpy.context.scene, facts))
+    answer["large"], answer["recognised"] = seen_bounds(), look._recognised(facts)
+    bpy.ops.robir.add_box()
+    answer["box"] = list(module("worker").box_of(settings()))
+    answer["sphere"] = [*middle, 480.0, 480.0, 480.0]
+    bpy.ops.robir.clear_capture()
+    answer["cleared"] = bpy.data.objects["Cube"].visible_get()
+    return answer
+
+
+def seen_bounds():
+    bpy.context.view_layer.update()
+    sphere = bpy.data.objects["Bounds of the object"]
+    cameras = [o for o in bpy.data.objects if "robir_view" in o]
+    away = [(o.matrix_world.translation - sphere.location).length for o in cameras]
+    return {
+        "radius": sphere.empty_display_size,
+        "centre": list(sphere.location),
+        "cube": bpy.data.objects["Cube"].visible_get(),
+        "distances": away,
+    }
+
+
 def start_and_wait(capture, out, ready):
     """A Blender that is going to be killed while its worker works."""
     settings().capture, settings().out = capture, out

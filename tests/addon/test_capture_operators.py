@@ -62,7 +62,8 @@ def refused(answer, *words: str) -> bool:
 def check_look(answer, capture, shots):
     assert not answer["poll"]
     assert answer["chosen"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"] == "NeRF-synthetic, 14 photographs, 2 kept aside"
+    assert answer["recognised"].startswith("NeRF-synthetic, 14 photographs, 2 kept aside, ")
+    assert answer["recognised"].endswith(" units wide")
     assert "error" not in answer["levels"]
     assert answer["is_same"], "a second look made more of everything"
     assert answer["may_reconstruct"]
@@ -139,9 +140,9 @@ def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots
     assert refused(answer["chosen"], "1 of 14", "press Leave Out")
     assert answer["codes"] == ["missing-images"]
     assert answer["left_out"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"] == "NeRF-synthetic, 13 photographs, 2 kept aside"
+    assert answer["recognised"].startswith("NeRF-synthetic, 13 photographs, 2 kept aside")
     assert len(answer["photographs"]) == 13
-    assert answer["one_less"] == "NeRF-synthetic, 12 photographs, 2 kept aside"
+    assert answer["one_less"].startswith("NeRF-synthetic, 12 photographs, 2 kept aside")
     assert [used for _, used, _ in answer["kept"]].count(False) == 1
     name = answer["photographs"][0]
     assert [name, False, "left out"] in answer["kept"]
@@ -151,6 +152,19 @@ def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots
     assert "--skip-missing" not in answer["other_words"], "that was said of another capture"
     assert answer["other_words"][3] == str(capture.with_name(f"{capture.name}_robir"))
     assert answer["other_result"] == ""
+
+
+def test_a_capture_in_millimetres_is_shown_at_a_size_to_work_with(own_blender, session, capture):
+    answer = session(own_blender, "millimetres", capture)
+    for name in ("plain", "large"):
+        shown = answer[name]
+        assert 0.8 < shown["radius"] < 1.3
+        assert name == "plain" or max(map(abs, shown["centre"])) < 2.0
+        assert shown["cube"] is False, "what Blender starts with hides the object"
+        np.testing.assert_allclose(shown["distances"], answer["plain"]["distances"], rtol=0.3)
+    np.testing.assert_allclose(answer["box"], answer["sphere"], rtol=1e-3)
+    assert "480 units wide" in answer["recognised"]
+    assert answer["cleared"] is True
 
 
 def test_tasks_are_followed_and_stopped(own_blender, session):
