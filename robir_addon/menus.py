@@ -17,7 +17,7 @@ _IN_ORDER = (
     ("use_recovered_light", "use_environment", "turntable"),
     ("export_glb", "export_usd", "export_textures", "mark_asset"),
     ("install_engine", "cancel_install", "check_engine", "remove_engine"),
-    ("open_report", "copy_report"),
+    ("open_report", "copy_report", "dismiss", "allow_online"),
 )
 
 

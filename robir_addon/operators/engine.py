@@ -24,7 +24,7 @@ from ..preferences import (
 from ..worker import in_panel_words
 from .capture import look_at_waiting, why_wait
 
-_OFFLINE = "Blender is not allowed to go online"
+OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
     "turn on Allow Online Access in Preferences > System, or give a folder of wheels in the "
     "add-on's preferences"
@@ -271,7 +271,7 @@ def _install_command(context: bpy.types.Context) -> list[str]:
             )
         return engine.worker_command(*words, "--wheels", str(folder))
     if not bpy.app.online_access:
-        raise EngineError(_OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
+        raise EngineError(OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
     return engine.worker_command(*words, "--online")
 
 

@@ -111,6 +111,11 @@ def failed(settings, state, result):
     state.error, state.error_cure = f"{SENTENCE} ({PATH})", "Reconstruct again; it goes on"
 
 
+def offline(settings, state, result):
+    engine = import_module(f"{MODULE}.operators.engine")
+    state.error, state.error_cure = engine.OFFLINE, "Turn it on"
+
+
 def done(settings, state, result):
     looked(settings, state, result)
     settings.result = result
@@ -160,7 +165,7 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, done, doubtful, unreadable, damaged, filming, installing,
+        stopped, failed, offline, done, doubtful, unreadable, damaged, filming, installing,
         checking, engine_checked,
     )
 }  # fmt: skip

@@ -155,7 +155,7 @@ def test_a_click_returns_at_once_and_can_be_cancelled(own_blender, extension_zip
     assert "not finished; press Install Engine again" in text
     said, error, text, task = answer["whole"]
     assert (error, task) == ("", "")
-    assert {"checking the engine", "unpacking RobIR"} & set(said)
+    assert "checking the engine" in said or any(text.startswith("unpacking") for text in said)
     assert text.startswith("Engine ready")
 
 

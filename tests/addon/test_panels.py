@@ -103,6 +103,8 @@ def test_the_button_that_is_needed_is_there(seen):
         "looked": "reconstruct",
         "running": "cancel_reconstruct",
         "failed": "copy_report",
+        "stopped": "dismiss",
+        "offline": "allow_online",
         "done": "use_studio_light",
         "installing": "cancel_install",
         "unreadable": "import_result",
@@ -148,9 +150,9 @@ def test_every_operator_is_found_by_the_search(seen):
 
 def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
-        "add_preset", "cancel_install", "cancel_reconstruct", "check_engine", "copy_report",
-        "export_glb", "export_textures", "export_usd", "install_engine", "open_report",
-        "remove_engine", "turntable",
+        "add_preset", "allow_online", "cancel_install", "cancel_reconstruct", "check_engine",
+        "copy_report", "dismiss", "export_glb", "export_textures", "export_usd",
+        "install_engine", "open_report", "remove_engine", "turntable",
     }  # fmt: skip
     undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
     assert undone == set(seen["operators"]) - looks_only
