@@ -21,6 +21,7 @@ _MODULES = (
     "operators.result",
     "operators.relight",
     "operators.export",
+    "captions",
     "dropping",
     "presets",
     "photographs",

@@ -171,7 +171,9 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
         row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
         row.operator("robir.remove_result", text="", icon="X")
         column = layout.column(align=True)
-        column.operator("robir.compare", icon="IMAGE_REFERENCE")
+        compare = column.row(align=True)
+        compare.operator("robir.compare", icon="IMAGE_REFERENCE")
+        compare.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
         column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
         column.operator("robir.match_view_transform", icon="COLOR")
         column.operator("robir.open_report", icon="URL")

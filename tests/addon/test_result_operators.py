@@ -79,6 +79,12 @@ def main(archive, result, out):
     answer["unmatched"] = bpy.context.scene.view_settings.view_transform
     answer["compared"] = [call("compare"), call("compare", view="nobody"), call("compare")]
     pictures = [i.name for i in bpy.data.images if i.name.startswith("RobIR")]
+    image, views = bpy.data.images["RobIR comparison"], []
+    for step in (1, 1, -1):
+        call("compare_next", step=step)
+        views.append(image["robir_view"])
+    answer["views"] = [*views, image["robir_captions"]]
+    call("compare")
     answer["tone"] = call("show_tone_curve")
     answer["pictures"] = pictures + [i.name for i in bpy.data.images if "tone curve" in i.name]
     image = bpy.data.images["RobIR comparison"]
@@ -305,6 +311,11 @@ def test_a_result_is_brought_in_looked_at_and_taken_out(blender, files, result, 
     )
     assert answer["compared"][::2] == [["FINISHED"]] * 2
     assert "held_out_000" in answer["compared"][1]
+    *views, captions = answer["views"]
+    assert views[0] == views[2]
+    assert len(set(views)) == 2
+    assert captions.splitlines()[1:] == ["Photograph", "Re-render by RobIR", "Albedo", "Roughness"]
+    assert f"View {views[2]}" in captions
     assert answer["tone"] == ["FINISHED"]
     assert answer["pictures"] == ["RobIR comparison", "RobIR tone curve"]
     assert answer["report"] == [["FINISHED"]] * 2
