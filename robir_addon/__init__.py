@@ -13,6 +13,7 @@ _MODULES = (
     "summary",
     "growth",
     "monitor",
+    "recent",
     "operators.engine",
     "operators.capture",
     "operators.photographs",

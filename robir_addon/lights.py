@@ -180,6 +180,24 @@ def environment_file(world: bpy.types.World) -> Path:
     return Path(os.path.normpath(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath)))
 
 
+def shown_light(scene: bpy.types.Scene) -> str:
+    """Stem of the file whose light shines; empty for the recovered light or none of ours."""
+    world = scene.world
+    if world is None or MARK not in world or shows_recovered_light(world):
+        return ""
+    pictures = (n.image for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
+    return next((Path(image.filepath).stem for image in pictures if image is not None), "")
+
+
+def strength_of(scene: bpy.types.Scene) -> bpy.types.NodeSocket | None:
+    """What says how strong the light of the scene's World is, if the World is one of ours."""
+    world = scene.world
+    if world is None or MARK not in world:
+        return None
+    found = (n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    return next((node.inputs["Strength"] for node in found), None)
+
+
 def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
     """Change how the recovered light is given; nothing happens while another light shines."""
     world = scene.world

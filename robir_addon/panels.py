@@ -12,10 +12,13 @@ from bl_ui.utils import PresetPanel
 
 from . import growth
 from .drawing import Panel, big, install_text, preferences_button, progress, split
+from .lights import shown_light, strength_of
 from .operators.photographs import can_leave_out
 from .paragraphs import paragraph
 from .photographs import draw_photographs
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
+from .properties import STUDIO_LIGHTS
+from .recent import recent_captures
 from .summary import shown_summary
 from .viewport import COLLECTION
 from .worker import shown_box
@@ -48,6 +51,11 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
                 "into the viewport",
                 "INFO",
             )
+            for capture in recent_captures():
+                recent = layout.operator(
+                    "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False
+                )
+                recent.directory = capture
             return
         row = layout.row(align=True)
         row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
@@ -211,10 +219,20 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
         """Lights to choose from, how they are turned, and a film of that."""
         layout, settings = self.layout, context.scene.robir
         column = layout.column(align=True)
-        column.operator("robir.use_recovered_light", icon="LIGHT_SUN")
-        column.operator_menu_enum("robir.use_studio_light", "light", icon="LIGHTPROBE_SPHERE")
-        column.operator("robir.use_environment", icon="WORLD")
+        shown, strength = shown_light(context.scene), strength_of(context.scene)
+        is_recovered = strength is not None and not shown
+        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=is_recovered)
+        studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
+        column.operator_menu_enum(
+            "robir.use_studio_light",
+            "light",
+            text=f"Studio Light: {studio}" if studio else "Studio Light",
+            icon="LIGHTPROBE_SPHERE",
+        )
+        column.operator("robir.use_environment", icon="WORLD", depress=bool(shown and not studio))
         column = split(layout)
+        if strength is not None:
+            column.prop(strength, "default_value", text="Strength")
         column.prop(settings, "rotation")
         column.prop(settings, "use_sun_lamp")
         column.prop(settings, "turntable_frames")

@@ -13,6 +13,7 @@ from ..errors import AddonError
 from ..gateway import client
 from ..photographs import list_photographs
 from ..preferences import engine_python
+from ..recent import result_of
 from ..startup import bring_back
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
 
@@ -167,10 +168,11 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
         return may_choose(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder, beginning with the one that is chosen."""
+        """Ask for the folder, beginning with the one that is chosen; a button may name one."""
         self._way = "INVOKE_DEFAULT"
-        if not self.directory:
-            self.directory = context.scene.robir.capture
+        if self.directory:
+            return self.execute(context)
+        self.directory = context.scene.robir.capture
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -315,6 +317,7 @@ def take_capture(
     """
     if absolute(context.scene.robir.capture) != capture:
         _forget_choices(context.scene.robir)
+        context.scene.robir.out = result_of(capture)
     context.scene.robir.capture = str(capture)
     if is_engine_coming(context):
         return {"FINISHED"}  # it is looked at when the engine is there

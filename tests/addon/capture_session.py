@@ -193,6 +193,13 @@ def reconstruct(capture, other, out):
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
+    recent = module("recent")
+    recent.unregister()
+    recent.register()  # as in the next Blender
+    answer["recent"] = recent.recent_captures()
+    settings().capture = ""
+    attempt(bpy.ops.robir.choose_capture, directory=capture)
+    answer["recent_out"] = settings().out
     return answer
 
 

@@ -121,6 +121,12 @@ def done(settings, state, result):
     settings.result = result
 
 
+def relit(settings, state, result):
+    done(settings, state, result)
+    bpy.ops.robir.import_result(directory=result)
+    bpy.ops.robir.use_studio_light(light="forest")
+
+
 def doubtful(settings, state, result):
     folder = Path(tempfile.mkdtemp())
     report = json.loads((Path(result) / "report" / "report.json").read_text())
@@ -165,7 +171,7 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, offline, done, doubtful, unreadable, damaged, filming, installing,
+        stopped, failed, offline, done, relit, doubtful, unreadable, damaged, filming, installing,
         checking, engine_checked,
     )
 }  # fmt: skip

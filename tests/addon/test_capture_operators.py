@@ -201,6 +201,8 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert refused(answer["nothing_at_work"], "No reconstruction is at work")
     assert refused(answer["other"], "holds the result of", "choose another result folder")
     assert answer["other_told"]["error_cure"] == "Choose another result folder"
+    assert str(capture) in answer["recent"]
+    assert answer["recent_out"] == str(out), "a chosen result folder is found again"
     # so small a draft fails its own quality check, and is imported all the same
     run = read_json(JobPaths(out).run)
     assert (run["state"], run["exit_code"]) == ("done", 5)

@@ -12,13 +12,13 @@ import subprocess
 import sys
 import time
 import tomllib
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 from addon.wheelhouse import (
     CONSTRAINTS,
     ROOT,
+    Source,
     build_robir,
     plain,
     serve,
@@ -36,16 +36,6 @@ from robir_addon.engine.states import read_record, write_record
 
 UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"
 FAR_INDEX = "http://127.0.0.1:9/"
-
-
-@dataclass(frozen=True)
-class Source:
-    """What is installed from: the wheel of robir, and folders of wheels."""
-
-    robir: Path
-    wheels: Path
-    cuda_wheels: Path
-    hashes: Path
 
 
 @pytest.fixture(scope="module")

@@ -76,6 +76,7 @@ def test_what_matters_is_said(seen):
     assert "No faults found" in said("faultless")
     assert "No faults found" not in said("undone"), "undone, nothing is known of any capture"
     assert "less exposure" not in said("another"), "what was found of one capture is no other's"
+    assert "Studio Light: Forest" in said("relit")
     assert "Photographs (2 of 3)" in said("lacking")
     assert seen["states"]["lacking"]["buttons"].count("robir.leave_out") == 4  # two, drawn twice
     running = said("running")

@@ -6,7 +6,9 @@ The tests are one session in their order; its file is never saved.
 
 from __future__ import annotations
 
+import shutil
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -59,6 +61,12 @@ def window(
     window.quit()
 
 
+@pytest.fixture(scope="module")
+def own(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The capture where nobody has reconstructed it before."""
+    return shutil.copytree(capture, tmp_path_factory.mktemp("own") / capture.name)
+
+
 def drop(window: BlenderWindow, capture: Path) -> None:
     """Drop a capture on the viewport."""
     place = window.view_centre()
@@ -72,23 +80,21 @@ def check_in_view(window: BlenderWindow, thing: str) -> None:
     assert 0 < low < high < height
 
 
-def test_a_dropped_capture_is_seen_beside_the_sidebar(window: BlenderWindow, capture: Path) -> None:
-    drop(window, capture)
+def test_a_dropped_capture_is_seen_beside_the_sidebar(window: BlenderWindow, own: Path) -> None:
+    drop(window, own)
     window.wait_until(f"{STATE}.recognised and not {STATE}.task", 120.0)
     window.picture("dropped")
     assert not window.get("bpy.data.objects['Cube'].visible_get()")
     check_in_view(window, "bpy.data.objects['Bounds of the object']")
 
 
-def test_a_run_is_found_again_though_nothing_was_saved(
-    window: BlenderWindow, capture: Path
-) -> None:
+def test_a_run_is_found_again_though_nothing_was_saved(window: BlenderWindow, own: Path) -> None:
     window.press("bpy.ops.robir.reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct' and {STATE}.stage", 120.0)
     window.kill()
     window.start()
     assert window.get(f"{SETTINGS}.capture") == ""
-    drop(window, capture)
+    drop(window, own)
     window.wait_until(f"{STATE}.task == 'reconstruct'", 120.0)
     window.picture("found_again")
     window.wait_until(f"not {STATE}.task and {SETTINGS}.result", 900.0)
@@ -123,3 +129,25 @@ def test_an_edited_mesh_is_asked_about(window: BlenderWindow) -> None:
     window.picture("asked")
     window.screen.key("Escape")
     assert window.get(f"{OBJECT}.data.vertices[0].co.x") == moved
+
+
+def test_the_comparison_is_labelled_and_goes_on_by_keys(window: BlenderWindow) -> None:
+    shown = "bpy.data.images['RobIR comparison']['robir_view']"
+    window.press("bpy.ops.robir.compare(")
+    window.wait_until("len(bpy.context.window_manager.windows) == 2", 20.0)
+    time.sleep(2.0)
+    first = window.get(shown)
+    window.picture("compared")
+    window.screen.move(700, 500)
+    time.sleep(0.5)
+    window.screen.key("Right")
+    window.wait_until(f"{shown} != {first!r}", 10.0)
+    window.picture("compared_next")
+    window.leave_other_windows()
+
+
+def test_a_notice_is_put_away(window: BlenderWindow) -> None:
+    window.run(f"{STATE}.error, {STATE}.error_cure = 'It went wrong', 'Do this'")
+    window.picture("notice")
+    window.run("bpy.ops.robir.dismiss()")
+    assert window.get(f"{STATE}.error") == ""
