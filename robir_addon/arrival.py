@@ -4,16 +4,19 @@
 from pathlib import Path
 
 import bpy
+from mathutils import Vector
 
 from .blocks import MARK
+from .framing import frame
 from .gateway import JobPaths
-from .importer import import_result, read_tone_curve
+from .importer import asset_of, import_result, read_tone_curve
+from .lights import turn_light
 from .startup import put_aside
 from .view_transform import view_name, view_transform_differs
 
 
 def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
-    """Import a result, make it the shown one, and select and frame its object.
+    """Import a result and make it the shown one; one that is new is selected and framed.
 
     Args:
         context: Scene, and in a window the viewports to frame it in.
@@ -28,8 +31,12 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     scene = context.scene
     settings = scene.robir
     curve = read_tone_curve(JobPaths(root))
+    is_new = asset_of(root) is None
     imported = import_result(root, scene, use_sun_lamp=settings.use_sun_lamp)
     settings.result = str(root)
+    if not is_new:
+        turn_light(scene, settings.rotation)
+        return [f"{imported.asset.name} is as the newer result has it; what you did is kept"]
     settings.rotation = 0.0
     context.view_layer.update()  # else Blender 5 lists objects that are gone
     for selected in list(context.view_layer.objects.selected):
@@ -37,7 +44,10 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     imported.asset.select_set(True)
     context.view_layer.objects.active = imported.asset
     hidden = put_aside(scene, context.view_layer)
-    _frame(context)
+    corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
+    centre = sum(corners, Vector()) / len(corners)
+    frame(scene, centre, max((corner - centre).length for corner in corners))
+    _light_up(context)
     notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
     if view_transform_differs(scene, curve):
         notes.append(
@@ -55,8 +65,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     return notes
 
 
-def _frame(context: bpy.types.Context) -> None:
-    """Show the selected object in the viewports of the scene, lit by what the scene holds."""
+def _light_up(context: bpy.types.Context) -> None:
+    """Show the viewports of the scene lit by what the scene holds."""
     for window in context.window_manager.windows:
         if window.scene != context.scene:
             continue
@@ -67,6 +77,3 @@ def _frame(context: bpy.types.Context) -> None:
             if shading.type in ("WIREFRAME", "SOLID"):  # these show neither material nor light
                 shading.type = "MATERIAL"
             shading.use_scene_world = shading.use_scene_lights = True
-            region = next(r for r in area.regions if r.type == "WINDOW")
-            with context.temp_override(window=window, area=area, region=region):
-                bpy.ops.view3d.view_selected()

@@ -46,6 +46,22 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
     return image
 
 
+def reload_image(image: bpy.types.Image) -> None:
+    """Read the pixels of a loaded image anew; who uses it goes on using it.
+
+    Raises:
+        ResultError: If its file is missing or damaged.
+    """
+    file, was_packed = Path(bpy.path.abspath(image.filepath)), image.packed_file is not None
+    if not file.is_file():
+        raise ResultError(f"{file} cannot be read as an image; is it there and whole?")
+    if was_packed:
+        image.unpack(method="REMOVE")
+    image.reload()
+    if was_packed:
+        image.pack()
+
+
 def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:
     """Give a material or a World its nodes."""
     if bpy.app.version < (5, 0, 0):  # later versions always have nodes and warn about the flag

@@ -3,6 +3,7 @@
 
 import zipfile
 import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> Ren
     """
     own, cycles = _own_renders(paths), _cycles_renders(paths)
     views = {entry["name"]: entry for entry in table["views"]}
-    rendered = [name for name in views if name in cycles] + [n for n in views if n in own]
+    rendered = [*_in_order(views, cycles), *_in_order(views, own)]
     chosen = view or next(iter(rendered), "")
     if chosen not in rendered:
         known = ", ".join(sorted(set(rendered))) or "none"
@@ -78,6 +79,21 @@ def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> Ren
     if chosen in cycles:
         return RenderedView(views[chosen], "Cycles", read_codes(cycles[chosen]))
     return RenderedView(views[chosen], "RobIR", own[chosen])
+
+
+def neighbour(paths: JobPaths, table: dict[str, Any], view: str, step: int) -> str:
+    """The view some steps farther among those that were rendered again, round and round.
+
+    Raises:
+        ResultError: If a file is damaged.
+    """
+    views = [entry["name"] for entry in table["views"]]
+    known = _in_order(views, {**_own_renders(paths), **_cycles_renders(paths)})
+    return known[(known.index(view) + step) % len(known)] if view in known else view
+
+
+def _in_order(views: Iterable[str], rendered: Mapping[str, object]) -> list[str]:
+    return [name for name in views if name in rendered]
 
 
 def compare(paths: JobPaths, table: dict[str, Any], view: str = "") -> Comparison:

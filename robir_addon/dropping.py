@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 from bpy.props import CollectionProperty, StringProperty
 
-from .operators.capture import may_begin, take_capture
+from .operators.capture import may_choose, take_capture
 
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
@@ -57,8 +57,8 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work."""
-        return may_begin(cls, context)
+        """Not while something is at work but the engine's installation."""
+        return may_choose(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Look without making the user wait."""

@@ -3,8 +3,8 @@
 
 One collection holds it all: the object with its Principled material, the capture's cameras with
 their photographs behind, and the recovered sun as a lamp. The recovered light becomes the scene's
-World; the World it had before is remembered. Importing the same folder again replaces what the
-first time made, and nothing that the user made is touched.
+World; the World it had before is remembered. Importing the same folder again replaces mesh and
+pictures, cameras and lamps; what the user made, or made of the object and its light, is kept.
 """
 
 import os
@@ -15,12 +15,24 @@ from typing import Any
 import bpy
 
 from .blocks import MARK, remove_marked, with_mark
-from .cameras import add_camera, use_camera
+from .cameras import VIEW, add_camera, use_camera
 from .errors import ResultError
 from .gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record
-from .glb import read_glb
-from .lights import add_lamps, give_back_world, make_world, show_recovered_light, turn_light
-from .materials import add_asset, texture_sockets
+from .glb import GlbMesh, read_glb
+from .lights import (
+    add_lamps,
+    are_lit,
+    give_back_world,
+    lamps_of,
+    light_lamps,
+    make_world,
+    refresh_world,
+    show_recovered_light,
+    shows_recovered_light,
+    turn_light,
+    world_of,
+)
+from .materials import add_asset, refresh_asset, texture_sockets
 
 _ROLE = "robir_role"
 
@@ -78,7 +90,7 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
     table = read_cameras(paths)
-    views, centre = table["views"], table["bounds"]["centre"]
+    views = table["views"]
     # results of before there were lamps have none
     suns = _read(paths.light, _LIGHT).get("sun_lamps", [])
     mesh = read_glb(paths.asset)
@@ -87,23 +99,16 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     if missing is not None:
         raise ResultError(f"{missing} is missing; export the result again")
     name = paths.root.name
+    before, world = asset_of(root), world_of(mark)
+    if before is not None and world is not None:
+        return _refresh(paths, scene, (table, suns, mesh), use_sun_lamp)
     _remove_objects(mark)
     collection = _collection(name, "result", mark, scene.collection)
     stands = _collection(f"{name} cameras", "cameras", mark, collection)
     asset = add_asset(mesh, name, paths, mark)
-    lamps = add_lamps(suns, name, mark)
-    for lamp in lamps:  # a lamp shines from everywhere along its direction; this is for the eye
-        towards = lamp.rotation_quaternion.to_matrix().col[2]
-        lamp.location = [
-            c + 1.5 * table["bounds"]["radius"] * t for c, t in zip(centre, towards, strict=True)
-        ]
-    cameras = {view["name"]: add_camera(view, paths.cameras.parent, centre) for view in views}
-    for camera in cameras.values():
-        for block in (camera, camera.data, camera.data.background_images[0].image):
-            block[MARK] = mark
-        stands.objects.link(camera)
-    for block in (asset, *lamps):
-        collection.objects.link(block)
+    collection.objects.link(asset)
+    lamps = _add_lamps(suns, paths, table["bounds"], collection)
+    cameras = _add_cameras(paths, table, stands)
     world = make_world(name, paths, mark)
     show_recovered_light(scene, world, use_sun_lamp)
     turn_light(scene, 0.0)
@@ -111,6 +116,70 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
         first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
         use_camera(scene, cameras[first])
     return Imported(collection, asset, cameras, lamps, world)
+
+
+def _refresh(
+    paths: JobPaths,
+    scene: bpy.types.Scene,
+    read: tuple[dict[str, Any], list[dict[str, Any]], GlbMesh],
+    use_sun_lamp: bool,
+) -> Imported:
+    """Replace what the worker made, and keep what the user has done with it.
+
+    The object keeps its name, place, modifiers, collections and material; the scene its camera and
+    its light, however that is turned.
+    """
+    table, suns, mesh = read
+    mark = mark_of(paths.root)
+    asset, world = asset_of(paths.root), world_of(mark)
+    refresh_asset(asset, mesh, paths)
+    refresh_world(world, paths)
+    were_lit = are_lit(lamps_of(mark))
+    chosen = scene.camera.get(VIEW) if scene.camera and scene.camera.get(MARK) == mark else None
+    others = [o for o in with_mark(bpy.data.objects, mark) if o.type in ("CAMERA", "LIGHT")]
+    bpy.data.batch_remove(others)
+    remove_marked(mark, bpy.data.cameras, bpy.data.lights)
+    bpy.data.batch_remove([i for i in with_mark(bpy.data.images, mark) if not i.users])
+    name = paths.root.name
+    collection = _collection(name, "result", mark, scene.collection)
+    stands = _collection(f"{name} cameras", "cameras", mark, collection)
+    lamps = _add_lamps(suns, paths, table["bounds"], collection)
+    cameras = _add_cameras(paths, table, stands)
+    if chosen in cameras:
+        scene.camera = cameras[chosen]
+    if scene.world == world and shows_recovered_light(world):
+        show_recovered_light(scene, world, use_sun_lamp)
+    else:
+        light_lamps(scene, mark, were_lit)
+    return Imported(collection, asset, cameras, lamps, world)
+
+
+def _add_lamps(
+    suns: list[dict[str, Any]],
+    paths: JobPaths,
+    bounds: dict[str, Any],
+    collection: bpy.types.Collection,
+) -> list[bpy.types.Object]:
+    lamps = add_lamps(suns, paths.root.name, mark_of(paths.root))
+    for lamp in lamps:  # a lamp shines from everywhere along its direction; this is for the eye
+        towards = lamp.rotation_quaternion.to_matrix().col[2]
+        lamp.location = [
+            c + 1.5 * bounds["radius"] * t for c, t in zip(bounds["centre"], towards, strict=True)
+        ]
+        collection.objects.link(lamp)
+    return lamps
+
+
+def _add_cameras(
+    paths: JobPaths, table: dict[str, Any], stands: bpy.types.Collection
+) -> dict[str, bpy.types.Object]:
+    centre = table["bounds"]["centre"]
+    cameras = {v["name"]: add_camera(v, paths.cameras.parent, centre) for v in table["views"]}
+    for camera in cameras.values():
+        for block in (camera, camera.data, camera.data.background_images[0].image):
+            block[MARK] = mark_of(paths.root)
+        stands.objects.link(camera)
+    return cameras
 
 
 def remove_result(root: Path) -> None:

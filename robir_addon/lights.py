@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 from mathutils import Quaternion, Vector
 
-from .blocks import MARK, enable_nodes, load_image, with_mark
+from .blocks import MARK, enable_nodes, load_image, reload_image, with_mark
 from .errors import ResultError
 from .gateway import JobPaths
 
@@ -82,6 +82,49 @@ def make_world(name: str, paths: JobPaths, mark: str) -> bpy.types.World:
     return world
 
 
+def refresh_world(world: bpy.types.World, paths: JobPaths) -> None:
+    """Read the recovered light anew; nodes, strength and another chosen light stay.
+
+    Args:
+        world: One that `make_world` made.
+        paths: Of its result folder.
+
+    Raises:
+        ResultError: If a file is missing or damaged.
+    """
+    reload_image(world[_WHOLE])
+    if not paths.environment_without_sun.is_file():
+        _forget_sun(world)
+    elif _WITHOUT_SUN in world:
+        reload_image(world[_WITHOUT_SUN])
+    else:
+        world[_WITHOUT_SUN] = load_image(
+            paths.environment_without_sun, "Linear Rec.709", world[MARK]
+        )
+
+
+def _forget_sun(world: bpy.types.World) -> None:
+    """The light has no sun that could be a lamp: where that was shown, the whole light is."""
+    without = world.get(_WITHOUT_SUN)
+    if without is None:
+        return
+    for node in world.node_tree.nodes:
+        if node.type == "TEX_ENVIRONMENT" and node.image == without:
+            node.image = world[_WHOLE]
+    del world[_WITHOUT_SUN]
+
+
+def are_lit(lamps: list[bpy.types.Object]) -> bool:
+    """Whether one of the lamps shines."""
+    return any(not lamp.hide_render for lamp in lamps)
+
+
+def light_lamps(scene: bpy.types.Scene, mark: str, lit: bool) -> None:
+    """Light or hide a result's lamps; those of other results in the scene are hidden."""
+    for lamp in [o for o in scene.objects if _TOWARDS in o and MARK in o]:
+        lamp.hide_render = lamp.hide_viewport = not (lit and lamp[MARK] == mark)
+
+
 def world_of(mark: str) -> bpy.types.World | None:
     """The World of an imported result."""
     return next(iter(with_mark(bpy.data.worlds, mark)), None)
@@ -105,7 +148,7 @@ def show_recovered_light(
     without = world.get(_WITHOUT_SUN)
     as_lamp = use_sun_lamp and without is not None and bool(lamps_of(world[MARK]))
     _show(scene, world, without if as_lamp else world[_WHOLE])
-    _light_lamps(scene, world[MARK], as_lamp)
+    light_lamps(scene, world[MARK], as_lamp)
 
 
 def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path) -> None:
@@ -123,7 +166,7 @@ def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path)
     if picture is None or environment_file(world) != file:
         picture = load_image(file, "Linear Rec.709", world[MARK])
     _show(scene, world, picture)
-    _light_lamps(scene, world[MARK], False)
+    light_lamps(scene, world[MARK], False)
 
 
 def shows_recovered_light(world: bpy.types.World) -> bool:
@@ -135,6 +178,24 @@ def shows_recovered_light(world: bpy.types.World) -> bool:
 def environment_file(world: bpy.types.World) -> Path:
     """File of the environment that the World shows."""
     return Path(os.path.normpath(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath)))
+
+
+def shown_light(scene: bpy.types.Scene) -> str:
+    """Stem of the file whose light shines; empty for the recovered light or none of ours."""
+    world = scene.world
+    if world is None or MARK not in world or shows_recovered_light(world):
+        return ""
+    pictures = (n.image for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
+    return next((Path(image.filepath).stem for image in pictures if image is not None), "")
+
+
+def strength_of(scene: bpy.types.Scene) -> bpy.types.NodeSocket | None:
+    """What says how strong the light of the scene's World is, if the World is one of ours."""
+    world = scene.world
+    if world is None or MARK not in world:
+        return None
+    found = (n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    return next((node.inputs["Strength"] for node in found), None)
 
 
 def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
@@ -178,12 +239,6 @@ def _show(scene: bpy.types.Scene, world: bpy.types.World, picture: bpy.types.Ima
     replaced, node.image = node.image, picture
     if replaced is not None and replaced.users == 0 and replaced.get(MARK) == world[MARK]:
         bpy.data.images.remove(replaced)
-
-
-def _light_lamps(scene: bpy.types.Scene, mark: str, lit: bool) -> None:
-    """Light or hide a result's lamps; those of other results in the scene are hidden."""
-    for lamp in [o for o in scene.objects if _TOWARDS in o and MARK in o]:
-        lamp.hide_render = lamp.hide_viewport = not (lit and lamp[MARK] == mark)
 
 
 def _aim(lamp: bpy.types.Object, rotation: float) -> None:

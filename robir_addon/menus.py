@@ -4,13 +4,14 @@
 import bpy
 
 _IN_ORDER = (
-    ("choose_capture", "look_at_capture", "add_box", "clear_capture"),
+    ("choose_capture", "look_at_capture", "leave_out", "add_box", "clear_capture"),
     ("reconstruct", "attach", "cancel_reconstruct"),
-    ("import_result", "remove_result", "compare", "show_tone_curve", "match_view_transform"),
+    ("import_result", "refresh_result", "remove_result"),
+    ("compare", "compare_next", "show_tone_curve", "match_view_transform"),
     ("use_recovered_light", "use_environment", "turntable"),
     ("export_glb", "export_usd", "export_textures", "mark_asset"),
     ("install_engine", "cancel_install", "check_engine", "remove_engine"),
-    ("open_report", "copy_report"),
+    ("open_report", "copy_report", "dismiss", "allow_online"),
 )
 
 

@@ -11,9 +11,14 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from . import growth
+from .drawing import Panel, big, install_text, preferences_button, progress, split
+from .lights import shown_light, strength_of
+from .operators.photographs import can_leave_out
 from .paragraphs import paragraph
-from .preferences import shown_engine_status
+from .photographs import draw_photographs
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
+from .properties import STUDIO_LIGHTS
+from .recent import recent_captures
 from .summary import shown_summary
 from .viewport import COLLECTION
 from .worker import shown_box
@@ -28,65 +33,7 @@ _STAGES = {
 }
 
 
-class _Panel:
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "RobIR"
-
-
-class ROBIR_PT_notice(_Panel, bpy.types.Panel):
-    """What went wrong last, or what came of the last work, above everything else."""
-
-    bl_label = "Notice"
-    bl_options = {"HIDE_HEADER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while there is something to say."""
-        state = context.window_manager.robir
-        return bool(state.error or (state.message and not state.task))
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """The sentence; for an error the cure, and what helps whoever is asked for help."""
-        state, box = context.window_manager.robir, self.layout.box()
-        if not state.error:
-            paragraph(box, context, state.message, "INFO", is_boxed=True)
-            return
-        alert = box.column()
-        alert.alert = True
-        paragraph(alert, context, state.error, "ERROR", is_boxed=True)
-        if state.error_cure:
-            paragraph(box, context, state.error_cure, "BLANK1", is_boxed=True)
-        box.operator("robir.copy_report", icon="COPYDOWN")
-
-
-class ROBIR_PT_no_engine(_Panel, bpy.types.Panel):
-    """The way to an engine, above the work that needs one."""
-
-    bl_label = "Engine Needed"
-    bl_options = {"HIDE_HEADER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Until there is an engine."""
-        return shown_engine_status(context).state != "ready"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """What is missing, and the button that gets it."""
-        status, box = shown_engine_status(context), self.layout.box()
-        if context.window_manager.robir.task == "install":
-            box.label(text="Installing the engine", icon="IMPORT")
-            _progress(box, context)
-            return
-        cure = f"{status.cure[:1].upper()}{status.cure[1:]}"
-        paragraph(box, context, status.text, "INFO", is_boxed=True)
-        paragraph(box, context, cure, "BLANK1", is_boxed=True)
-        row = box.row(align=True)
-        row.operator("robir.install_engine", text=_install_text(context), icon="IMPORT")
-        _preferences(row, text="")
-
-
-class ROBIR_PT_capture(_Panel, bpy.types.Panel):
+class ROBIR_PT_capture(Panel, bpy.types.Panel):
     """Which photographs, and what they were recognised as."""
 
     bl_label = "Capture"
@@ -96,7 +43,7 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         layout = self.layout
         settings, state = context.scene.robir, context.window_manager.robir
         if not settings.capture:
-            _big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
+            big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
             paragraph(
                 layout,
                 context,
@@ -104,6 +51,11 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
                 "into the viewport",
                 "INFO",
             )
+            for capture in recent_captures():
+                recent = layout.operator(
+                    "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False
+                )
+                recent.directory = capture
             return
         row = layout.row(align=True)
         row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
@@ -115,18 +67,19 @@ class ROBIR_PT_capture(_Panel, bpy.types.Panel):
         row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
         row.operator("robir.clear_capture", text="", icon="X")
         if state.task == "look":
-            _progress(layout, context)
-        elif state.recognised:
+            progress(layout, context)
+        elif state.recognised and _is_looked_at(context):
             paragraph(layout, context, state.recognised, "CHECKMARK")
-        choices = _split(layout)
+        choices = split(layout)
         choices.prop(settings, "masks")
         row = choices.row(align=True)
         row.prop(settings, "box")
         if shown_box(settings) is None:
             row.operator("robir.add_box", text="", icon="ADD")
+        draw_photographs(layout, settings)
 
 
-class ROBIR_PT_check(_Panel, bpy.types.Panel):
+class ROBIR_PT_check(Panel, bpy.types.Panel):
     """Findings of the check, worst first, each with its cure."""
 
     bl_label = "Check"
@@ -135,18 +88,18 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture was looked at."""
         state = context.window_manager.robir
-        return bool(state.recognised or state.findings)
+        return _is_looked_at(context) and bool(state.recognised or state.findings)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Faults in boxes; what is only good to know folded away."""
-        layout = self.layout
-        findings = context.window_manager.robir.findings
+        layout, settings = self.layout, context.scene.robir
+        findings = list(context.window_manager.robir.findings)
         faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
         notes = [f for f in findings if f.level == "note"]
         if not faults:
             layout.label(text="No faults found", icon="CHECKMARK")
         place = layout
-        if faults and context.scene.robir.result:  # out of the way of what comes next
+        if faults and settings.result:  # out of the way of what comes next
             header, place = layout.panel("ROBIR_faults", default_closed=True)
             header.label(text=f"Faults ({len(faults)})", icon=_FAULT_ICONS[faults[0].level])
         for fault in faults if place is not None else ():
@@ -154,6 +107,8 @@ class ROBIR_PT_check(_Panel, bpy.types.Panel):
             paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
             if fault.cure:
                 paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+            if can_leave_out(fault, settings):
+                box.operator("robir.leave_out").finding = findings.index(fault)
         if notes:
             header, body = layout.panel("ROBIR_notes", default_closed=True)
             header.label(text=f"Good to know ({len(notes)})")
@@ -170,7 +125,7 @@ class ROBIR_PT_presets(PresetPanel, bpy.types.Panel):
     preset_add_operator = ROBIR_OT_add_preset.bl_idname
 
 
-class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
+class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
     """The few choices that matter, one button, and how far it is."""
 
     bl_label = "Reconstruct"
@@ -186,11 +141,11 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
             self._draw_running(context)
             return
         settings, layout = context.scene.robir, self.layout
-        split = _split(layout)
-        split.prop(settings, "preset")
-        split.prop(settings, "device")
-        split.prop(settings, "out")
-        row = _big(layout)
+        column = split(layout)
+        column.prop(settings, "preset")
+        column.prop(settings, "device")
+        column.prop(settings, "out")
+        row = big(layout)
         row.operator("robir.reconstruct", icon="PLAY")
         row.operator("robir.attach", text="", icon="LINKED")
 
@@ -198,7 +153,7 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
         state, layout = context.window_manager.robir, self.layout
         if state.stage:
             layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
-        _progress(layout, context)
+        progress(layout, context)
         if state.held_out_psnr >= 0.0:
             text = f"{state.held_out_psnr:.1f} dB on photographs kept aside"
             paragraph(layout, context, text)
@@ -207,7 +162,7 @@ class ROBIR_PT_reconstruct(_Panel, bpy.types.Panel):
             pictures.template_icon(icon_value=icon, scale=5.5)
 
 
-class ROBIR_PT_result(_Panel, bpy.types.Panel):
+class ROBIR_PT_result(Panel, bpy.types.Panel):
     """What came out, beside what went in."""
 
     bl_label = "Result"
@@ -221,12 +176,12 @@ class ROBIR_PT_result(_Panel, bpy.types.Panel):
         row = layout.row(align=True)
         row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
         row.operator("robir.import_result", text="", icon="FILEBROWSER")
-        again = row.row(align=True)
-        again.operator_context = "EXEC_DEFAULT"  # the shown one, without asking for a folder
-        again.operator("robir.import_result", text="", icon="FILE_REFRESH")
+        row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
         row.operator("robir.remove_result", text="", icon="X")
         column = layout.column(align=True)
-        column.operator("robir.compare", icon="IMAGE_REFERENCE")
+        compare = column.row(align=True)
+        compare.operator("robir.compare", icon="IMAGE_REFERENCE")
+        compare.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
         column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
         column.operator("robir.match_view_transform", icon="COLOR")
         column.operator("robir.open_report", icon="URL")
@@ -250,7 +205,7 @@ class ROBIR_PT_result(_Panel, bpy.types.Panel):
                 paragraph(body, context, warning)
 
 
-class ROBIR_PT_relight(_Panel, bpy.types.Panel):
+class ROBIR_PT_relight(Panel, bpy.types.Panel):
     """The recovered light, or another."""
 
     bl_label = "Relight"
@@ -264,20 +219,30 @@ class ROBIR_PT_relight(_Panel, bpy.types.Panel):
         """Lights to choose from, how they are turned, and a film of that."""
         layout, settings = self.layout, context.scene.robir
         column = layout.column(align=True)
-        column.operator("robir.use_recovered_light", icon="LIGHT_SUN")
-        column.operator_menu_enum("robir.use_studio_light", "light", icon="LIGHTPROBE_SPHERE")
-        column.operator("robir.use_environment", icon="WORLD")
-        split = _split(layout)
-        split.prop(settings, "rotation")
-        split.prop(settings, "use_sun_lamp")
-        split.prop(settings, "turntable_frames")
+        shown, strength = shown_light(context.scene), strength_of(context.scene)
+        is_recovered = strength is not None and not shown
+        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=is_recovered)
+        studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
+        column.operator_menu_enum(
+            "robir.use_studio_light",
+            "light",
+            text=f"Studio Light: {studio}" if studio else "Studio Light",
+            icon="LIGHTPROBE_SPHERE",
+        )
+        column.operator("robir.use_environment", icon="WORLD", depress=bool(shown and not studio))
+        column = split(layout)
+        if strength is not None:
+            column.prop(strength, "default_value", text="Strength")
+        column.prop(settings, "rotation")
+        column.prop(settings, "use_sun_lamp")
+        column.prop(settings, "turntable_frames")
         if context.window_manager.robir.task == "turntable":
-            _progress(layout, context)
+            progress(layout, context)
         else:
             layout.operator("robir.turntable", icon="RENDER_ANIMATION")
 
 
-class ROBIR_PT_export(_Panel, bpy.types.Panel):
+class ROBIR_PT_export(Panel, bpy.types.Panel):
     """The result in files for other programs."""
 
     bl_label = "Export"
@@ -297,7 +262,7 @@ class ROBIR_PT_export(_Panel, bpy.types.Panel):
         column.operator("robir.mark_asset", icon="ASSET_MANAGER")
 
 
-class ROBIR_PT_engine(_Panel, bpy.types.Panel):
+class ROBIR_PT_engine(Panel, bpy.types.Panel):
     """What computes: whether it works, and how to get it."""
 
     bl_label = "Engine"
@@ -309,70 +274,27 @@ class ROBIR_PT_engine(_Panel, bpy.types.Panel):
         if state.engine_text:
             icon = "CHECKMARK" if state.engine_ok else "ERROR"
             paragraph(layout, context, state.engine_text, icon)
-        if state.task in ("install", "check_engine"):
-            _progress(layout, context)
+        if state.task in ("install", "check_engine", "remove_engine"):
+            progress(layout, context)
         column = layout.column(align=True)
         column.operator("robir.check_engine", icon="CHECKMARK")
-        column.operator("robir.install_engine", text=_install_text(context), icon="IMPORT")
+        column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         column.operator("robir.remove_engine", icon="TRASH")
-        _preferences(layout, text="Preferences")
+        preferences_button(layout, text="Preferences")
 
 
-def _preferences(layout: bpy.types.UILayout, text: str) -> None:
-    """The button that leads to the choice of the engine."""
-    button = layout.operator("preferences.addon_show", text=text, icon="PREFERENCES")
-    button.module = __package__
-
-
-def _big(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    row = layout.row()
-    row.scale_y = 1.5
-    return row
-
-
-def _split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A column of properties with their names at the left."""
-    column = layout.column()
-    column.use_property_split = True
-    column.use_property_decorate = False
-    return column
-
-
-def _progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """How far the work is, what is being done, and the button that stops it."""
-    state = context.window_manager.robir
-    text = f"{100.0 * state.fraction:.0f} %"
-    if state.seconds_left >= 0.0:
-        text += f", {_duration(state.seconds_left)} left"
-    layout.progress(factor=state.fraction, type="BAR", text=text)
-    if state.message:
-        paragraph(layout, context, state.message)
-    stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
-    layout.operator(stop, text="Cancel", icon="CANCEL")
-
-
-def _install_text(context: bpy.types.Context) -> str:
-    """What pressing the button does."""
-    outdated = shown_engine_status(context).state == "outdated"
-    return "Update Engine" if outdated else "Install Engine"
+def _is_looked_at(context: bpy.types.Context) -> bool:
+    """Whether what is known is about the chosen capture, which undo may have changed."""
+    looked_at = context.window_manager.robir.looked_at
+    return bool(looked_at) and looked_at == context.scene.robir.capture
 
 
 def _name(folder: str) -> str:
     return Path(bpy.path.abspath(folder)).name
 
 
-def _duration(seconds: float) -> str:
-    """About how long, in a word or two."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60.0)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
-
-
 CLASSES = (
     ROBIR_PT_presets,
-    ROBIR_PT_notice,
-    ROBIR_PT_no_engine,
     ROBIR_PT_capture,
     ROBIR_PT_check,
     ROBIR_PT_reconstruct,

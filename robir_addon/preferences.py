@@ -70,15 +70,21 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         else:
             layout.prop(self, "torch_build")
             layout.prop(self, "wheels")
-        status, box = engine_status(context), layout.box()
-        icon = "CHECKMARK" if status.state == "ready" else "INFO"
-        paragraph(box, context, status.text, icon)
-        if status.cure:
-            paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
         state = context.window_manager.robir
-        if state.task in ("install", "check_engine"):
+        status, box = engine_status(context), layout.box()
+        is_at_work = state.task in ("install", "check_engine", "remove_engine")
+        if state.error and not is_at_work:  # what went wrong, not what would go wrong again
+            paragraph(box, context, state.error, "ERROR")
+            if state.error_cure:
+                paragraph(box, context, state.error_cure, "BLANK1")
+        elif not is_at_work:
+            icon = "CHECKMARK" if status.state == "ready" else "INFO"
+            paragraph(box, context, status.text, icon)
+            if status.cure:
+                paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
+        if is_at_work:
             box.progress(factor=state.fraction, type="BAR", text=state.message)
-        elif state.engine_text:
+        elif state.engine_text and not state.error:
             paragraph(box, context, state.engine_text, "CHECKMARK" if state.engine_ok else "ERROR")
         row = box.row(align=True)
         if state.task == "install":

@@ -12,6 +12,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -48,6 +49,17 @@ class ROBIR_PG_finding(bpy.types.PropertyGroup):
     )
     text: StringProperty(name="Finding", description="What was found and where")
     cure: StringProperty(name="Cure", description="What to do about it")
+    code: StringProperty(name="Code", description="Short name of this kind of finding")
+    files: StringProperty(name="Files", description="Photographs concerned, one a line")
+
+
+class ROBIR_PG_photograph(bpy.types.PropertyGroup):
+    """One photograph of the capture; its name is Blender's own property."""
+
+    is_used: BoolProperty(
+        name="Take part", description="Whether this photograph takes part", default=True
+    )
+    reason: StringProperty(name="Noticed", description="What the check noticed about it")
 
 
 class ROBIR_PG_settings(bpy.types.PropertyGroup):
@@ -71,6 +83,23 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         ),
         type=bpy.types.Object,
         poll=lambda _settings, candidate: candidate.type in {"EMPTY", "MESH"},
+    )
+    photographs: CollectionProperty(
+        type=ROBIR_PG_photograph, name="Photographs", description="Which of them take part"
+    )
+    photograph_index: IntProperty(name="Photograph", description="The one marked in the list")
+    skip_missing: BoolProperty(
+        name="Do without missing ones",
+        description="Leave out photographs that have a pose but are not there",
+    )
+    view_scale: FloatProperty(
+        name="Scale of the view",
+        description="How many times as large as in its own unit the capture is shown",
+        default=1.0,
+    )
+    view_shift: FloatVectorProperty(
+        name="Shift of the view",
+        description="Where the origin of the capture's own frame is shown",
     )
     out: StringProperty(
         name="Result",
@@ -136,7 +165,8 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     """What goes on at this moment; emptied when a file is opened."""
 
     task: StringProperty(
-        description='"" idle, "look", "reconstruct", "install", "check_engine" or "turntable"'
+        description='"" idle, "look", "reconstruct", "install", "check_engine", "remove_engine" or '
+        '"turntable"'
     )
     fraction: FloatProperty(description="Share of the task that is done", min=0.0, max=1.0)
     stage: StringProperty(description="Stage of the reconstruction at work")
@@ -148,14 +178,15 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     job: StringProperty(description="Result folder of the reconstruction at work")
     error: StringProperty(description="What went wrong, one sentence")
     error_cure: StringProperty(description="What to do about it")
-    recognised: StringProperty(description="What the capture was recognised as")
+    looked_at: StringProperty(description="Capture that was looked at, as the settings name it")
+    recognised: StringProperty(description="What it was recognised as")
     findings: CollectionProperty(type=ROBIR_PG_finding, description="Findings of the check")
     engine_text: StringProperty(description="What the last check of the engine said")
     engine_ok: BoolProperty(description="The engine was checked and works")
     preview_serial: IntProperty(description="Goes up when the preview picture was read again")
 
 
-CLASSES = (ROBIR_PG_finding, ROBIR_PG_settings, ROBIR_PG_state)
+CLASSES = (ROBIR_PG_finding, ROBIR_PG_photograph, ROBIR_PG_settings, ROBIR_PG_state)
 
 
 def register() -> None:

@@ -6,13 +6,15 @@ that the user gave; what hangs in front of them are small copies, so that hundre
 photographs neither fill the memory nor stop the window.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from .cameras import SENSOR_WIDTH, add_camera
+from .framing import frame
+from .startup import put_aside
 
 COLLECTION = "RobIR capture"
 
@@ -24,6 +26,9 @@ _LISTED = "robir_size"
 
 _SMALL_SIDE = 128
 """Longer side of the small copies, pixels."""
+
+_LEAST_RADIUS, _MOST_RADIUS, _MOST_FAR = 0.02, 50.0, 50.0
+"""Radii of the object that are shown as they are, and its distance from the origin in radii."""
 
 _MOST_REACH = 12.0
 """Cameras farther off than this many radii are not made to fit into the view."""
@@ -40,6 +45,8 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
         What is left to do, a photograph a step: the small copies in front of the cameras.
     """
     clear_capture()
+    put_aside(scene, scene.view_layers[0])
+    facts = _placed_to_view(scene.robir, facts)
     collection = bpy.data.collections.new(COLLECTION)
     collection[_MARK] = True
     scene.collection.children.link(collection)
@@ -67,8 +74,35 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
         for _, view in cameras
     ]
     reach = max(radius, min(max(distances) ** 0.5, _MOST_REACH * radius))
-    _frame(scene, centre, reach)
+    frame(scene, centre, reach)
     return _hang_photographs(collection.name, cameras)
+
+
+def _placed_to_view(settings: Any, facts: dict[str, Any]) -> dict[str, Any]:
+    """The capture where a viewport shows it well, and in the settings how it was brought there.
+
+    Where its unit makes it so large, so small or so far off that Blender's grid, clipping and
+    numbers are of no use, it is shown two units wide above the origin.
+    """
+    centre, radius = facts["centre"], facts["radius"]
+    far = sum(value**2 for value in centre) ** 0.5
+    settings.view_scale, settings.view_shift = 1.0, (0.0, 0.0, 0.0)
+    if _LEAST_RADIUS < radius < _MOST_RADIUS and far < _MOST_FAR * radius:
+        return facts
+    scale = settings.view_scale = 1.0 / radius
+    settings.view_shift = shift = [a - b * scale for a, b in zip((0, 0, 1), centre, strict=True)]
+
+    def place(point: Sequence[float]) -> list[float]:
+        return [scale * value + to for value, to in zip(point, shift, strict=True)]
+
+    views = []
+    for view in facts["cameras"]:
+        rows = [list(row) for row in view["camera_to_world"]]
+        for row, value in zip(rows, place([row[3] for row in rows[:3]]), strict=False):
+            row[3] = value
+        views.append(view | {"camera_to_world": rows})
+    placed = {"centre": place(centre), "radius": 1.0, "cameras": views}
+    return facts | placed | {"points": [place(point) for point in facts.get("points", ())]}
 
 
 def add_box(scene: bpy.types.Scene) -> bpy.types.Object:
@@ -111,7 +145,7 @@ def _hang_photographs(
         camera, collection = bpy.data.objects.get(name), bpy.data.collections.get(collection_name)
         if camera is None or collection is None or _MARK not in camera:
             return
-        picture = _small_copy(Path(view["image"]))
+        picture = _small_copy(Path(view["image"]), view["name"])
         if picture is None:
             continue
         lens = camera.data
@@ -132,7 +166,7 @@ def _hang_photographs(
         collection.objects.link(photo)
 
 
-def _small_copy(file: Path) -> bpy.types.Image | None:
+def _small_copy(file: Path, view_name: str) -> bpy.types.Image | None:
     """A photograph reduced to a thumbnail that is kept in the Blender file; None if unreadable."""
     try:
         image = bpy.data.images.load(str(file))
@@ -145,22 +179,11 @@ def _small_copy(file: Path) -> bpy.types.Image | None:
         return None
     shrink = min(1.0, _SMALL_SIDE / max(width, height))
     image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
-    image.name = f"{file.stem} small"
+    image.name = small_copy_name(view_name)
     image.pack()
     return image
 
 
-def _frame(scene: bpy.types.Scene, centre: list[float], reach: float) -> None:
-    """Make the viewports of a scene look at the capture as a whole."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type != "VIEW_3D":
-                continue
-            space = area.spaces.active
-            region = space.region_3d
-            if region.view_perspective == "CAMERA":
-                region.view_perspective = "PERSP"
-            region.view_location = centre
-            region.view_distance = 1.9 * reach
-            space.clip_start = min(space.clip_start, 1e-3 * reach)
-            space.clip_end = max(space.clip_end, 20.0 * reach)
+def small_copy_name(view_name: str) -> str:
+    """Name of the small copy of a photograph."""
+    return f"{view_name} small"

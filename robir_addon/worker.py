@@ -13,6 +13,7 @@ import bpy
 from mathutils import Vector
 
 from .gateway import client
+from .photographs import left_out_of
 
 _WORDS = (
     ("; continue with --resume", "; press Reconstruct to go on"),
@@ -30,6 +31,7 @@ _WORDS = (
     ("with --masks DIR", "in a folder chosen as Masks"),
     ("Or say where the object is with the setting capture.box=[x, y, z, width, depth, height].",
      "Or press Add Object Box and move it about the object."),
+    ("do without them with --skip-missing", "press Leave Out"),
     ("with --set, ", "or take a lower preset, "),
     (", or try another --seed", ""),
     ("run `robir check` on the capture", "look at the findings under Check"),
@@ -77,7 +79,7 @@ def shown_box(settings: Any) -> bpy.types.Object | None:
 def box_of(settings: Any) -> tuple[float, ...]:
     """Centre and sides of the box about the object along the world's axes; empty without one.
 
-    The capture's cameras are shown in the capture's own frame, so the world's is the capture's.
+    In the capture's own frame and unit, which the viewport may show at another place and scale.
     """
     chosen = shown_box(settings)
     if chosen is None:
@@ -88,7 +90,9 @@ def box_of(settings: Any) -> tuple[float, ...]:
         corners = [Vector(signs) * size for signs in product((-1.0, 1.0), repeat=3)]
     else:
         corners = [Vector(corner) for corner in chosen.bound_box]
-    columns = list(zip(*(chosen.matrix_world @ corner for corner in corners), strict=True))
+    shift, scale = Vector(settings.view_shift), settings.view_scale
+    placed = [(chosen.matrix_world @ corner - shift) / scale for corner in corners]
+    columns = list(zip(*placed, strict=True))
     centre = [0.5 * (min(column) + max(column)) for column in columns]
     return (*centre, *(max(column) - min(column) for column in columns))
 
@@ -105,6 +109,8 @@ def request_of(settings: Any) -> client.Request:
         device=settings.device,
         masks=absolute(settings.masks),
         box=box_of(settings),
+        skips_missing=settings.skip_missing,
+        left_out=left_out_of(settings),
     )
 
 

@@ -121,6 +121,13 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
         metavar="SECTION.KEY=VALUE",
         help="change one setting; may be given more than once",
     )
+    parser.add_argument(
+        "--skip-missing",
+        action="append_const",
+        const="capture.missing=skip",
+        dest="assignments",
+        help="do without photographs that have a pose but are not there",
+    )
 
 
 def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -8,8 +8,7 @@ here imports Blender, and nothing ever installs into Blender's Python.
 from .errors import EngineError
 from .existing import Facts, inspect, interpreter
 from .places import Place, bundled_wheel, clean_environment, constraints, worker_command
-from .remove import remove
-from .states import Status, status, wheel_version
+from .states import Status, read_record, status, wheel_version
 
 __all__ = [
     "EngineError",
@@ -21,7 +20,7 @@ __all__ = [
     "constraints",
     "inspect",
     "interpreter",
-    "remove",
+    "read_record",
     "status",
     "wheel_version",
     "worker_command",

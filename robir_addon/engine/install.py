@@ -28,7 +28,7 @@ from .existing import inspect
 from .lock import engine_lock
 from .pip import MEBIBYTE, Pip, Progress
 from .places import CHOOSE_EXISTING, Place
-from .states import GO_ON, Record, read_record, wheel_hash, wheel_version, write_record
+from .states import GO_ON, INSTALL, Record, read_record, wheel_hash, wheel_version, write_record
 
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
@@ -36,7 +36,7 @@ CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 HASHES, TORCH_HASHES, PIP_HASHES = "hashes.txt", "hashes-torch.txt", "hashes-pip.txt"
 """Versions and hashes: of what the core needs, of torch as the usual index has it, of pip."""
 
-STEPS = {"environment": 0.04, "pip": 0.02, "torch": 0.64, "robir": 0.27, "check": 0.03}
+STEPS = {"environment": 0.04, "pip": 0.02, "robir": 0.27, "torch": 0.64, "check": 0.03}
 """Share of each step in the time."""
 
 TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 1300 * MEBIBYTE}
@@ -102,10 +102,11 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
             pip.install(_hashed(options, PIP_HASHES), 2 * MEBIBYTE, steps.of("pip"), "pip")
     if before is not None and before.torch_build != options.torch:
         pip.uninstall("torch")
-    pip.install(_torch_words(options), TORCH_BYTES[options.torch], steps.of("torch"), "torch")
     if before is None or before.wheel_sha256 != wheel_hash(options.wheel):
         pip.uninstall("robir")
+    # torch last: what nobody offers for this Python is told before gigabytes are fetched
     pip.install(_robir_words(options), OTHER_BYTES, steps.of("robir"), "RobIR")
+    pip.install(_torch_words(options), TORCH_BYTES[options.torch], steps.of("torch"), "torch")
     steps.of("check")(0.0, "checking the engine")
     record = _checked(place, options)
     shutil.rmtree(place.cache, ignore_errors=True)
@@ -135,7 +136,12 @@ def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress)
     if place.python.exists() and place.whole.exists():
         return Pip(place, wheels)
     if importlib.util.find_spec("ensurepip") is None:
-        raise EngineError("Blender's Python has no ensurepip to make one with", CHOOSE_EXISTING)
+        release = "{}.{}".format(*sys.version_info[:2])
+        raise EngineError(
+            "Blender's Python has no ensurepip to make an environment with",
+            f"install it (on Debian and Ubuntu the package python{release}-venv), then "
+            f"{INSTALL}, or {CHOOSE_EXISTING}",
+        )
     builder = venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=True)
     try:
         builder.create(place.environment)
@@ -208,7 +214,14 @@ def _checked(place: Place, options: argparse.Namespace) -> Record:
         torch=facts.torch,
         numpy=facts.numpy,
         python=facts.python,
+        size=_size(place.environment),
     )
+
+
+def _size(folder: Path) -> int:
+    """Bytes of all files below a folder."""
+    files = (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
+    return sum(file.lstat().st_size for file in files)
 
 
 class _Steps:

@@ -54,8 +54,13 @@ _REASONS = (
         GO_ON,
     ),
     (
-        r"NewConnectionError|NameResolutionError|ConnectionError|ConnectionReset|IncompleteRead"
-        r"|Connection broken|ProtocolError|ReadTimeout|Max retries|timed out|Temporary failure",
+        r"NewConnectionError|NameResolutionError|Temporary failure|getaddrinfo failed",
+        "the network cannot be reached",
+        f"check that this machine is online, then {GO_ON}",
+    ),
+    (
+        r"ConnectionError|ConnectionReset|IncompleteRead"
+        r"|Connection broken|ProtocolError|ReadTimeout|Max retries|timed out",
         "the download broke off",
         f"check the network, then {GO_ON}",
     ),
@@ -186,8 +191,10 @@ class Pip:
         if lacking:
             release = "{}.{}".format(*sys.version_info[:2])
             return EngineError(
-                f"nobody offers {', '.join(lacking)} for Python {release} on this system",
-                CHOOSE_EXISTING,
+                f"nobody offers {', '.join(lacking)} for Python {release}, Blender's own, on this "
+                "system",
+                "make an environment of Python 3.11 to 3.13 with robir in it, and "
+                f"{CHOOSE_EXISTING}",
             )
         errors = [line for line in tail if line.startswith("ERROR:")] or list(tail)[-1:]
         said = errors[-1].removeprefix("ERROR: ") if errors else "it says nothing"
@@ -236,7 +243,7 @@ class _Meter:
             self._file = _package(found[1])
             self._progress(self._share(), f"fetching {self._file}")
         elif line.startswith("Installing collected packages"):
-            self._progress(0.92, f"unpacking {self._name}")
+            self._progress(0.92, f"unpacking {self._name}, which takes a while")
 
     def _share(self) -> float:
         return 0.9 * min(1.0, (self._finished + self._current) / self._expected)

@@ -119,8 +119,8 @@ def clean_environment(environment: Mapping[str, str] = os.environ) -> dict[str, 
     }
 
 
-def worker_command(*words: str) -> list[str]:
-    """Command that runs this package's `install` in Blender's Python, apart from Blender.
+def worker_command(*words: str, module: str = "install") -> list[str]:
+    """Command that runs a module of this package in Blender's Python, apart from Blender.
 
     Raises:
         EngineError: If this Blender has no Python to run.
@@ -128,7 +128,7 @@ def worker_command(*words: str) -> list[str]:
     if not Path(sys.executable or "").stem.lower().startswith("python"):
         raise EngineError("this Blender comes without a Python to run", CHOOSE_EXISTING)
     boot = (
-        "import sys; sys.path.append(sys.argv.pop(1)); from engine.install import main; "
+        f"import sys; sys.path.append(sys.argv.pop(1)); from engine.{module} import main; "
         "raise SystemExit(main())"
     )
     return [sys.executable, "-I", "-c", boot, str(_ADDON), *words]

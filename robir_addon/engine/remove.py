@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Removes the managed engine: what RobIR made there, and nothing else."""
+"""Removes the managed engine: what RobIR made there, and nothing else.
 
-import shutil
+Run apart from Blender (`places.worker_command`), for it takes a while: standard output carries JSON
+lines {"progress": 0..1, "message": ...}, and at the end {"left": [names]} or {"error": ...,
+"cure": ...}.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -9,12 +17,40 @@ from .errors import EngineError
 from .lock import engine_lock
 from .places import Place
 
+_EVERY = 200
+"""Files between two reports."""
 
-def remove(place: Place) -> tuple[Path, ...]:
+Progress = Callable[[float, str], None]
+
+
+def main() -> int:
+    """Remove the engine in the folder that the command line names; returns the exit code."""
+    try:
+        left = remove(
+            Place(Path(sys.argv[1])), lambda share, text: _say(progress=share, message=text)
+        )
+    except EngineError as error:
+        _say(error=error.message, cure=error.cure)
+        return error.exit_code
+    _say(left=[path.name for path in left])
+    return 0
+
+
+def _say(**report: object) -> None:
+    sys.stdout.write(json.dumps(report) + "\n")
+    sys.stdout.flush()
+
+
+def _unheard(_share: float, _message: str) -> None:
+    pass
+
+
+def remove(place: Place, progress: Progress = _unheard) -> tuple[Path, ...]:
     """Remove the engine; files that are not RobIR's stay, and their folder with them.
 
     Args:
         place: The engine.
+        progress: Told the share that is done and what is being done.
 
     Returns:
         What was left because it is not ours.
@@ -31,7 +67,7 @@ def remove(place: Place) -> tuple[Path, ...]:
         with engine_lock(place.lock):
             place.record.unlink(missing_ok=True)
             for folder in (place.environment, place.cache):
-                _remove_folder(folder)
+                _remove_folder(folder, progress)
             place.log.unlink(missing_ok=True)
         place.lock.unlink(missing_ok=True)
         place.marker.unlink()
@@ -46,9 +82,21 @@ def remove(place: Place) -> tuple[Path, ...]:
     return tuple(sorted(place.root.iterdir()))
 
 
-def _remove_folder(folder: Path) -> None:
+def _remove_folder(folder: Path, progress: Progress) -> None:
     """Remove a folder of ours; of a link only the link, for what it leads to may be anything."""
     if folder.is_symlink():
         folder.unlink()
-    elif folder.exists():
-        shutil.rmtree(folder)
+        return
+    total = sum(len(files) for _, _, files in os.walk(folder))
+    done = 0
+    for parent, folders, files in os.walk(folder, topdown=False):
+        for name in files:
+            Path(parent, name).unlink()
+            done += 1
+            if done % _EVERY == 0:
+                progress(done / total, f"removing {done} of {total} files")
+        for name in folders:
+            inner = Path(parent, name)
+            inner.unlink() if inner.is_symlink() else inner.rmdir()
+    if folder.exists():
+        folder.rmdir()

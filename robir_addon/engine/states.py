@@ -30,6 +30,7 @@ class Record:
         torch: Version of torch.
         numpy: Version of numpy.
         python: Version of Python.
+        size: Bytes that it takes on the disk; 0 where an older add-on did not note it.
     """
 
     robir: str
@@ -38,6 +39,7 @@ class Record:
     torch: str
     numpy: str
     python: str
+    size: int = 0
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,11 @@ from .. import monitor, viewport
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
+from ..photographs import list_photographs
 from ..preferences import engine_python
-from ..worker import absolute, box_of, in_panel_words, program
+from ..recent import result_of
+from ..startup import bring_back
+from ..worker import absolute, in_panel_words, program, request_of, result_folder
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -24,6 +27,9 @@ _FORMATS = {
 
 _MOST_NAMES = 3
 """Files that a finding names in the panel; `robir check` names more."""
+
+_PLACE = ("view_scale", "view_shift")
+"""Settings that say how the capture was brought into view."""
 
 _faulty: set[Path] = set()
 """Captures that the last look at them refused."""
@@ -42,6 +48,26 @@ class _Look:
         self._capture = capture
         self._facts: dict[str, Any] | None = None
         self.problem = ""
+
+    def end_clicked(self, code: int, said: str) -> None:
+        """Show the answer as one step that can be undone."""
+        self.end(code, said)
+        with monitor.in_window():
+            bpy.ops.ed.undo_push(message=ROBIR_OT_look_at_capture.bl_label)
+
+    def end_chosen(self, code: int, said: str) -> None:
+        """Show the answer; a run of this capture is followed, a finished one brought in.
+
+        A Blender that was closed without saving has left no other trace of the run.
+        """
+        self.end_clicked(code, said)
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or absolute(scene.robir.capture) != self._capture:
+            return
+        root = result_folder(scene.robir)
+        known = client.snapshot(root)
+        if known.is_live or (known.state == "done" and absolute(scene.robir.result) != root):
+            monitor.watch(root)
 
     def take(self, event: dict[str, Any]) -> None:
         """Remember the answer among what the engine prints."""
@@ -66,7 +92,10 @@ class _Look:
                 )
                 monitor.show_problem(self.problem)
             return
+        state.looked_at = scene.robir.capture
         _show_findings(state, self._facts["findings"])
+        views = [view["name"] for view in self._facts.get("cameras", ())]
+        list_photographs(scene.robir, views, self._facts["findings"])
         if not self._facts["accepted"]:
             _faulty.add(self._capture)
             first = state.findings[0]
@@ -85,7 +114,7 @@ class _Look:
 
 def _forget(state: Any) -> None:
     """What was known of the capture before."""
-    state.recognised = ""
+    state.recognised = state.looked_at = ""
     state.findings.clear()
     _faulty.clear()
     monitor.drop_steps()
@@ -97,6 +126,7 @@ def _show_findings(state: Any, findings: list[dict[str, Any]]) -> None:
         shown.level = finding["level"]
         shown.text = in_panel_words(finding["message"]) + _named(finding["files"])
         shown.cure = in_panel_words(finding["cure"])
+        shown.code, shown.files = finding["code"], "\n".join(finding["files"])
 
 
 def _named(files: list[str]) -> str:
@@ -110,7 +140,8 @@ def _named(files: list[str]) -> str:
 def _recognised(facts: dict[str, Any]) -> str:
     name = _FORMATS.get(facts["format"], facts["format"])
     count = facts["views"] + facts["held_out"]
-    return f"{name}, {count} photographs, {facts['held_out']} kept aside"
+    width = 2.0 * facts["radius"]
+    return f"{name}, {count} photographs, {facts['held_out']} kept aside, {width:.3g} units wide"
 
 
 class ROBIR_OT_choose_capture(bpy.types.Operator):
@@ -133,14 +164,15 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work."""
-        return may_begin(cls, context)
+        """Not while something is at work but the engine's installation."""
+        return may_choose(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder, beginning with the one that is chosen."""
+        """Ask for the folder, beginning with the one that is chosen; a button may name one."""
         self._way = "INVOKE_DEFAULT"
-        if not self.directory:
-            self.directory = context.scene.robir.capture
+        if self.directory:
+            return self.execute(context)
+        self.directory = context.scene.robir.capture
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -161,6 +193,12 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
     bl_description = "Recognise the capture, check it, and show its cameras in the viewport"
     bl_options = {"REGISTER", "UNDO"}
 
+    is_chosen: BoolProperty(
+        name="Just chosen",
+        description="Look for a run of the capture as well",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture is chosen, while nothing is at work."""
@@ -171,14 +209,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         look, command = self._begin(context)
         if look is None:
             return {"CANCELLED"}
-
-        label = self.bl_label  # the operator itself is gone by then
-
-        def end(code: int, said: str) -> None:
-            look.end(code, said)
-            with monitor.in_window():
-                bpy.ops.ed.undo_push(message=label)
-
+        end = look.end_chosen if self.is_chosen else look.end_clicked
         return self._run(context, monitor.run_task, command, look, end)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -195,18 +226,17 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
     def _begin(self, context: bpy.types.Context) -> tuple[_Look | None, list[str]]:
         """The look and the engine's command; no look where there is no engine."""
         settings = context.scene.robir
-        capture, masks = absolute(settings.capture), absolute(settings.masks)
         try:
             words = program(engine_python(context))
         except EngineError as error:
             monitor.show_problem(str(error))
             self.report({"ERROR"}, str(error))
             return None, []
-        command = [*words, "check", str(capture), "--json"]
-        if masks is not None:
-            command += ["--masks", str(masks)]
-        command += client.box_words(box_of(settings))
-        return _Look(context.scene, capture), command
+        request = request_of(settings)
+        command = [*words, "check", str(request.capture), "--json"]
+        if request.masks is not None:
+            command += ["--masks", str(request.masks)]
+        return _Look(context.scene, request.capture), [*command, *request.choice_words()]
 
     def _run(
         self, context: bpy.types.Context, run: Any, command: list[str], look: _Look, end: Any
@@ -265,10 +295,12 @@ class ROBIR_OT_clear_capture(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Forget it, and remove all that was shown of it."""
         viewport.clear_capture()
+        if not context.scene.robir.result:
+            bring_back(context.scene, context.view_layer)
         _forget(context.window_manager.robir)
         monitor.show_problem("")
+        _forget_choices(context.scene.robir)
         context.scene.robir.capture = ""
-        context.scene.robir.out = ""
         return {"FINISHED"}
 
 
@@ -283,12 +315,41 @@ def take_capture(
         capture: Absolute.
         way: INVOKE_DEFAULT looks without making the user wait, EXEC_DEFAULT waits.
     """
+    if absolute(context.scene.robir.capture) != capture:
+        _forget_choices(context.scene.robir)
+        context.scene.robir.out = result_of(capture)
     context.scene.robir.capture = str(capture)
+    if is_engine_coming(context):
+        return {"FINISHED"}  # it is looked at when the engine is there
     try:
-        return bpy.ops.robir.look_at_capture(way)
+        return bpy.ops.robir.look_at_capture(way, is_chosen=True)
     except RuntimeError as fault:  # how Blender passes on what that operator reported
         operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
         return {"CANCELLED"}
+
+
+def _forget_choices(settings: Any) -> None:
+    """What was chosen for one capture is no other's."""
+    for name in ("masks", "box", "photographs", "skip_missing", "out", "result", *_PLACE):
+        settings.property_unset(name)
+
+
+def may_choose(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether a capture can be chosen: while the engine is installed it can, and waits."""
+    return is_engine_coming(context) or may_begin(operator, context)
+
+
+def is_engine_coming(context: bpy.types.Context) -> bool:
+    """Whether the engine is being installed or checked; a capture can be chosen meanwhile."""
+    return context.window_manager.robir.task in ("install", "check_engine")
+
+
+def look_at_waiting(context: bpy.types.Context) -> None:
+    """Look at the capture that was chosen before there was an engine."""
+    state = context.window_manager.robir
+    if state.looked_at != context.scene.robir.capture and not bpy.app.background:
+        with monitor.in_window():
+            bpy.ops.robir.look_at_capture("INVOKE_DEFAULT", is_chosen=True)
 
 
 def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -22,9 +22,9 @@ from ..preferences import (
     preferences_of,
 )
 from ..worker import in_panel_words
-from .capture import why_wait
+from .capture import look_at_waiting, why_wait
 
-_OFFLINE = "Blender is not allowed to go online"
+OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
     "turn on Allow Online Access in Preferences > System, or give a folder of wheels in the "
     "add-on's preferences"
@@ -101,6 +101,19 @@ class _Check(_Task):
         state.engine_text = describe(outcome)
         if not outcome["ok"]:
             _tell(outcome["message"], outcome["cure"])
+        else:
+            look_at_waiting(bpy.context)
+
+
+class _Removal(_Task):
+    def cancelled(self) -> None:
+        _tell("The removal was stopped midway", "press Remove Engine again, or Install Engine")
+
+    def succeed(self, outcome: dict[str, Any]) -> None:
+        state = bpy.context.window_manager.robir
+        state.engine_text, state.engine_ok = "", False
+        left = ", ".join(outcome["left"])
+        _tell(f"Not RobIR's and left in place: {left}" if left else "", "")
 
 
 class ROBIR_OT_install_engine(bpy.types.Operator):
@@ -202,21 +215,34 @@ class ROBIR_OT_remove_engine(bpy.types.Operator):
         return _allowed(cls, problem)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first."""
-        return context.window_manager.invoke_confirm(self, event)
+        """Ask first, saying what goes."""
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Remove the engine?",
+            message=what_goes(),
+            confirm_text="Remove",
+            icon="WARNING",
+        )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Remove it."""
-        state = context.window_manager.robir
+        """Remove it: in a window while Blender stays usable, for a script to the end."""
+        run = monitor.wait_task if bpy.app.background else monitor.run_task
         try:
-            left = engine.remove(managed_place())
+            command = engine.worker_command(str(managed_place().root), module="remove")
         except EngineError as error:
             _tell(error.message, error.cure)
         else:
-            state.engine_text, state.engine_ok = "", False
-            names = ", ".join(path.name for path in left)
-            _tell(*((f"Not RobIR's and left in place: {names}", "") if left else ("", "")))
+            _start(run, "remove_engine", command, _Removal("The removal"))
         return _outcome(self, context)
+
+
+def what_goes() -> str:
+    """Folder and size of the managed engine, for whoever is asked whether it may go."""
+    place = managed_place()
+    record = engine.read_record(place)
+    size = f"{record.size / 2**30:.1f} GB in " if record is not None and record.size else ""
+    return f"{size}{place.root}"
 
 
 def describe(verdict: dict[str, Any]) -> str:
@@ -245,7 +271,7 @@ def _install_command(context: bpy.types.Context) -> list[str]:
             )
         return engine.worker_command(*words, "--wheels", str(folder))
     if not bpy.app.online_access:
-        raise EngineError(_OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
+        raise EngineError(OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
     return engine.worker_command(*words, "--online")
 
 

@@ -3,6 +3,8 @@
 
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -40,13 +42,13 @@ class _SaveAs(ExportHelper):
 
 
 class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
-    """The asset as the reconstruction wrote it."""
+    """The object as it stands in the scene, or, before it is imported, as it was reconstructed."""
 
     bl_idname = "robir.export_glb"
     bl_label = "Export GLB"
     bl_description = (
-        "Save the asset as glTF binary: mesh, UVs and textures as reconstructed. "
-        "The format knows no environment light"
+        "Save the object as glTF binary, with what you have changed: place, modifiers, material. "
+        "Before the import, the reconstruction's own file. The format knows no environment light"
     )
     bl_options = {"REGISTER"}
 
@@ -54,7 +56,21 @@ class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:
-        """Copy the file that the export stage made."""
+        """Write the present object; without one copy the file that the export stage made."""
+        asset = asset_of(result_root(context))
+        if asset is not None:
+            target = self.target()
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with _selected(context.view_layer, [asset]):
+                bpy.ops.export_scene.gltf(
+                    filepath=str(target),
+                    export_format="GLB",
+                    use_selection=True,
+                    export_apply=True,
+                    export_animations=False,
+                )
+            self.report({"INFO"}, f"Saved {target.name}, the object as it stands in the scene")
+            return
         source = result_paths(context).asset
         if not source.is_file():
             raise ResultError(f"{source.name} is missing; export the result again")
@@ -93,13 +109,7 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
         lamps = [lamp for lamp in lamps_of(mark_of(root)) if not lamp.hide_viewport]
         target = self.target()
         target.parent.mkdir(parents=True, exist_ok=True)
-        layer = context.view_layer
-        selected, active = list(layer.objects.selected), layer.objects.active
-        try:
-            for block in selected:
-                block.select_set(False)
-            for block in (asset, *lamps):
-                block.select_set(True)
+        with _selected(context.view_layer, [asset, *lamps]):
             bpy.ops.wm.usd_export(
                 filepath=str(target),
                 selected_objects_only=True,
@@ -109,12 +119,6 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
                 convert_world_material=True,
                 **_textures_too(),
             )
-        finally:
-            for block in (asset, *lamps):
-                block.select_set(block in selected)
-            for block in selected:
-                block.select_set(True)
-            layer.objects.active = active
         if not target.is_file():
             raise ResultError(f"{target.name} was not written; is the folder writable?")
         self.report({"INFO"}, f"Saved {target.name} with its textures beside it")
@@ -182,6 +186,24 @@ class ROBIR_OT_mark_asset(ImportedOperator, bpy.types.Operator):
         if asset is None:
             raise ResultError("the object is not in this file; import the result again")
         make_asset(asset, paths)
+
+
+@contextmanager
+def _selected(layer: bpy.types.ViewLayer, chosen: list[bpy.types.Object]) -> Iterator[None]:
+    """Select some objects and no others; afterwards the selection is as it was."""
+    selected, active = list(layer.objects.selected), layer.objects.active
+    try:
+        for block in selected:
+            block.select_set(False)
+        for block in chosen:
+            block.select_set(True)
+        yield
+    finally:
+        for block in chosen:
+            block.select_set(block in selected)
+        for block in selected:
+            block.select_set(True)
+        layer.objects.active = active
 
 
 def _textures_too() -> dict[str, str | bool]:

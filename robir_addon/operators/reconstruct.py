@@ -10,6 +10,7 @@ from ..command_line import worker_environment
 from ..engine import EngineError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
+from ..recent import remember
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
 
@@ -63,6 +64,8 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
             if not client.snapshot(request.out).is_live:
                 words = program(engine_python(context))
                 client.start(words, request, worker_environment())
+                own_folder = str(request.out) if context.scene.robir.out else ""
+                remember(request.capture, own_folder)
         except (EngineError, *client.START_ERRORS) as error:
             monitor.show_problem(str(error))
             self.report({"ERROR"}, in_panel_words(str(error)))

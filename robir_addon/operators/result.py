@@ -2,14 +2,19 @@
 """Bring a result into the file, and look at it beside what went in."""
 
 from pathlib import Path
+from typing import Any
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import IntProperty, StringProperty
 
 from ..arrival import bring_in
-from ..comparison import compare
+from ..cameras import VIEW
+from ..captions import CAPTIONS
+from ..comparison import compare, neighbour
 from ..errors import ResultError
-from ..importer import mark_of, read_cameras, read_tone_curve, remove_result
+from ..gateway import JobPaths
+from ..importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
+from ..materials import is_edited
 from ..pictures import put_image, read_codes, show_image
 from ..startup import bring_back
 from ..support import support_report
@@ -25,7 +30,10 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
 
     bl_idname = "robir.import_result"
     bl_label = "Import Result"
-    bl_description = "Bring a finished result into the scene; importing it again replaces it"
+    bl_description = (
+        "Bring a finished result into the scene; importing it again replaces mesh and textures, "
+        "and keeps place, modifiers, materials and light"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
@@ -38,10 +46,7 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Always but in edit mode, where objects cannot be replaced."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave the present mode for Object Mode first")
-            return False
-        return True
+        return _is_in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the folder, beginning with the one that is shown."""
@@ -56,10 +61,64 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
         if not folder:
             raise ResultError("no folder was given; choose one that `robir reconstruct` finished")
         root = Path(bpy.path.abspath(folder)).absolute()
-        notes = bring_in(context, root)
-        for note in notes:
-            self.report({"INFO"}, note)
-        context.window_manager.robir.message = ". ".join(notes)
+        if _is_edited(root):
+            raise ResultError(
+                "the object's mesh was edited and would be lost; press Refresh Result to have it "
+                "replaced"
+            )
+        _bring_in(self, context, root)
+
+
+class ROBIR_OT_refresh_result(ImportedOperator, bpy.types.Operator):
+    """What the result folder holds now, on the object as the user has it."""
+
+    bl_idname = "robir.refresh_result"
+    bl_label = "Refresh Result"
+    bl_description = (
+        "Read mesh and textures anew; place, modifiers, materials and light stay as you made them"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Where a result is in the file, but not in edit mode."""
+        return super().poll(context) and _is_in_object_mode(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first where the user has changed the mesh."""
+        if not _is_edited(result_root(context)):
+            return self.execute(context)
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Replace the edited mesh?",
+            message="You have changed this object's mesh; the newer one takes its place.",
+            confirm_text="Replace",
+            icon="WARNING",
+        )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Replace, edited or not."""
+        _bring_in(self, context, result_root(context))
+
+
+def _is_edited(root: Path) -> bool:
+    asset = asset_of(root)
+    return asset is not None and is_edited(asset)
+
+
+def _is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if context.mode != "OBJECT":
+        operator.poll_message_set("Leave the present mode for Object Mode first")
+        return False
+    return True
+
+
+def _bring_in(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:
+    notes = bring_in(context, root)
+    for note in notes:
+        operator.report({"INFO"}, note)
+    context.window_manager.robir.message = ". ".join(notes)
 
 
 class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
@@ -97,13 +156,50 @@ class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Make one image of the four."""
         paths = result_paths(context)
-        found = compare(paths, read_cameras(paths), self.view)
-        image = put_image(COMPARISON, found.codes, mark_of(paths.root))
-        show_image(context, image)
-        self.report(
-            {"INFO"},
-            f"View {found.view}: photograph, re-render by {found.rendered_by}, albedo, roughness",
-        )
+        self.report({"INFO"}, _show_comparison(context, paths, read_cameras(paths), self.view))
+
+
+class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
+    """The comparison of another view."""
+
+    bl_idname = "robir.compare_next"
+    bl_label = "Compare Next View"
+    bl_description = "Compare the next view that was rendered again; arrow keys go on and back"
+    bl_options = {"REGISTER", "UNDO"}
+
+    step: IntProperty(name="Step", description="Views to go on by; negative goes back", default=1)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a view was compared; as a key only over an editor that shows the comparison."""
+        if not super().poll(context):
+            return False
+        shown = getattr(context.space_data, "image", None)
+        image = bpy.data.images.get(COMPARISON)
+        if image is None or VIEW not in image or shown not in (None, image):
+            cls.poll_message_set("Press Compare first")
+            return False
+        return True
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Compare the view so many steps on."""
+        paths = result_paths(context)
+        table = read_cameras(paths)
+        view = neighbour(paths, table, bpy.data.images[COMPARISON][VIEW], self.step)
+        self.report({"INFO"}, _show_comparison(context, paths, table, view))
+
+
+def _show_comparison(
+    context: bpy.types.Context, paths: JobPaths, table: dict[str, Any], view: str
+) -> str:
+    """Show the four pictures of a view under their names; returns these for the report."""
+    found = compare(paths, table, view)
+    image = put_image(COMPARISON, found.codes, mark_of(paths.root))
+    names = ("Photograph", f"Re-render by {found.rendered_by}", "Albedo", "Roughness")
+    image[VIEW] = found.view
+    image[CAPTIONS] = "\n".join((f"View {found.view}, arrow keys for others", *names))
+    show_image(context, image)
+    return f"View {found.view}: {', '.join(names)}"
 
 
 class ROBIR_OT_show_tone_curve(ResultOperator, bpy.types.Operator):
@@ -171,10 +267,34 @@ class ROBIR_OT_copy_report(bpy.types.Operator):
         return {"FINISHED"}
 
 
+_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+
+
+def register() -> None:
+    """Let the arrow keys over the comparison go from view to view."""
+    keys = bpy.context.window_manager.keyconfigs.addon
+    if keys is None:  # without a window
+        return
+    keymap = keys.keymaps.new(name="Image", space_type="IMAGE_EDITOR")
+    for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1)):
+        item = keymap.keymap_items.new(ROBIR_OT_compare_next.bl_idname, key, "PRESS")
+        item.properties.step = step
+        _keys.append((keymap, item))
+
+
+def unregister() -> None:
+    """Give the keys back."""
+    while _keys:
+        keymap, item = _keys.pop()
+        keymap.keymap_items.remove(item)
+
+
 CLASSES = (
     ROBIR_OT_import_result,
+    ROBIR_OT_refresh_result,
     ROBIR_OT_remove_result,
     ROBIR_OT_compare,
+    ROBIR_OT_compare_next,
     ROBIR_OT_show_tone_curve,
     ROBIR_OT_match_view_transform,
     ROBIR_OT_open_report,

@@ -9,6 +9,7 @@ from ..errors import AddonError
 from ..gateway import JobPaths
 from ..importer import mark_of
 from ..lights import world_of
+from ..worker import problem_and_cure
 
 
 def result_root(context: bpy.types.Context) -> Path:
@@ -55,7 +56,7 @@ class ResultOperator:
     def refuse(self, context: bpy.types.Context, sentence: str) -> set[str]:
         """Say why nothing was done, here and in the panel."""
         state = context.window_manager.robir
-        state.error, _, state.error_cure = sentence.partition("; ")
+        state.error, state.error_cure = problem_and_cure(sentence)
         self.report({"ERROR"}, sentence)
         return {"CANCELLED"}
 

@@ -193,6 +193,13 @@ def reconstruct(capture, other, out):
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
+    recent = module("recent")
+    recent.unregister()
+    recent.register()  # as in the next Blender
+    answer["recent"] = recent.recent_captures()
+    settings().capture = ""
+    attempt(bpy.ops.robir.choose_capture, directory=capture)
+    answer["recent_out"] = settings().out
     return answer
 
 
@@ -217,6 +224,67 @@ def killed(capture, out):
     answer["done"] = told()
     answer["meshes"] = len(bpy.data.meshes)
     return answer
+
+
+def lacking(capture, other):
+    """A capture with a missing photograph: left out, one more left out, another capture."""
+    answer = {"chosen": attempt(bpy.ops.robir.choose_capture, directory=capture)}
+    answer["codes"] = [f.code for f in state().findings if f.level == "error"]
+    answer["left_out"] = attempt(bpy.ops.robir.leave_out, finding=0)
+    answer["recognised"] = state().recognised
+    answer["photographs"] = [p.name for p in settings().photographs]
+    settings().photographs[0].is_used = False
+    answer["again"] = attempt(bpy.ops.robir.look_at_capture)
+    answer["one_less"] = state().recognised
+    answer["kept"] = [[p.name, p.is_used, p.reason] for p in settings().photographs]
+    answer["words"] = module("worker").request_of(settings()).words()
+    settings().out = settings().result = other + "_elsewhere"
+    answer["other"] = attempt(bpy.ops.robir.choose_capture, directory=other)
+    words = module("worker").request_of(settings()).words()
+    answer["other_words"], answer["other_result"] = words, settings().result
+    return answer
+
+
+def millimetres(capture):
+    """A capture as it is, and as if its unit were a 240th and its origin far off."""
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+    look, answer, taken = module("operators.capture"), {}, []
+    original = look._Look.take
+
+    def take(self, event):
+        original(self, event)
+        taken.append(event)
+
+    look._Look.take = take
+    attempt(bpy.ops.robir.choose_capture, directory=capture)
+    facts = next(event for event in taken if "accepted" in event)
+    answer["plain"] = seen_bounds()
+    for view in facts["cameras"]:
+        for row in view["camera_to_world"][:3]:
+            row[3] = row[3] * 240.0 / facts["radius"] + 795.0
+    middle = [c * 240.0 / facts["radius"] + 795.0 for c in facts["centre"]]
+    facts |= {"centre": middle, "radius": 240.0}
+    list(module("viewport").show_capture(bpy.context.scene, facts))
+    answer["large"], answer["recognised"] = seen_bounds(), look._recognised(facts)
+    bpy.ops.robir.add_box()
+    answer["box"] = list(module("worker").box_of(settings()))
+    answer["sphere"] = [*middle, 480.0, 480.0, 480.0]
+    bpy.ops.robir.clear_capture()
+    answer["cleared"] = bpy.data.objects["Cube"].visible_get()
+    return answer
+
+
+def seen_bounds():
+    bpy.context.view_layer.update()
+    sphere = bpy.data.objects["Bounds of the object"]
+    cameras = [o for o in bpy.data.objects if "robir_view" in o]
+    away = [(o.matrix_world.translation - sphere.location).length for o in cameras]
+    return {
+        "radius": sphere.empty_display_size,
+        "centre": list(sphere.location),
+        "cube": bpy.data.objects["Cube"].visible_get(),
+        "distances": away,
+    }
 
 
 def start_and_wait(capture, out, ready):
@@ -247,6 +315,39 @@ def find_again(capture, out):
     answer["end_seconds"] = time.monotonic() - began
     answer["stopped"] = told()
     answer["may_cancel"] = bpy.ops.robir.cancel_reconstruct.poll()
+    return answer
+
+
+def choose_as_clicked(capture):
+    """What a click on Choose Capture begins in a window."""
+    look = module("operators.capture")
+    settings().capture = capture
+    engine = bpy.context.preferences.addons[MODULE].preferences.python
+    command = [*look.program(engine), "check", capture, "--json"]
+    taken = look._Look(bpy.context.scene, Path(capture))
+    module("monitor").run_task("look", command, taken.take, taken.end_chosen)
+
+
+def unsaved(capture):
+    """Blender was closed without saving, once in the midst of a run and once after its end."""
+    monitor, answer = module("monitor"), {}
+    settings().capture = capture
+    root = start_worker()
+    pulse(lambda: module("gateway").client.snapshot(root).state == "running")
+    for name, is_enough in (
+        ("running", lambda: state().task != "look" and (state().stage or not state().task)),
+        ("finished", lambda: not monitor.is_busy()),
+    ):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
+        choose_as_clicked(capture)
+        pulse(is_enough)
+        answer[name] = told()
+        os.environ.pop("ROBIR_TEST_SLOWLY", None)
+        pulse(lambda: not monitor.is_busy())
+        answer[f"{name} meshes"] = len(bpy.data.meshes)
+    choose_as_clicked(capture)
+    pulse(lambda: not monitor.is_busy())
+    answer["shown already"] = [state().task, len(bpy.data.meshes)]
     return answer
 
 

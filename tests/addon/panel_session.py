@@ -54,6 +54,7 @@ def looking(settings, state, result):
 
 def looked(settings, state, result):
     chosen(settings, state, result)
+    state.looked_at = settings.capture
     state.recognised = "NeRF-synthetic, 40 photographs, 8 kept aside"
     for level in ("note", "error", "warning"):
         finding = state.findings.add()
@@ -61,6 +62,25 @@ def looked(settings, state, result):
         finding.text = f"21 of 48 photographs are clipped on the object ({PATH})"
         finding.cure = "Photograph or render with less exposure" if level != "note" else ""
     bpy.data.collections.new("RobIR capture")
+
+
+def lacking(settings, state, result):
+    looked(settings, state, result)
+    state.findings[1].code = "missing-images"
+    state.findings[2].code, state.findings[2].files = "blurred", "r_1\nr_2"
+    for name in ("r_1", "r_2", "r_3"):
+        settings.photographs.add().name = name
+    settings.photographs["r_3"].is_used = False
+
+
+def undone(settings, state, result):
+    faultless(settings, state, result)
+    settings.capture = ""
+
+
+def another(settings, state, result):
+    looked(settings, state, result)
+    settings.capture = "/captures/metal truck/"
 
 
 def faultless(settings, state, result):
@@ -91,9 +111,20 @@ def failed(settings, state, result):
     state.error, state.error_cure = f"{SENTENCE} ({PATH})", "Reconstruct again; it goes on"
 
 
+def offline(settings, state, result):
+    engine = import_module(f"{MODULE}.operators.engine")
+    state.error, state.error_cure = engine.OFFLINE, "Turn it on"
+
+
 def done(settings, state, result):
     looked(settings, state, result)
     settings.result = result
+
+
+def relit(settings, state, result):
+    done(settings, state, result)
+    bpy.ops.robir.import_result(directory=result)
+    bpy.ops.robir.use_studio_light(light="forest")
 
 
 def doubtful(settings, state, result):
@@ -139,8 +170,9 @@ def engine_checked(settings, state, result):
 STATES = {
     function.__name__: function
     for function in (
-        nothing, chosen, looking, looked, faultless, started, running, stopped, failed, done,
-        doubtful, unreadable, damaged, filming, installing, checking, engine_checked,
+        nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
+        stopped, failed, offline, done, relit, doubtful, unreadable, damaged, filming, installing,
+        checking, engine_checked,
     )
 }  # fmt: skip
 

@@ -62,7 +62,8 @@ def refused(answer, *words: str) -> bool:
 def check_look(answer, capture, shots):
     assert not answer["poll"]
     assert answer["chosen"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"] == "NeRF-synthetic, 14 photographs, 2 kept aside"
+    assert answer["recognised"].startswith("NeRF-synthetic, 14 photographs, 2 kept aside, ")
+    assert answer["recognised"].endswith(" units wide")
     assert "error" not in answer["levels"]
     assert answer["is_same"], "a second look made more of everything"
     assert answer["may_reconstruct"]
@@ -132,6 +133,40 @@ def test_a_box_about_the_object_goes_to_the_engine(blender, session, capture):
     assert answer["looked"] == [["FINISHED"], ""] and answer["seen"] == answer["words"]
 
 
+def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots, tmp_path):
+    lacking = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
+    (lacking / "train/r_5.png").unlink()
+    answer = session(own_blender, "lacking", lacking, capture)
+    assert refused(answer["chosen"], "1 of 14", "press Leave Out")
+    assert answer["codes"] == ["missing-images"]
+    assert answer["left_out"] == answer["again"] == [["FINISHED"], ""]
+    assert answer["recognised"].startswith("NeRF-synthetic, 13 photographs, 2 kept aside")
+    assert len(answer["photographs"]) == 13
+    assert answer["one_less"].startswith("NeRF-synthetic, 12 photographs, 2 kept aside")
+    assert [used for _, used, _ in answer["kept"]].count(False) == 1
+    name = answer["photographs"][0]
+    assert [name, False, "left out"] in answer["kept"]
+    assert "--skip-missing" in answer["words"]
+    assert f'capture.leave_out=["{name}"]' in answer["words"]
+    assert answer["other"] == [["FINISHED"], ""]
+    assert "--skip-missing" not in answer["other_words"], "that was said of another capture"
+    assert answer["other_words"][3] == str(capture.with_name(f"{capture.name}_robir"))
+    assert answer["other_result"] == ""
+
+
+def test_a_capture_in_millimetres_is_shown_at_a_size_to_work_with(own_blender, session, capture):
+    answer = session(own_blender, "millimetres", capture)
+    for name in ("plain", "large"):
+        shown = answer[name]
+        assert 0.8 < shown["radius"] < 1.3
+        assert name == "plain" or max(map(abs, shown["centre"])) < 2.0
+        assert shown["cube"] is False, "what Blender starts with hides the object"
+        np.testing.assert_allclose(shown["distances"], answer["plain"]["distances"], rtol=0.3)
+    np.testing.assert_allclose(answer["box"], answer["sphere"], rtol=1e-3)
+    assert "480 units wide" in answer["recognised"]
+    assert answer["cleared"] is True
+
+
 def test_tasks_are_followed_and_stopped(own_blender, session):
     answer = session(own_blender, "tasks", sys.executable)
     assert answer["lines"] == [
@@ -166,6 +201,8 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert refused(answer["nothing_at_work"], "No reconstruction is at work")
     assert refused(answer["other"], "holds the result of", "choose another result folder")
     assert answer["other_told"]["error_cure"] == "Choose another result folder"
+    assert str(capture) in answer["recent"]
+    assert answer["recent_out"] == str(out), "a chosen result folder is found again"
     # so small a draft fails its own quality check, and is imported all the same
     run = read_json(JobPaths(out).run)
     assert (run["state"], run["exit_code"]) == ("done", 5)
@@ -187,6 +224,17 @@ def test_a_killed_worker_is_told_and_the_next_goes_on(
     assert (died["task"], died["job"], died["result"]) == ("", "", "")
     assert answer["done"]["error"] == "" and answer["done"]["result"] == str(tmp_path / "out")
     assert answer["meshes"] == 1
+
+
+def test_a_capture_chosen_again_finds_its_run(own_blender, session, shots, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
+    capture = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
+    out = str(capture.with_name(f"{capture.name}_robir"))
+    answer = session(own_blender, "unsaved", capture)
+    running = answer["running"]
+    assert (running["task"], running["job"], running["error"]) == ("reconstruct", out, "")
+    assert (answer["finished"]["result"], answer["finished meshes"]) == (out, 1)
+    assert answer["shown already"] == ["", 1]
 
 
 def test_a_killed_blender_leaves_the_worker_to_the_next(

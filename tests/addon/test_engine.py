@@ -12,13 +12,13 @@ import subprocess
 import sys
 import time
 import tomllib
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 from addon.wheelhouse import (
     CONSTRAINTS,
     ROOT,
+    Source,
     build_robir,
     plain,
     serve,
@@ -28,23 +28,14 @@ from addon.wheelhouse import (
 from packaging.requirements import Requirement
 
 import robir
-from robir_addon.engine import EngineError, Place, remove, status
+from robir_addon.engine import EngineError, Place, status
 from robir_addon.engine.lock import engine_lock
 from robir_addon.engine.places import worker_command
+from robir_addon.engine.remove import remove
 from robir_addon.engine.states import read_record, write_record
 
 UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"
 FAR_INDEX = "http://127.0.0.1:9/"
-
-
-@dataclass(frozen=True)
-class Source:
-    """What is installed from: the wheel of robir, and folders of wheels."""
-
-    robir: Path
-    wheels: Path
-    cuda_wheels: Path
-    hashes: Path
 
 
 @pytest.fixture(scope="module")
@@ -282,8 +273,24 @@ def test_no_network_at_all(copy, source):
     words = command(copy, source, build="CUDA", wheels="")
     code, lines, _ = run(words, PIP_INDEX_URL=FAR_INDEX, PIP_RETRIES="1")
     assert code == 4
-    assert "broke off while torch" in lines[-1]["error"]
-    assert "check the network" in lines[-1]["cure"]
+    assert "cannot be reached while torch" in lines[-1]["error"]
+    assert "this machine is online" in lines[-1]["cure"]
+
+
+def test_what_nobody_offers_is_told_before_torch_is_fetched(copy, source, tmp_path):
+    forget(copy, "torch", "scipy")
+    wheels = tmp_path / "offered"
+    shutil.copytree(source.cuda_wheels, wheels)
+    for wheel in wheels.glob("scipy-*"):
+        wheel.unlink()
+    with serve(wheels) as index:
+        words = command(copy, source, build="CUDA", wheels="")
+        code, lines, _ = run(words, PIP_INDEX_URL=index.url)
+    assert code == 4
+    assert "nobody offers scipy" in lines[-1]["error"]
+    assert "Blender's own" in lines[-1]["error"]
+    assert "Python 3.11 to 3.13" in lines[-1]["cure"]
+    assert not [path for path in index.asked if "torch" in path], "gigabytes for nothing"
 
 
 def test_a_wheel_that_is_lacking(copy, source, tmp_path):

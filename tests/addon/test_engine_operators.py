@@ -69,6 +69,7 @@ def main(archive, wheels, site_packages):
     answer["check"] = press("check_engine"), state.engine_ok, state.error_cure
     preferences.torch_build = "CUDA"
     answer["states"].append(module("preferences").engine_status(bpy.context).state)
+    answer["goes"] = module("operators.engine").what_goes()
     answer["remove"] = press("remove_engine"), place.root.exists()
     answer["states"].append(module("preferences").engine_status(bpy.context).state)
     answer["same"] = files(site_packages) == before
@@ -99,6 +100,8 @@ def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path
     assert "missing or broken" in report
     assert not ok
     assert "nstall the engine again" in cure
+    assert answer["goes"].endswith(str(root))
+    assert " GB in " in answer["goes"]
     assert answer["remove"] == [["FINISHED"], False]
     assert answer["same"]
 
@@ -130,6 +133,8 @@ def main(archive, wheels):
         command = operators._install_command(bpy.context)
         module("monitor").run_task("install", command, task.on_line, task.on_end)
         answer["busy"] = state.task, press("install_engine")
+        bpy.ops.robir.choose_capture(directory=wheels)
+        answer["chosen"] = bpy.context.scene.robir.capture
         answer[name] = pulses(until), state.error, state.engine_text, state.task
     return answer
 """
@@ -143,13 +148,14 @@ def test_a_click_returns_at_once_and_can_be_cancelled(own_blender, extension_zip
     task, pressed = answer["busy"]
     assert task == "install"
     assert "Wait until the work at hand is done" in pressed
+    assert answer["chosen"] == str(wheels), "a capture can be chosen meanwhile"
     said, error, text, task = answer["cancelled"]
     assert "Stopping" in said
     assert (error, task) == ("", "")
     assert "not finished; press Install Engine again" in text
     said, error, text, task = answer["whole"]
     assert (error, task) == ("", "")
-    assert {"checking the engine", "unpacking RobIR"} & set(said)
+    assert "checking the engine" in said or any(text.startswith("unpacking") for text in said)
     assert text.startswith("Engine ready")
 
 
@@ -224,8 +230,11 @@ def main(archive):
     said["made"] = module("preferences").managed_place().root.exists()
     for engine in ("MANAGED", "EXISTING"):
         preferences.engine = engine
-        for task in ("", "install"):
+        for task in ("", "install", "failed"):
             state.task, state.message, state.engine_text = task, "torch, 3 of 9 MB", "All is well"
+            state.error, state.error_cure = "", ""
+            if task == "failed":
+                state.task, state.error, state.error_cure = "", "Nobody offers it", "Choose another"
             shown = Shown(preferences)
             type(preferences).draw(shown, bpy.context)
             said[engine + task] = shown.layout.texts(), shown.layout.operators()
@@ -245,6 +254,9 @@ def test_permission_and_preferences_in_every_blender(blender, extension_zip, tmp
     texts, buttons = said["MANAGEDinstall"]
     assert "torch, 3 of 9 MB" in texts
     assert buttons[0] == "robir.cancel_install"
+    texts, _ = said["MANAGEDfailed"]
+    assert {"Nobody offers it", "Choose another"} <= set(texts)
+    assert not {"Press Install Engine", "All is well"} & set(texts), "that would contradict it"
     texts, buttons = said["EXISTING"]
     assert "No existing environment is chosen" in texts
     assert buttons == ["robir.check_engine"]

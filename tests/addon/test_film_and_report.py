@@ -47,7 +47,7 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     assert answer["task"] == ""
     said, shown = answer["nobody"]
     assert "no view is named 'nobody'" in said
-    assert shown == "no view is named 'nobody'"
+    assert shown == "No view is named 'nobody'"
 
 
 def frames_of(film):

@@ -74,6 +74,11 @@ def test_what_matters_is_said(seen):
     assert "40 photographs, 8 kept aside" in said("looked")
     assert "less exposure" in said("looked")
     assert "No faults found" in said("faultless")
+    assert "No faults found" not in said("undone"), "undone, nothing is known of any capture"
+    assert "less exposure" not in said("another"), "what was found of one capture is no other's"
+    assert "Studio Light: Forest" in said("relit")
+    assert "Photographs (2 of 3)" in said("lacking")
+    assert seen["states"]["lacking"]["buttons"].count("robir.leave_out") == 4  # two, drawn twice
     running = said("running")
     for words in ("42 %", "Shape", "1 h 33 min left", "27.3 dB on photographs kept aside"):
         assert words in running
@@ -99,6 +104,8 @@ def test_the_button_that_is_needed_is_there(seen):
         "looked": "reconstruct",
         "running": "cancel_reconstruct",
         "failed": "copy_report",
+        "stopped": "dismiss",
+        "offline": "allow_online",
         "done": "use_studio_light",
         "installing": "cancel_install",
         "unreadable": "import_result",
@@ -144,9 +151,9 @@ def test_every_operator_is_found_by_the_search(seen):
 
 def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
-        "add_preset", "cancel_install", "cancel_reconstruct", "check_engine", "copy_report",
-        "export_glb", "export_textures", "export_usd", "install_engine", "open_report",
-        "remove_engine", "turntable",
+        "add_preset", "allow_online", "cancel_install", "cancel_reconstruct", "check_engine",
+        "copy_report", "dismiss", "export_glb", "export_textures", "export_usd",
+        "install_engine", "open_report", "remove_engine", "turntable",
     }  # fmt: skip
     undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
     assert undone == set(seen["operators"]) - looks_only

@@ -79,6 +79,12 @@ def main(archive, result, out):
     answer["unmatched"] = bpy.context.scene.view_settings.view_transform
     answer["compared"] = [call("compare"), call("compare", view="nobody"), call("compare")]
     pictures = [i.name for i in bpy.data.images if i.name.startswith("RobIR")]
+    image, views = bpy.data.images["RobIR comparison"], []
+    for step in (1, 1, -1):
+        call("compare_next", step=step)
+        views.append(image["robir_view"])
+    answer["views"] = [*views, image["robir_captions"]]
+    call("compare")
     answer["tone"] = call("show_tone_curve")
     answer["pictures"] = pictures + [i.name for i in bpy.data.images if "tone curve" in i.name]
     image = bpy.data.images["RobIR comparison"]
@@ -173,6 +179,10 @@ def main(archive, result, out):
     bpy.context.object.select_set(False)
     other.select_set(True)
     bpy.context.view_layer.objects.active = other
+    asset = next(o for o in scene.objects if o.type == "MESH")
+    asset.location.x = 7.0
+    answer["changed glb"] = call("export_glb", filepath=out + "/changed.glb")
+    asset.location.x = 0.0
     scene.robir.rotation = 0.5
     bpy.context.view_layer.update()
     lit = light()
@@ -199,6 +209,10 @@ def main(archive, result, out):
     (sun,) = [o for o in bpy.context.scene.objects if o.type == "LIGHT"]
     spaces = {i.name.partition(".")[0]: i.colorspace_settings.name for i in bpy.data.images}
     bpy.context.view_layer.update()
+    bpy.ops.import_scene.gltf(filepath=out + "/changed.glb")
+    changed = bpy.context.selected_objects[0]
+    answer["changed"] = [changed.location.x, len(changed.data.uv_layers),
+                         len(bpy.context.selected_objects)]
     answer["read"] = {
         "corners": [corners, [list(mesh.bound_box[i]) for i in (0, 6)]],
         "sun": [sun.data.energy, list(sun.data.color), sun.data.angle],
@@ -223,8 +237,8 @@ def test_a_result_is_brought_in_looked_at_and_taken_out(blender, files, result, 
     assert "Import a result first" in answer["refused"][1]
     said, sentence, cure = answer["no such"]
     assert "cannot be read" in said
-    assert sentence in said
-    assert cure.startswith("choose a folder")
+    assert sentence.lower() in said.lower()
+    assert cure.startswith("Choose a folder")
     assert (answer["imported"], answer["problem"]) == (["FINISHED"], "")
     assert answer["result"] == str(result.root)
     assert answer["active"] == "capture"
@@ -237,6 +251,11 @@ def test_a_result_is_brought_in_looked_at_and_taken_out(blender, files, result, 
     )
     assert answer["compared"][::2] == [["FINISHED"]] * 2
     assert "held_out_000" in answer["compared"][1]
+    *views, captions = answer["views"]
+    assert views[0] == views[2]
+    assert len(set(views)) == 2
+    assert captions.splitlines()[1:] == ["Photograph", "Re-render by RobIR", "Albedo", "Roughness"]
+    assert f"View {views[2]}" in captions
     assert answer["tone"] == ["FINISHED"]
     assert answer["pictures"] == ["RobIR comparison", "RobIR tone curve"]
     assert answer["report"] == [["FINISHED"]] * 2
@@ -331,6 +350,8 @@ def test_results_are_handed_on(blender, files, result, tmp_path):
     assert all("import it again" in refusal for refusal in answer["not imported"])
     assert answer["glb"] == ["FINISHED"]
     assert (out / "deep/er/asset.glb").read_bytes() == result.asset.read_bytes()
+    assert answer["changed glb"] == ["FINISHED"]
+    assert answer["changed"] == [7.0, 1, 1], "what the user changed is in the file"
     first, second, third = answer["textures"]
     assert (first, third) == (["FINISHED"], ["FINISHED"])
     assert "some textures already has" in second

@@ -25,6 +25,16 @@ ROOT = Path(__file__).parents[2]
 CONSTRAINTS = ROOT / "constraints.txt"
 
 
+@dataclass(frozen=True)
+class Source:
+    """What is installed from: the wheel of robir, and folders of wheels."""
+
+    robir: Path
+    wheels: Path
+    cuda_wheels: Path
+    hashes: Path
+
+
 def build_robir(folder: Path) -> Path:
     """The real wheel of the core."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder]

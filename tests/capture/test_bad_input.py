@@ -14,6 +14,7 @@ from PIL import Image
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.findings import check_frames
+from robir.capture.left_out import without_left_out
 from robir.capture.recognise import read_capture, read_frames
 from robir.errors import CaptureError
 
@@ -99,6 +100,28 @@ def test_missing_photographs_are_all_named(synthetic):
     (synthetic / "train/r_2.png").unlink()
     (synthetic / "train/r_5.png").unlink()
     refused(synthetic, "2 of 8", "missing", "train/r_2", "train/r_5")
+
+
+def test_missing_photographs_are_skipped_if_allowed(synthetic):
+    (synthetic / "train/r_2.png").unlink()
+    capture, findings, _ = check_capture(synthetic, None, CaptureConfig(missing="skip"))
+    assert capture is not None
+    assert len(capture.views) == 7
+    (skipped,) = [f for f in findings if f.code == "missing-skipped"]
+    assert "1 of 8" in skipped.message
+    assert skipped.level == "warning"
+    assert "r_2" in skipped.files[0]
+
+
+def test_photographs_are_left_out_by_the_names_that_findings_use(synthetic):
+    frames = read_frames(synthetic)
+    unwanted = (frames.frames[3].relative, frames.frames[4].name, "nobody")
+    left = without_left_out(frames, CaptureConfig(leave_out=unwanted))
+    names = [frame.name for frame in frames.frames]
+    assert [frame.name for frame in left.frames] == names[:3] + names[5:]
+    known = {finding.code: finding for finding in left.findings}
+    assert len(known["left-out"].files) == 2
+    assert known["unknown-photographs"].files == ("nobody",)
 
 
 def test_truncated_photograph(synthetic):

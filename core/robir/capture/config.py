@@ -27,6 +27,9 @@ class CaptureConfig:
             the paths its files hold or by links: "refuse" them, or "take" them.
         box: Where the object is, for captures without masks: centre x, y, z and sides x, y, z
             along the axes of the capture's own frame, in its unit; empty to look for it.
+        missing: What becomes of poses whose photograph is missing: "refuse" the capture, or "skip"
+            them.
+        leave_out: Photographs to do without, named as the findings of the check name them.
     """
 
     max_side: int = 800
@@ -36,6 +39,8 @@ class CaptureConfig:
     adjust_cameras: bool = True
     outside: Literal["refuse", "take"] = "refuse"
     box: tuple[float, ...] = ()
+    missing: Literal["refuse", "skip"] = "refuse"
+    leave_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""

@@ -72,7 +72,8 @@ def check_frames(frames: FrameSet) -> list[Finding]:
                 "missing-images",
                 f"{len(missing)} of {len(everything)} posed photographs are missing "
                 f"below {frames.root}",
-                "Put the photographs there under the names the poses use, or remove their poses.",
+                "Put the photographs there under the names the poses use, or do without them with "
+                "--skip-missing.",
                 *missing,
             )
         )

@@ -36,6 +36,7 @@ from robir.capture.findings import (
     check_place,
 )
 from robir.capture.frames import Frame, FrameSet
+from robir.capture.left_out import without_left_out
 from robir.capture.moving_light import check_light, check_turntable
 from robir.capture.place import place_object
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
@@ -268,15 +269,12 @@ def read_capture(
     if workshop is not None and solve.is_available() and _lacks_poses(source):
         if config.outside == "refuse" and source.is_dir():
             _refuse_outside(find_photographs(source), (source,))
-        frames = register(
-            source,
-            workshop.folder,
-            workshop.seed,
-            lambda share, text: progress(_REGISTERING * share, text),
-        )
-        progress = _rest_of(progress, _REGISTERING)
+        first = _part_of(progress, 0.0, _REGISTERING)
+        frames = register(source, workshop.folder, workshop.seed, first)
+        progress = _part_of(progress, _REGISTERING, 1.0)
     else:
         frames = read_frames(source, config.outside)
+    frames = without_left_out(frames, config)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
     try:
@@ -368,9 +366,9 @@ def _load_masked(
     return loaded, findings + about
 
 
-def _rest_of(progress: Progress, done: float) -> Progress:
-    """What listens to the part of a task that begins when a share of it is done."""
-    return lambda share, text: progress(done + (1 - done) * share, text)
+def _part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """What listens to a part of a task, between two shares of it."""
+    return lambda share, text: progress(begin + (end - begin) * share, text)
 
 
 def _folder_of_masks(frames: FrameSet) -> Path | None:

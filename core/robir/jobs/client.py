@@ -64,6 +64,8 @@ class Request:
         masks: Folder of masks, or None for the capture's own.
         box: Where the object is if there are no masks, as the setting `capture.box`; empty to look
             for it.
+        skips_missing: Whether photographs that are not there are done without.
+        left_out: Photographs to do without, as the setting `capture.leave_out`.
     """
 
     capture: Path
@@ -72,6 +74,8 @@ class Request:
     device: str = "auto"
     masks: Path | None = None
     box: tuple[float, ...] = ()
+    skips_missing: bool = False
+    left_out: tuple[str, ...] = ()
 
     def words(self) -> list[str]:
         """The command line without the program."""
@@ -79,14 +83,18 @@ class Request:
         choices = ["--preset", self.preset, "--device", self.device]
         return [
             "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
-            *box_words(self.box),
+            *self.choice_words(),
             "--resume", "--progress", "json",
         ]  # fmt: skip
 
-
-def box_words(box: tuple[float, ...]) -> list[str]:
-    """Words of the command line that set `capture.box`; none for an empty box."""
-    return ["--set", f"capture.box={list(map(float, box))}"] if box else []
+    def choice_words(self) -> list[str]:
+        """What says which photographs take part and where the object is; `check` takes it too."""
+        names = json.dumps(self.left_out, ensure_ascii=False)
+        return [
+            *(["--set", f"capture.box={list(map(float, self.box))}"] if self.box else []),
+            *(["--skip-missing"] if self.skips_missing else []),
+            *(["--set", f"capture.leave_out={names}"] if self.left_out else []),
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

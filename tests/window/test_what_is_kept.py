@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user has chosen or made is found again: a run after a crash, an object after a refresh.
+
+The tests are one session in their order; its file is never saved.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from window.blender_window import BlenderWindow
+from window.conftest import BUILD
+from window.screen import Screen
+
+pytestmark = pytest.mark.slow
+
+STATE = "bpy.context.window_manager.robir"
+SETTINGS = "bpy.context.scene.robir"
+OBJECT = "next(o for o in bpy.data.objects if o.type == 'MESH' and o.name != 'Cube')"
+
+IN_VIEW = """
+from bpy_extras.view3d_utils import location_3d_to_region_2d as project
+from mathutils import Vector
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+whole = next(r for r in area.regions if r.type == "WINDOW")
+side = next(r for r in area.regions if r.type == "UI")
+thing = {thing}
+if thing.type == "EMPTY":
+    reach = thing.empty_display_size
+    corners = [Vector((x, y, z)) * reach * 0.57 for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+else:
+    corners = [Vector(corner) for corner in thing.bound_box]
+seen = [project(whole, area.spaces.active.region_3d, thing.matrix_world @ c) for c in corners]
+answer = [min(p.x for p in seen), max(p.x for p in seen), side.x - whole.x,
+          min(p.y for p in seen), max(p.y for p in seen), whole.height]
+"""
+"""Where a thing lies in the viewport, and where the sidebar begins."""
+
+
+@pytest.fixture(scope="module")
+def window(
+    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[BlenderWindow]:
+    """Blender with the add-on installed; its engine is the Python of this checkout."""
+    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures-kept")
+    window.install(package)
+    window.start()
+    window.run(
+        "import bl_ext.user_default.robir as addon\n"
+        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
+        "chosen.engine = 'EXISTING'\n"
+        f"chosen.python = {sys.executable!r}\n"
+        "bpy.ops.wm.save_userpref()"
+    )
+    yield window
+    window.quit()
+
+
+@pytest.fixture(scope="module")
+def own(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The capture where nobody has reconstructed it before."""
+    return shutil.copytree(capture, tmp_path_factory.mktemp("own") / capture.name)
+
+
+def drop(window: BlenderWindow, capture: Path) -> None:
+    """Drop a capture on the viewport."""
+    place = window.view_centre()
+    window.screen.drop(capture / "transforms_train.json", place.x, place.y)
+
+
+def check_in_view(window: BlenderWindow, thing: str) -> None:
+    """A thing is seen whole, and not under the sidebar."""
+    left, right, sidebar, low, high, height = window.run(IN_VIEW.format(thing=thing))
+    assert 0 < left < right < sidebar
+    assert 0 < low < high < height
+
+
+def test_a_dropped_capture_is_seen_beside_the_sidebar(window: BlenderWindow, own: Path) -> None:
+    drop(window, own)
+    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 120.0)
+    window.picture("dropped")
+    assert not window.get("bpy.data.objects['Cube'].visible_get()")
+    check_in_view(window, "bpy.data.objects['Bounds of the object']")
+
+
+def test_a_run_is_found_again_though_nothing_was_saved(window: BlenderWindow, own: Path) -> None:
+    window.press("bpy.ops.robir.reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct' and {STATE}.stage", 120.0)
+    window.kill()
+    window.start()
+    assert window.get(f"{SETTINGS}.capture") == ""
+    drop(window, own)
+    window.wait_until(f"{STATE}.task == 'reconstruct'", 120.0)
+    window.picture("found_again")
+    window.wait_until(f"not {STATE}.task and {SETTINGS}.result", 900.0)
+    window.picture("brought_in")
+    check_in_view(window, OBJECT)
+
+
+def test_a_refresh_keeps_what_was_done(window: BlenderWindow) -> None:
+    window.run(
+        "for area in window.screen.areas:\n"
+        "    if area.type == 'VIEW_3D': area.spaces.active.shading.type = 'SOLID'\n"
+        f"thing = {OBJECT}\n"
+        "thing.location = (0.5, 0, 0)\n"
+        "thing.modifiers.new('bent', 'SIMPLE_DEFORM')\n"
+        "bpy.ops.robir.use_studio_light(light='forest')"
+    )
+    window.press("bpy.ops.robir.refresh_result")
+    window.wait_until(f"'newer result' in {STATE}.message", 30.0)
+    window.picture("refreshed")
+    assert window.get(f"list({OBJECT}.location)") == [0.5, 0.0, 0.0]
+    assert window.get(f"[m.name for m in {OBJECT}.modifiers]") == ["bent"]
+    image = (
+        "next(n for n in bpy.context.scene.world.node_tree.nodes if n.type == 'TEX_ENVIRONMENT')"
+    )
+    assert "forest" in window.get(f"{image}.image.name")
+
+
+def test_an_edited_mesh_is_asked_about(window: BlenderWindow) -> None:
+    window.run(f"{OBJECT}.data.vertices[0].co.x += 0.25")
+    moved = window.get(f"{OBJECT}.data.vertices[0].co.x")
+    window.press("bpy.ops.robir.refresh_result")
+    window.picture("asked")
+    window.screen.key("Escape")
+    assert window.get(f"{OBJECT}.data.vertices[0].co.x") == moved
+
+
+def test_the_comparison_is_labelled_and_goes_on(window: BlenderWindow) -> None:
+    shown = "bpy.data.images['RobIR comparison']['robir_view']"
+    window.press("bpy.ops.robir.compare(")
+    window.wait_until("len(bpy.context.window_manager.windows) == 2", 20.0)
+    time.sleep(2.0)
+    first = window.get(shown)
+    window.picture("compared")
+    # a virtual screen without a window manager gives the new window no keyboard
+    keys = "bpy.context.window_manager.keyconfigs.addon.keymaps['Image'].keymap_items"
+    assert window.get(f"[i.type for i in {keys} if i.idname == 'robir.compare_next']") == [
+        "RIGHT_ARROW",
+        "LEFT_ARROW",
+    ]
+    window.run("bpy.ops.robir.compare_next()")
+    window.wait_until(f"{shown} != {first!r}", 10.0)
+    window.picture("compared_next")
+    window.leave_other_windows()
+
+
+def test_a_notice_is_put_away(window: BlenderWindow) -> None:
+    window.run(f"{STATE}.error, {STATE}.error_cure = 'It went wrong', 'Do this'")
+    window.picture("notice")
+    window.run("bpy.ops.robir.dismiss()")
+    assert window.get(f"{STATE}.error") == ""
