@@ -270,6 +270,41 @@ def test_time_is_linear_in_the_number_of_frames(studio, kind):
     assert time.process_time() - start < 20
 
 
+def test_more_photographs_than_can_be_read(studio):
+    def change(content):
+        content["frames"] = [dict(content["frames"][0], file_path=f"{i}.png") for i in range(2001)]
+
+    edit(studio / "transforms.json", change)
+    assert "There are 2001 photographs; at most 2000 are read" in refused(studio)
+
+
+def test_more_photographs_than_poses_can_be_found_for(tmp_path):
+    for number in range(2001):
+        (tmp_path / f"{number}.jpg").touch()
+    assert "There are 2001 photographs; at most 2000 are read" in refused(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"fl_y": 1.06e-314},
+        {"fl_x": 1e-9},
+        {"camera_angle_x": 1e-310},
+        {"camera_angle_x": 3.1415926},
+    ],
+)
+def test_lenses_that_no_camera_has(studio, lens):
+    """The rays of a focal length of almost nothing are no numbers."""
+
+    def change(content):
+        if "camera_angle_x" in lens:
+            del content["fl_x"], content["fl_y"]
+        content.update(lens)
+
+    edit(studio / "transforms.json", change)
+    assert "a focal length or field of view that no camera has" in refused(studio)
+
+
 def test_a_film_that_is_a_list_of_other_files(tmp_path):
     pytest.importorskip("av")
     from robir.poses.video import take_frames

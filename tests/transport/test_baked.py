@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
+from robir.errors import StorageError
 from robir.geometry.mesh import Mesh
 from robir.geometry.surface import plain_mesh
 from robir.geometry.tracer import make_tracer
@@ -123,6 +124,15 @@ def test_a_transport_reads_back_as_it_was_written(baked, tmp_path):
                 np.testing.assert_array_equal(first, second, strict=True)
     assert transport.observations.clipped.any()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_an_index_out_of_the_matrix_is_not_followed(baked, tmp_path):
+    baked[2].save(tmp_path)
+    with np.load(tmp_path / "bounce.npz") as arrays:
+        kept = dict(arrays)
+    np.savez(tmp_path / "bounce.npz", **kept | {"indices": kept["indices"] + 10**6})
+    with pytest.raises(StorageError, match="damaged"):
+        Transport.load(tmp_path)
 
 
 def test_the_same_seed_bakes_the_same(baked):

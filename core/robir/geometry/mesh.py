@@ -13,6 +13,10 @@ from robir.capture.arrays import stored_arrays
 from robir.errors import StorageError
 from robir.jobs.paths import replacing
 
+_FORM = {
+    "vertices": "f V 3", "faces": "i F 3", "normals": "f V 3", "uvs": "f * 2", "uv_faces": "i * 3",
+}  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
@@ -56,11 +60,7 @@ class Mesh:
         Raises:
             StorageError: If it is missing or damaged.
         """
-        arrays = stored_arrays(path)
-        lacking = [name for name in cls.__dataclass_fields__ if name not in arrays]
-        if lacking:
-            raise StorageError(f"{path} is damaged: it lacks {', '.join(lacking)}")
-        mesh = cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
+        mesh = cls(**stored_arrays(path, _FORM))
         if not mesh.is_whole():
             raise StorageError(f"{path} is damaged: its arrays do not fit together")
         return mesh
