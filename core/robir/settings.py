@@ -55,7 +55,7 @@ def parse_assignment(text: str) -> dict[str, Any]:
         raise ConfigError(f"--set {text!r} is not of the form section.key=value")
     try:
         table: dict[str, Any] = tomllib.loads(f"{keys[-1]} = {value}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         table = {keys[-1]: value.strip()}
     for key in reversed(keys[:-1]):
         table = {key: table}
