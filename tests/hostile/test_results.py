@@ -230,7 +230,8 @@ GOOD = {"a": np.zeros((5, 3)), "b": np.zeros(5, int), "c": np.zeros((2, 0, 4), n
     ("name", "array"),
     [
         ("a", np.zeros((5, 2))), ("a", np.zeros(15)), ("a", np.zeros((5, 3), int)),
-        ("a", np.full((5, 3), "1.5")), ("b", np.zeros(4, int)), ("c", np.zeros((2, 1, 5), "u1")),
+        ("a", np.full((5, 3), "1.5")), ("a", np.full((5, 3), np.nan)), ("b", np.zeros(4, int)),
+        ("c", np.zeros((2, 1, 5), "u1")), ("a", np.zeros((0, 3))),
         ("c", np.zeros((0, 1, 3), "u1")), ("c", np.zeros((2, 1, 3), "u2")), ("a", None),
         ("a", np.full((5, 3), None)),
     ],

@@ -63,9 +63,9 @@ def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]
     Args:
         path: What `numpy.savez` wrote.
         form: For each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
-            number, one of several, a letter that means the same number wherever it stands, "*" for
-            any number or "+" for one above 0. A name that ends in "?" may be missing; `...` means
-            all others. What a form does not name is left out.
+            number, one of several, a letter that means the same number above 0 wherever it stands,
+            "*" for any number or "+" for one above 0. A name that ends in "?" may be missing;
+            `...` means all others. What a form does not name is left out.
 
     Raises:
         StorageError: If it is missing, damaged, or holds something else.
@@ -85,11 +85,15 @@ def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]
                 size += math.prod(shape) * dtype.itemsize
             if size > MAX_STORED_BYTES:
                 raise ValueError(f"it holds {size} bytes")
-            return {name: archive[name] for name in wanted}
+            arrays = {name: archive[name] for name in wanted}
+        for name, array in arrays.items():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise ValueError(f"{name} holds numbers that are not finite")
     except (*DAMAGED_ARRAYS, TypeError, AttributeError) as fault:
         raise StorageError(
             f"{path} is missing or damaged ({fault}); run `robir reconstruct` with --resume"
         ) from fault
+    return arrays
 
 
 def _head(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -120,7 +124,7 @@ def _fits(
         return False
     for word, side in zip(wanted, shape, strict=True):
         if word.isalpha():
-            if sides.setdefault(word, side) != side:
+            if sides.setdefault(word, side) != side or not side:
                 return False
         elif word == "+" and side > 0:
             continue

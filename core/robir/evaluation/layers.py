@@ -118,10 +118,7 @@ def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
         StorageError: If it is missing or damaged, or lacks something.
     """
     path = paths.stage("appearance") / "textures.npz"
-    textures = stored_arrays(path, _TEXTURES | {name: _TEXTURES[f"{name}?"] for name in needed})
-    if not textures["inside"].size:
-        raise StorageError(f"{path} is empty; run `robir reconstruct` with --resume")
-    return textures
+    return stored_arrays(path, _TEXTURES | {name: _TEXTURES[f"{name}?"] for name in needed})
 
 
 def view_layers(

@@ -25,14 +25,14 @@ from robir.transport.visibility import Visibility, trace_visibility
 
 _FORMS = {
     "surfels.npz": {
-        "position": "f S 3", "normal": "f S 3", "spacing": "f", "display": "u1 S V 3",
-        "weight": "f S V", "clipped": "u1 *", "off_axis": "u1 S V", "camera_positions": "f V 3",
+        "position": "f4 S 3", "normal": "f4 S 3", "spacing": "f", "display": "u1 S V 3",
+        "weight": "f4 S V", "clipped": "u1 *", "off_axis": "u1 S V", "camera_positions": "f4 V 3",
         "views": "U V",
     },
     "visibility.npz": {
-        "directions": "f * 3", "bits": "u1 * *", "is_traced": "b", "offset": "f",
+        "directions": "f4 * 3", "bits": "u1 * *", "is_traced": "b", "offset": "f",
     },
-    "bounce.npz": {"data": "f E", "indices": "i E", "indptr": "i *"},
+    "bounce.npz": {"data": "f4 *", "indices": "i *", "indptr": "i *"},
 }  # fmt: skip
 """What each file has to hold, see `stored_arrays`."""
 
