@@ -126,11 +126,17 @@ def test_a_transport_reads_back_as_it_was_written(baked, tmp_path):
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_an_index_out_of_the_matrix_is_not_followed(baked, tmp_path):
+@pytest.mark.parametrize(
+    ("file", "name", "change"),
+    [("bounce", "indices", 10**6), ("surfels", "weight", -2), ("visibility", "bits", None)],
+)
+def test_a_transport_that_is_none(baked, tmp_path, file, name, change):
+    """Of an index out of the matrix C would read whatever lies there."""
     baked[2].save(tmp_path)
-    with np.load(tmp_path / "bounce.npz") as arrays:
+    with np.load(tmp_path / f"{file}.npz") as arrays:
         kept = dict(arrays)
-    np.savez(tmp_path / "bounce.npz", **kept | {"indices": kept["indices"] + 10**6})
+    changed = kept[name][:, 1:] if change is None else kept[name] + kept[name].dtype.type(change)
+    np.savez(tmp_path / f"{file}.npz", **kept | {name: changed})
     with pytest.raises(StorageError, match="damaged"):
         Transport.load(tmp_path)
 

@@ -92,7 +92,7 @@ class Transport:
     def load(cls, folder: Path) -> Transport:
         """Read what `save` wrote."""
         samples, sight, light = (stored_arrays(folder / name, _FORMS[name]) for name in _FORMS)
-        display = samples["display"]
+        display, weight = samples["display"], samples["weight"]
         surfels = Surfels(
             position=samples["position"],
             normal=samples["normal"],
@@ -107,13 +107,15 @@ class Transport:
                 (light["data"], light["indices"], light["indptr"]), shape=(count, count)
             )
             bounce.check_format(full_check=True)  # C would follow an index to anywhere
+            if weight.min() < 0.0 or not weight.any():
+                raise ValueError("no view shows a sample")
         except ValueError as fault:
             raise StorageError(
                 f"{folder} is damaged ({fault}); run `robir reconstruct` with --resume"
             ) from fault
         observations = Observations(
             display=display,
-            weight=samples["weight"],
+            weight=weight,
             clipped=clipped,
             off_axis=samples["off_axis"],
             positions=samples["camera_positions"],
