@@ -108,7 +108,7 @@ class Transport:
             )
             bounce.check_format(full_check=True)  # C would follow an index to anywhere
             if weight.min() < 0.0 or not weight.any():
-                raise ValueError("no view shows a sample")
+                raise ValueError("no view shows a sample")  # noqa: TRY301
         except ValueError as fault:
             raise StorageError(
                 f"{folder} is damaged ({fault}); run `robir reconstruct` with --resume"
