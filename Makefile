@@ -7,7 +7,7 @@
 # make fuzz [SECONDS=300]          hostile bytes for every reader, with atheris
 # make audit                       known weaknesses of the pinned versions
 # make hashes                      anew the versions and hashes that Install Engine may download
-# make hostile [ROUNDS=10]         hours of harm: mutated captures, kills, faults of the disk, leaks
+# make hostile [ROUNDS=10]         hours of harm: mutated captures, forged results, kills, the disk, leaks
 # make blenders                    further Blender versions, for the tests of the extension
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
@@ -21,6 +21,7 @@ SECONDS ?= 300
 SEED ?= 35
 ROUNDS ?= 10
 KILLS ?= 40
+FORGED ?= 300
 RUNS ?= 100
 TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
   colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
@@ -162,10 +163,12 @@ fuzz: setup
 	@for target in $(TARGETS); do \
 	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
 
-# Mutated captures, kills over all stages, faults of the disk and leaks, each with its own count.
+# Mutated captures, forged results, kills over all stages, faults of the disk and leaks, each with
+# its own count.
 hostile: setup
 	@set -e; export PYTHONPATH=core:.:tests OMP_NUM_THREADS=1; \
 	$(BIN)/python -m hostile.corpus $(SEED) $(ROUNDS); \
+	$(BIN)/python -m hostile.forged $(SEED) $(FORGED); \
 	$(BIN)/python -m hostile.kills $(KILLS) $(SEED); \
 	$(BIN)/python -m hostile.disk; \
 	$(BIN)/python -m hostile.leaks $(RUNS)

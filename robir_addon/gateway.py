@@ -73,7 +73,8 @@ _require_ours()
 
 from robir import __version__
 from robir.jobs import client
-from robir.jobs.names import file_in, leads_out
+from robir.jobs.folder import special_fault
+from robir.jobs.names import file_in, leads_out, read_regular
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.jobs.records import CAMERA, NUMBERS, read_record
 from robir.jobs.status import Status, read_status
@@ -90,7 +91,9 @@ __all__ = [
     "leads_out",
     "read_json",
     "read_record",
+    "read_regular",
     "read_status",
     "replacing",
+    "special_fault",
     "write_json",
 ]

@@ -11,6 +11,12 @@ import numpy as np
 
 from .errors import ResultError
 
+_DAMAGE = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+    struct.error,
+)  # fmt: skip
+"""What reading a damaged asset raises."""
+
 _TYPES = {5126: np.float32, 5125: np.uint32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 
@@ -56,7 +62,7 @@ def read_glb(path: Path) -> GlbMesh:
         specular = float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
         _check(arrays, corners)
         name = str(mesh["name"])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, struct.error) as fault:
+    except _DAMAGE as fault:
         raise ResultError(
             f"{path} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
             "--resume to export it again"

@@ -17,7 +17,15 @@ import bpy
 from .blocks import MARK, remove_marked, with_mark
 from .cameras import VIEW, add_camera, use_camera
 from .errors import ResultError
-from .gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record
+from .gateway import (
+    CAMERA,
+    NUMBERS,
+    JobPaths,
+    file_in,
+    leads_out,
+    read_record,
+    special_fault,
+)
 from .glb import GlbMesh, read_glb
 from .lights import (
     add_lamps,
@@ -89,6 +97,8 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     """
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
+    if fault := special_fault(paths):  # Blender would wait for ever where it opens a pipe
+        raise ResultError(fault)
     table = read_cameras(paths)
     views = table["views"]
     # results of before there were lamps have none

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import bpy
 
-from .gateway import JobPaths, __version__, read_json
+from .gateway import JobPaths, __version__, leads_out, read_json, read_regular
 
 _LOG_LINES = 40
+_MOST_BYTES = 1 << 26
 _SETTINGS = ("preset", "device", "studio_light", "rotation", "turntable_frames", "use_sun_lamp")
 _FOLDERS = ("capture", "masks", "out", "result")
 
@@ -66,7 +67,7 @@ def _versions(engine: str) -> str:
     lines = [
         f"RobIR {__version__}",
         f"Blender {bpy.app.version_string} ({blender}), Python {sys.version.split()[0]}",
-        f"System: {platform.platform()}, {platform.machine()}",
+        f"System: {platform.system()} {platform.release()}, {platform.machine()}",
         f"Engine: {engine or 'not checked'}",
     ]
     return "\n".join(lines)
@@ -96,8 +97,10 @@ def _from_folder(paths: JobPaths) -> list[str]:
         ("config.toml", paths.config, None),
         (f"The log's last {_LOG_LINES} lines", paths.log, _LOG_LINES),
     ):
+        if leads_out(file, [paths.root]):  # a link in a folder of somebody else's
+            continue
         try:
-            text = file.read_text(encoding="utf-8", errors="replace")
+            text = read_regular(file, _MOST_BYTES).decode("utf-8", errors="replace")
         except OSError:
             continue
         kept = text.rstrip().splitlines()[-lines if lines else None :]

@@ -9,6 +9,7 @@ out of memory, 5 the fit failed its own quality check, 130 cancelled.
 from __future__ import annotations
 
 import argparse
+import errno
 import logging
 import os
 from collections.abc import Sequence
@@ -83,17 +84,19 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "reconstruct", help="make an asset from a capture", epilog=_EXIT_CODES
     )
     parser.set_defaults(command=commands.reconstruct)
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=_CAPTURE)
-    parser.add_argument("-o", "--out", type=Path, required=True, help="result folder")
+    parser.add_argument("capture", type=_path, metavar="CAPTURE", help=_CAPTURE)
+    parser.add_argument("-o", "--out", type=_path, required=True, help="result folder")
     parser.add_argument(
         "--preset",
         choices=sorted(PRESETS),
         help="what it may cost; default draft, or the folder's own settings with --resume",
     )
     parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file of changed settings")
+    parser.add_argument(
+        "--config", type=_path, metavar="FILE", help="TOML file of changed settings"
+    )
     _add_set(parser)
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
+    parser.add_argument("--masks", type=_path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
     parser.add_argument("--threads", type=_positive, help="threads of torch, default one")
     parser.add_argument(
@@ -105,9 +108,9 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser("check", help="look at a capture before time is spent on it")
     parser.set_defaults(command=commands.check)
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=_CAPTURE)
+    parser.add_argument("capture", type=_path, metavar="CAPTURE", help=_CAPTURE)
     _add_set(parser)
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks named like the images")
+    parser.add_argument("--masks", type=_path, metavar="DIR", help="masks named like the images")
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
     _add_progress(parser)
 
@@ -133,7 +136,7 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
 def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser("relight", help="render a result under another light in Cycles")
     parser.set_defaults(command=commands.relight)
-    parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
+    parser.add_argument("out", type=_path, metavar="OUT", help="finished result folder")
     parser.add_argument(
         "--environment",
         required=True,
@@ -155,9 +158,9 @@ def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
         "evaluate", help="say which stage loses the photographs, and compare with a truth"
     )
     parser.set_defaults(command=commands.evaluate)
-    parser.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
+    parser.add_argument("out", type=_path, metavar="OUT", help="finished result folder")
     parser.add_argument(
-        "--truth", type=Path, metavar="CAPTURE", help="the rendered capture it was made from"
+        "--truth", type=_path, metavar="CAPTURE", help="the rendered capture it was made from"
     )
     parser.add_argument("--json", action="store_true", help="scores as JSON on standard output")
 
@@ -168,11 +171,11 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.set_defaults(command=commands.bench)
     parser.add_argument(
-        "plan", type=Path, nargs="?", metavar="PLAN.toml", help="captures, methods and seeds"
+        "plan", type=_path, nargs="?", metavar="PLAN.toml", help="captures, methods and seeds"
     )
     parser.add_argument(
         "--population",
-        type=Path,
+        type=_path,
         metavar="DIR",
         help="instead of a plan: all captures that `python -m blender_scenes population` made, and "
         "the distribution of their scores",
@@ -186,13 +189,13 @@ def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
     )
     parser.set_defaults(command=commands.stability)
     parser.add_argument(
-        "plan", type=Path, metavar="PLAN.toml", help="as for bench, with a table [factors]"
+        "plan", type=_path, metavar="PLAN.toml", help="as for bench, with a table [factors]"
     )
     _add_runs(parser)
 
 
 def _add_runs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and scores")
+    parser.add_argument("-o", "--out", type=_path, required=True, help="folder of runs and scores")
     parser.add_argument(
         "--budget",
         type=float,
@@ -214,6 +217,18 @@ def _add_selftest(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
 
 def _add_progress(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
+
+
+def _path(text: str) -> Path:
+    """A path that the operating system can be asked for; whether it exists is looked at later."""
+    try:
+        Path(text).lstat()
+    except ValueError as fault:
+        raise argparse.ArgumentTypeError(f"{text[:80]!a} is no path ({fault})") from None
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
+    return Path(text)
 
 
 def _positive(text: str) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, UsageError
-from robir.jobs.folder import refuse_links
+from robir.jobs.folder import refuse_special
 from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.presets import PRESETS
 
@@ -233,7 +233,7 @@ def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:
 def _finished(out: Path) -> JobPaths:
     """Paths of a finished result folder, or UsageError."""
     paths = JobPaths(out)
-    refuse_links(paths)
+    refuse_special(paths)
     missing = [stage for stage in STAGES if not paths.manifest(stage).exists()]
     if missing:
         raise UsageError(

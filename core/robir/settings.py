@@ -19,6 +19,10 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from robir.errors import ConfigError
+from robir.jobs.names import read_regular
+
+_MAX_BYTES = 1 << 20
+"""Largest file of settings; all there are come to two thousand bytes."""
 
 SettingsT = TypeVar("SettingsT")
 
@@ -30,10 +34,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: If the file is missing or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_regular(path, _MAX_BYTES).decode("utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read the settings {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
@@ -51,7 +55,7 @@ def parse_assignment(text: str) -> dict[str, Any]:
         raise ConfigError(f"--set {text!r} is not of the form section.key=value")
     try:
         table: dict[str, Any] = tomllib.loads(f"{keys[-1]} = {value}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         table = {keys[-1]: value.strip()}
     for key in reversed(keys[:-1]):
         table = {key: table}

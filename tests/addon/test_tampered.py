@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 import time
@@ -95,6 +96,47 @@ def test_cameras_that_cannot_be(copy, change):
     copy.cameras.write_text(json.dumps(table))
     with pytest.raises(ResultError, match=r"cameras\.json"):
         read_cameras(copy)
+
+
+@pytest.mark.parametrize("name", ["export/asset.glb", "export/textures/albedo.png", "log.txt"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_pipes_and_links_stop_no_import(copy, name, make):
+    import bpy
+
+    from robir_addon.errors import ResultError
+    from robir_addon.importer import import_result
+
+    (copy.root / name).unlink(missing_ok=True)
+    make(copy.root / name)
+    with pytest.raises(ResultError, match="remove it"):
+        import_result(copy.root, bpy.context.scene)
+
+
+@pytest.mark.parametrize(
+    "text", [b"[" * 100_000, b'{"meshes": [{"primitives": [{"indices": 0}]}]}']
+)
+def test_assets_that_are_none(copy, text):
+    from robir_addon.errors import ResultError
+    from robir_addon.glb import read_glb
+
+    chunk = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0) + text
+    copy.asset.write_bytes(chunk)
+    with pytest.raises(ResultError, match="cannot be read as RobIR's asset"):
+        read_glb(copy.asset)
+
+
+def test_a_report_for_help_tells_nothing_of_other_files(copy, tmp_path):
+    """It is pasted in public."""
+    from robir_addon.support import _from_folder
+
+    (tmp_path / "key").write_text("private")
+    copy.log.unlink(missing_ok=True)
+    copy.log.symlink_to(tmp_path / "key")
+    copy.status.unlink(missing_ok=True)
+    os.mkfifo(copy.status)
+    told = "\n".join(_from_folder(copy))
+    assert "run.json" in told
+    assert "private" not in told
 
 
 @pytest.mark.slow

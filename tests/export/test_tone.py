@@ -19,8 +19,10 @@ def test_the_plot_shows_the_chosen_curve_where_it_runs(tmp_path: Path) -> None:
     paths = JobPaths(tmp_path)
     for folder in (paths.stage("appearance"), paths.tone_plot.parent):
         folder.mkdir(parents=True)
-    candidates = [{"family": name} for name in ("agx", "filmic", "standard")]
-    table = {"family": "filmic", "parameters": {}, "candidates": candidates}
+    row = {"score": 1.0, "standard_error": None}
+    candidates = [{"family": name, **row} for name in ("agx", "filmic", "standard")]
+    table = {"family": "filmic", "parameters": {}, "candidates": candidates, "clipped_share": 0.0}
+    table |= {"blender_view_transform": "Filmic", "exposure": 0.0}
     write_json(paths.stage("appearance") / "tone_curve.json", table)
     samples = plotted.export_tone_curve(paths)["samples"]
     picture = np.asarray(Image.open(paths.tone_plot)).astype(int)

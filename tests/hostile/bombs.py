@@ -87,6 +87,17 @@ def _chained_tiff(generator: random.Random) -> bytes:
     return bytes(content)
 
 
+def _listed_tiff(generator: random.Random) -> bytes:
+    """An entry with a million numbers, in the first directory or in that of EXIF."""
+    count = generator.choice([10**5, 10**6])
+    size = struct.pack("<HHIIHHII", 256, 4, 1, 48, 257, 4, 1, 48)
+    strips = struct.pack("<HHIIHHII", 273, 4, count, 200, 279, 4, count, 200)
+    exif = struct.pack("<HHI", 34665, 4, 1) + struct.pack("<I", 8)
+    body = generator.choice([size + strips, size + strips + exif, exif + strips])
+    head = b"II*\0" + struct.pack("<IH", 8, len(body) // 12)
+    return head + body + bytes(4 * count + 400)
+
+
 def _exif(generator: random.Random) -> bytes:
     exif = Image.Exif()
     exif[274] = generator.choice([0, 9, 6, 2**15])
@@ -142,6 +153,7 @@ MAKERS: dict[str, Make] = {
     "large": _large,
     "scans": _scans,
     "tiff": _chained_tiff,
+    "listed": _listed_tiff,
     "exif": _exif,
     "packed": _packed,
     "animated": _animated,

@@ -53,13 +53,16 @@ class Outcome:
     faults: tuple[str, ...]
 
 
-def tried(call: Callable[[], int], codes: Sequence[int], homes: Sequence[Path] = ()) -> Outcome:
+def tried(
+    call: Callable[[], int], codes: Sequence[int], homes: Sequence[Path] = (), program: str = "NONE"
+) -> Outcome:
     """Call in a fork.
 
     Args:
         call: Returns the exit code of a command.
         codes: Exit codes that are no fault.
         homes: Folders that may be written to, besides that for temporary files.
+        program: Word in the command of the one program that may be started.
     """
     with (
         tempfile.TemporaryDirectory(prefix="robir-try-") as folder,
@@ -81,10 +84,15 @@ def tried(call: Callable[[], int], codes: Sequence[int], homes: Sequence[Path] =
     code = os.waitstatus_to_exitcode(status)
     seconds, peak = usage.ru_utime + usage.ru_stime, 1024 * usage.ru_maxrss
     faults = [line for line in said.splitlines() if line.startswith(("STARTED", "WROTE"))]
+    faults = [
+        line
+        for line in said.splitlines()
+        if line.startswith("WROTE") or (line.startswith("STARTED") and program not in line)
+    ]
     if code not in codes:
         faults.append(f"ended with {code}")
-    if "Traceback" in said or "Warning:" in said:
-        faults.append("a traceback or a bare warning")
+    if any(word in said for word in ("Traceback", "Warning:", "internal error")):
+        faults.append("a traceback, an internal error or a bare warning")
     if seconds > MAX_SECONDS or wall >= _PATIENCE:
         faults.append(f"took {seconds:.0f} s of the processor, {wall:.0f} of the clock")
     if peak > MAX_BYTES:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from robir.capture.arrays import stored_arrays
 from robir.capture.decode import exif_values, opened, orientation
-from robir.capture.findings import check_frames
+from robir.capture.frame_checks import check_frames
 from robir.capture.images import read_mask
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
@@ -91,7 +91,7 @@ class Targets:
         folder = paths.stage("capture")
         self._add("capture_json", folder / "capture.json", lambda: load_capture(folder))
         arrays = folder / "arrays.npz"
-        self._add("arrays", arrays, lambda: stored_arrays(arrays))
+        self._add("arrays", arrays, lambda: stored_arrays(arrays, {"a": "f N N", "b?": "i *"}))
 
 
 def _read_poses(root: Path) -> None:

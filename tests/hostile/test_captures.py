@@ -22,6 +22,7 @@ from PIL import Image
 from robir import cli
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
+from robir.capture.decode import exif_values, header
 from robir.capture.recognise import read_frames
 from robir.errors import CaptureError
 from robir.pipeline.inputs import capture_fingerprint
@@ -102,6 +103,27 @@ def test_a_photograph_of_terabytes_is_not_even_hashed(shots, tmp_path):
     start = time.monotonic()
     assert refused(tmp_path)
     assert time.monotonic() - start < 10
+
+
+@pytest.mark.parametrize("tag", [273, 34665])
+def test_a_tiff_of_a_million_strips(synthetic, tag):
+    """Pillow makes a number of each, several times; a file of a gigabyte takes all memory."""
+    entry = struct.pack("<HHII", 273, 4, 10**6, 200)
+    exif = struct.pack("<HHII", 34665, 4, 1, 26) + bytes(4) + struct.pack("<H", 1)
+    content = b"II*\0" + struct.pack("<IH", 8, 1) + (exif if tag == 34665 else b"") + entry
+    for path in (synthetic / "train").iterdir():
+        path.write_bytes(content + bytes(4_000_400))
+    start = time.process_time()
+    assert "its entry 273 has 1000000 numbers" in refused(synthetic)
+    assert time.process_time() - start < 5
+
+
+def test_exif_data_without_end_counts_as_absent(synthetic):
+    data = b"Exif\0\0II*\0" + struct.pack("<IHHHII", 8, 1, 272, 4, 10**6, 26) + bytes(4_000_100)
+    path = synthetic / "train/r_3.png"
+    Image.new("RGBA", (48, 48)).save(path, exif=data)
+    with header(path) as picture:
+        assert exif_values(picture) is None
 
 
 def test_a_jpeg_of_endless_passes(synthetic):
@@ -268,6 +290,41 @@ def test_time_is_linear_in_the_number_of_frames(studio, kind):
     start = time.process_time()
     assert "20000" in refused(studio) or kind == "one"
     assert time.process_time() - start < 20
+
+
+def test_more_photographs_than_can_be_read(studio):
+    def change(content):
+        content["frames"] = [dict(content["frames"][0], file_path=f"{i}.png") for i in range(2001)]
+
+    edit(studio / "transforms.json", change)
+    assert "There are 2001 photographs; at most 2000 are read" in refused(studio)
+
+
+def test_more_photographs_than_poses_can_be_found_for(tmp_path):
+    for number in range(2001):
+        (tmp_path / f"{number}.jpg").touch()
+    assert "There are 2001 photographs; at most 2000 are read" in refused(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"fl_y": 1.06e-314},
+        {"fl_x": 1e-9},
+        {"camera_angle_x": 1e-310},
+        {"camera_angle_x": 3.1415926},
+    ],
+)
+def test_lenses_that_no_camera_has(studio, lens):
+    """The rays of a focal length of almost nothing are no numbers."""
+
+    def change(content):
+        if "camera_angle_x" in lens:
+            del content["fl_x"], content["fl_y"]
+        content.update(lens)
+
+    edit(studio / "transforms.json", change)
+    assert "a focal length or field of view that no camera has" in refused(studio)
 
 
 def test_a_film_that_is_a_list_of_other_files(tmp_path):

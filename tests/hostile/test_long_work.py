@@ -40,6 +40,12 @@ def test_mutated_captures_keep_the_promises():
 
 @FORKS
 @pytest.mark.slow
+def test_forged_results_keep_the_promises():
+    assert " 0 broke a promise" in run("hostile.forged", "0", "24")
+
+
+@FORKS
+@pytest.mark.slow
 def test_kills_over_all_stages_leave_the_same_files(tmp_path):
     """Without Blender; one in the midst of the fit, one in the export, one of them twice."""
     program = f"""

@@ -8,26 +8,36 @@ import os
 import random
 import shutil
 
+import numpy as np
 import pytest
 from evaluation import sphere_run
 from hostile.damage import NASTY, WHOLE, damage_file, places, replaced
 
+from robir.capture.arrays import stored_arrays
 from robir.capture.store import load_capture, view_path
 from robir.config import RunConfig
-from robir.errors import RobirError, StorageError, UsageError
+from robir.errors import (
+    CaptureError,
+    ConfigError,
+    QualityError,
+    RobirError,
+    StorageError,
+    UsageError,
+)
 from robir.evaluation.evaluate import evaluate
 from robir.evaluation.levels import level_scores
+from robir.evaluation.truth import load_truth
 from robir.export import stage
 from robir.export.config import ExportConfig
 from robir.jobs import client
 from robir.jobs.context import StageContext
 from robir.jobs.folder import create
 from robir.jobs.names import UnsafeNameError, file_in
-from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.jobs.records import DamagedFileError, check
 from robir.jobs.status import StatusWriter
 from robir.pipeline.faults import translated
-from robir.pipeline.folder import new_run, read_run
+from robir.pipeline.folder import new_run, read_config, read_run
 from robir.pipeline.ledger import clear_for_rerun, stage_state
 from robir.pipeline.reporter import RunReporter
 from tests.pipeline.fakes import Silent
@@ -169,6 +179,103 @@ def test_links_out_of_a_result_are_refused(tmp_path):
     with pytest.raises(UsageError, match="leads out"):
         create(paths)
     assert (tmp_path / "precious").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["log.txt", "events.jsonl", "export/asset.glb"])
+def test_pipes_in_a_result_are_refused(tmp_path, name):
+    """Who opens one waits for ever."""
+    paths = live_folder(tmp_path / "out")
+    paths.export.mkdir()
+    (paths.root / name).unlink(missing_ok=True)
+    os.mkfifo(paths.root / name)
+    with pytest.raises(UsageError, match="neither a file nor a folder"):
+        create(paths)
+
+
+BAD_TOML = {
+    "endless": lambda path: path.symlink_to("/dev/zero"),
+    "pipe": os.mkfifo,
+    "large": lambda path: path.write_bytes(b"#" * (2 << 20)),
+    "deep": lambda path: path.write_bytes(b"a=" + b"[" * 100_000),
+    "long": lambda path: path.write_bytes(b"a=" + b"1" * 5000),
+    "bytes": lambda path: path.write_bytes(b"a='\xff'"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_TOML)
+def test_settings_that_are_none(tmp_path, kind):
+    paths = JobPaths(tmp_path)
+    BAD_TOML[kind](paths.config)
+    with pytest.raises(ConfigError, match=r"config\.toml"):
+        read_config(paths)
+
+
+@pytest.mark.parametrize("text", ['"\\ud800"', "NaN", "-Infinity", "1e999"])
+def test_what_is_read_can_be_written_again(tmp_path, text):
+    (tmp_path / "a.json").write_text(f'{{"a": {text}}}')
+    with pytest.raises(ValueError, match=r"surrogates|no number"):
+        read_json(tmp_path / "a.json")
+
+
+def test_numbers_that_are_none_are_not_written(tmp_path):
+    with pytest.raises(QualityError, match=r"a\.json would hold numbers that are not finite"):
+        write_json(tmp_path / "a.json", {"a": [1.0, float("nan")]})
+
+
+FORMS = {"a": "f V 3", "b?": "i V", "c": "u1 + * 3|4"}
+GOOD = {"a": np.zeros((5, 3)), "b": np.zeros(5, int), "c": np.zeros((2, 0, 4), np.uint8)}
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("a", np.zeros((5, 2))), ("a", np.zeros(15)), ("a", np.zeros((5, 3), int)),
+        ("a", np.full((5, 3), "1.5")), ("a", np.full((5, 3), np.nan)), ("b", np.zeros(4, int)),
+        ("c", np.zeros((2, 1, 5), "u1")), ("a", np.zeros((0, 3))),
+        ("c", np.zeros((0, 1, 3), "u1")), ("c", np.zeros((2, 1, 3), "u2")), ("a", None),
+        ("a", np.full((5, 3), None)),
+    ],
+)  # fmt: skip
+def test_arrays_of_a_result_have_their_form(tmp_path, name, array):
+    path = tmp_path / "a.npz"
+    np.savez(path, **GOOD, more=np.zeros(1))
+    assert stored_arrays(path, FORMS).keys() == GOOD.keys()
+    kept = {key: value for key, value in GOOD.items() if key != name}
+    np.savez(path, **kept, **({} if array is None else {name: array}))
+    with pytest.raises(StorageError, match=r"a\.npz is missing or damaged"):
+        stored_arrays(path, FORMS)
+
+
+@pytest.mark.parametrize(
+    ("file", "place", "value"),
+    [
+        ("truth/scene.json", ("sun_direction",), None),
+        ("truth/scene.json", ("lamps",), [{"direction": 3}]),
+        ("transforms_test.json", ("frames", 0, "file_path"), 5),
+        ("transforms_test.json", ("w",), 10**9),
+        ("transforms_test.json", ("frames",), {}),
+    ],
+)
+def test_a_truth_that_is_none(truth, tmp_path, file, place, value):
+    copy = shutil.copytree(truth, tmp_path / "copy")
+    load_truth(copy)
+    (copy / file).write_text(replaced(json.loads((copy / file).read_text()), place, value))
+    with pytest.raises(CaptureError, match="cannot be read"):
+        load_truth(copy)
+
+
+@pytest.mark.parametrize(
+    "file", ["transforms_test.json", "truth/mesh.ply", "truth/environment.exr", "truth/test/*.exr"]
+)
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.write_bytes(b"x" * 5000)])
+def test_a_truth_of_other_things(truth, tmp_path, file, make):
+    copy = shutil.copytree(truth, tmp_path / "copy")
+    load_truth(copy)
+    path = sorted(copy.glob(file))[0]
+    path.unlink()
+    make(path)
+    with pytest.raises(CaptureError, match="cannot be read"):
+        load_truth(copy)
 
 
 def test_a_full_disk_is_named_whatever_came_of_it(tmp_path):

@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from robir.errors import UsageError
+from robir.errors import QualityError, UsageError
 from robir.jobs.lock import folder_lock
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 from robir.jobs.status import StatusWriter, read_status
@@ -45,7 +45,7 @@ def test_readers_never_see_half_a_file(tmp_path):
 
 
 def test_a_nan_is_refused_rather_than_written(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
+    with pytest.raises(QualityError, match=r"run\.json would hold numbers that are not finite"):
         write_json(tmp_path / "run.json", {"psnr": float("nan")})
     assert not list(tmp_path.iterdir())
 

@@ -186,6 +186,8 @@ def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
 
 def test_check_knows_the_settings_of_the_capture(tmp_path, capsys):
     assert cli.main(["check", str(tmp_path), "--set", "capture.box=[0, 0, 0, 1, -1, 1]"]) == 2
+    assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'[' * 100_000}"]) == 2
+    assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'9' * 5000}"]) == 2
     assert "the sides above 0" in capsys.readouterr().err
 
 
@@ -207,3 +209,12 @@ def test_relight_hands_everything_asked_for_to_blender(
     assert cli.main(["relight", str(out), *words]) == 0
     assert asked == ["relight", str(out), *words]
     assert capsys.readouterr().out.endswith(f"{tmp_path / 'a.png'}\n")
+
+
+@pytest.mark.parametrize("word", ["x" * 5000, "x" * 300, "a\0b", "\ud800"])
+@pytest.mark.parametrize("command", [["check"], ["reconstruct", "here", "-o"], ["evaluate"]])
+def test_paths_that_are_none(word, command, capsys):
+    with pytest.raises(SystemExit) as ending:
+        cli.main([*command, word])
+    assert ending.value.code == 2
+    assert "path" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
+from robir.errors import StorageError
 from robir.geometry.mesh import Mesh
 from robir.geometry.surface import plain_mesh
 from robir.geometry.tracer import make_tracer
@@ -123,6 +124,21 @@ def test_a_transport_reads_back_as_it_was_written(baked, tmp_path):
                 np.testing.assert_array_equal(first, second, strict=True)
     assert transport.observations.clipped.any()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "change"),
+    [("bounce", "indices", 10**6), ("surfels", "weight", -2), ("visibility", "bits", None)],
+)
+def test_a_transport_that_is_none(baked, tmp_path, file, name, change):
+    """Of an index out of the matrix C would read whatever lies there."""
+    baked[2].save(tmp_path)
+    with np.load(tmp_path / f"{file}.npz") as arrays:
+        kept = dict(arrays)
+    changed = kept[name][:, 1:] if change is None else kept[name] + kept[name].dtype.type(change)
+    np.savez(tmp_path / f"{file}.npz", **kept | {name: changed})
+    with pytest.raises(StorageError, match="damaged"):
+        Transport.load(tmp_path)
 
 
 def test_the_same_seed_bakes_the_same(baked):

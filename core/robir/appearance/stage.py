@@ -29,6 +29,7 @@ from robir.appearance.solver import Light, polish, refit
 from robir.appearance.texel_size import pixel_width, solved_side, texture_side
 from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
 from robir.capture.images import resize_view
 from robir.capture.nerf_synthetic import is_by_camera
@@ -290,8 +291,7 @@ def _show(paths: JobPaths, capture: Capture) -> None:
     """Replace the picture by which the user follows the run."""
     if capture.held_out:
         view = resize_view(capture.held_out[0], HELD_OUT_SIDE)
-        with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as images:
-            rendering = images[view.name]
+        rendering = stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)[view.name]
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.capture.store import load_settled
@@ -130,8 +131,8 @@ def _relit(paths: JobPaths, view: View) -> Path | None:
 
 def _own_rerender(paths: JobPaths, view: View, nothing: Picture) -> Picture:
     """Our own renderer's picture of a view, where the method left one."""
-    with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as arrays:
-        return arrays[view.name] if view.name in arrays.files else nothing
+    again = stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)
+    return again.get(view.name, nothing)
 
 
 def _save(tiles: Sequence[Picture], picture: Path) -> None:

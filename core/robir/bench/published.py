@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import torch
 
 from robir.appearance.texel_size import solved_side
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.store import load_capture
 from robir.config import RunConfig
 from robir.evaluation.photos import mean_scores, photo_scores
@@ -61,8 +61,8 @@ def reconstruct_published(
     finally:
         torch.set_num_threads(threads)
     write_json(paths.manifest("export"), {"stage": "export", "method": method})
-    with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as pictures:
-        return mean_scores([photo_scores(pictures[v.name], v) for v in capture.held_out])
+    pictures = stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)
+    return mean_scores([photo_scores(pictures[v.name], v) for v in capture.held_out])
 
 
 def _do(paths: JobPaths, stage: str, task: Callable[[], None], method: str) -> None:

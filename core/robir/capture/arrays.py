@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,8 +17,11 @@ from robir.capture.refusal import DAMAGED_ARRAYS
 from robir.capture.regular import regular
 from robir.errors import StorageError
 
-MAX_STORED_BYTES = 1 << 31
-"""Largest set of arrays of a result that is read at once."""
+MAX_STORED_BYTES = 1 << 32
+"""Largest set of arrays of a result that is read at once; 8192 texels a side take half of it."""
+
+PICTURES = {...: "u1 + + 3|4"}
+"""Form of pictures by the views' names, for `stored_arrays`."""
 
 _HEADERS = {
     (1, 0): numpy_format.read_array_header_1_0,
@@ -39,10 +42,7 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
     Raises:
         ValueError: If it is no such array, or too large.
     """
-    version = numpy_format.read_magic(file)
-    if version not in _HEADERS:
-        raise ValueError(f"it is of numpy's format {version}")
-    shape, is_fortran, dtype = _HEADERS[version](file)
+    shape, is_fortran, dtype = _head(file)
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
         raise ValueError(f"it holds {dtype} instead of numbers")
     if len(shape) != 2 or not all(type(side) is int and 0 <= side <= most for side in shape):
@@ -57,25 +57,77 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
     return np.frombuffer(content, dtype).reshape(shape, order=order).astype(np.float64)
 
 
-def stored_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of a file of a result folder, by name.
+def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]]:
+    """Arrays of a file of a result folder, by name, looked at before their numbers are read.
 
     Args:
         path: What `numpy.savez` wrote.
+        form: For each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
+            number, one of several, a letter that means the same number above 0 wherever it stands,
+            "*" for any number or "+" for one above 0. A name that ends in "?" may be missing;
+            `...` means all others. What a form does not name is left out.
 
     Raises:
-        StorageError: If it is missing, damaged, or too large to be ours.
+        StorageError: If it is missing, damaged, or holds something else.
     """
     try:
-        with regular(path, MAX_STORED_BYTES) as file:
-            with zipfile.ZipFile(file) as members:
-                size = sum(member.file_size for member in members.infolist())
+        with (
+            regular(path, MAX_STORED_BYTES) as file,
+            np.load(file, allow_pickle=False) as archive,
+        ):
+            wanted = _wanted(archive.files, form)
+            size, sides = 0, dict[str, int]()
+            for name, words in wanted.items():
+                with archive.zip.open(f"{name}.npy") as member:
+                    shape, _, dtype = _head(member)
+                if not _fits(words.split(), dtype, shape, sides):
+                    raise ValueError(f"{name} is {dtype} of shape {shape}")
+                size += math.prod(shape) * dtype.itemsize
             if size > MAX_STORED_BYTES:
-                raise StorageError(f"{path} holds {size} bytes and is none of ours")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
+                raise ValueError(f"it holds {size} bytes")
+            arrays = {name: archive[name] for name in wanted}
+        for name, array in arrays.items():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise ValueError(f"{name} holds numbers that are not finite")
     except (*DAMAGED_ARRAYS, TypeError, AttributeError) as fault:
         raise StorageError(
             f"{path} is missing or damaged ({fault}); run `robir reconstruct` with --resume"
         ) from fault
+    return arrays
+
+
+def _head(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and kind of the array that comes next in a file."""
+    version = numpy_format.read_magic(file)
+    if version not in _HEADERS:
+        raise ValueError(f"it is of numpy's format {version}")
+    return _HEADERS[version](file)
+
+
+def _wanted(names: Sequence[str], form: Mapping[Any, str]) -> dict[str, str]:
+    """What each array has to be, by name."""
+    wanted = dict.fromkeys(names, form[...]) if ... in form else {}
+    for key, words in form.items():
+        if key is not ...:
+            name = key.removesuffix("?")
+            if name == key or name in names:
+                wanted[name] = words
+    return wanted
+
+
+def _fits(
+    words: Sequence[str], dtype: np.dtype[Any], shape: Sequence[int], sides: dict[str, int]
+) -> bool:
+    """Whether an array is as its form says; `sides` holds what letters stand for, so far."""
+    kind, *wanted = words
+    if not dtype.str[1:].startswith(kind) or len(shape) != len(wanted):
+        return False
+    for word, side in zip(wanted, shape, strict=True):
+        if word.isalpha():
+            if sides.setdefault(word, side) != side or not side:
+                return False
+        elif word == "+" and side > 0:
+            continue
+        elif word != "*" and str(side) not in word.split("|"):
+            return False
+    return min(shape, default=0) >= 0

@@ -23,6 +23,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from robir.capture.refusal import CaptureRefusedError, refuse
 from robir.capture.regular import regular
+from robir.capture.tiff import check_directories
 
 HEIF_SUFFIXES = (".heic", ".heif")
 """Photographs of phones, decoded by pillow-heif."""
@@ -44,6 +45,9 @@ MAX_FILE_BYTES = 1 << 30
 
 MAX_DECODED = 2_000_000_000
 """Pixels that a JPEG may make the decoder go over: each of its scans goes over all of them."""
+
+MAX_EXIF_BYTES = 1 << 20
+"""Largest EXIF data that is looked at; JPEG can have a sixteenth of it."""
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 _SCAN = b"\xff\xda"
@@ -171,6 +175,7 @@ def header(path: Path) -> Iterator[Image.Image]:
             if suffix in RAW_SUFFIXES:
                 picture = _developed(path, file)
             else:
+                check_directories(file)
                 picture = Image.open(file, formats=formats)
             _check_size(path, *picture.size)
         except FileNotFoundError:
@@ -222,6 +227,8 @@ def exif_values(picture: Image.Image) -> dict[int, object] | None:
     Returns:
         What can be read; None if there is EXIF data but nothing of it can be read.
     """
+    if len(picture.info.get("exif", b"")) > MAX_EXIF_BYTES:
+        return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -37,6 +37,12 @@ OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 MAX_NUMBER = 1e12
 """Matrix entries beyond this come from damaged files, not from cameras."""
 
+MIN_FOCAL = 1e-3
+"""Focal lengths below this, in pixels, come from damaged files too."""
+
+MAX_ANGLE = 3.14
+"""Widest field of view of a pinhole camera, radians."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distortion:
@@ -108,6 +114,14 @@ class Lens:
     angle_y: float | None = None
     distortion: Distortion = field(default_factory=Distortion)
     is_scalable: bool = False
+
+    @property
+    def is_sane(self) -> bool:
+        """Whether a camera may have these focal lengths and fields of view."""
+        focals = [focal for focal in (self.fx, self.fy) if focal is not None]
+        angles = [angle for angle in (self.angle_x, self.angle_y) if angle is not None]
+        is_focal = all(MIN_FOCAL <= focal < MAX_NUMBER for focal in focals)
+        return is_focal and all(1.0 / MAX_NUMBER < angle <= MAX_ANGLE for angle in angles)
 
     @property
     def size(self) -> tuple[int, int] | None:

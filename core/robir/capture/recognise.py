@@ -29,12 +29,8 @@ from robir.capture.coverage import check_coverage
 from robir.capture.decode import may_hold_alpha
 from robir.capture.exposure import check_settings
 from robir.capture.files import children
-from robir.capture.findings import (
-    check_frames,
-    check_masks,
-    check_photographs,
-    check_place,
-)
+from robir.capture.findings import check_masks, check_photographs, check_place
+from robir.capture.frame_checks import check_count, check_frames
 from robir.capture.frames import Frame, FrameSet
 from robir.capture.left_out import without_left_out
 from robir.capture.moving_light import check_light, check_turntable
@@ -267,8 +263,10 @@ def read_capture(
             hold everything that was noticed until then, and its frames the poses if they are sound.
     """
     if workshop is not None and solve.is_available() and _lacks_poses(source):
-        if config.outside == "refuse" and source.is_dir():
-            _refuse_outside(find_photographs(source), (source,))
+        photographs = find_photographs(source) if source.is_dir() else []
+        _stop_on_errors(check_count(len(photographs)))
+        if config.outside == "refuse":
+            _refuse_outside(photographs, (source,))
         first = _part_of(progress, 0.0, _REGISTERING)
         frames = register(source, workshop.folder, workshop.seed, first)
         progress = _part_of(progress, _REGISTERING, 1.0)

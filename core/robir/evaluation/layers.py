@@ -20,12 +20,19 @@ from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.atlas import sample_texture
 from robir.geometry.mesh import Mesh
 from robir.jobs.paths import JobPaths
-from robir.jobs.records import read_record
+from robir.jobs.records import NUMBERS, read_record
 
 Array = NDArray[np.floating[Any]]
 
 TONE_CURVE = {"family": str, "parameters": {...: float}}
 """What tone_curve.json has to hold."""
+
+_EXPOSURE = {"steps": {...: NUMBERS}, "corner_steps": float, "other_light": [str]}
+_NORMALS = {"normals": "f V 3"}
+_TEXTURES = {
+    "inside": "b T T", "albedo_linear": "f T T 3", "roughness": "f T T", "metallic?": "f T T",
+    "coverage?": "f T T", "disagreement?": "f T T", "uncertainty?": "f T T", "specular?": "f",
+}  # fmt: skip
 
 SUB_PIXELS = 3
 """Rays along either side of a pixel where a layer holds means, as a renderer's passes do."""
@@ -61,7 +68,7 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
     shading = paths.stage("appearance") / "normals.npz"
     if not shading.is_file():  # not every method corrects them
         return mesh
-    shaded = replace(mesh, normals=stored_arrays(shading).get("normals", mesh.normals[:0]))
+    shaded = replace(mesh, normals=stored_arrays(shading, _NORMALS)["normals"])
     if not shaded.is_whole():
         raise StorageError(f"{shading} is damaged; run `robir reconstruct` with --resume")
     return shaded
@@ -72,7 +79,7 @@ def stored_mesh(paths: JobPaths) -> Mesh:
     return result_mesh(paths, load_bounds(paths.stage("capture")))
 
 
-def stored_facts(path: Path, form: Any) -> dict[str, Any]:
+def stored_facts(path: Path, form: Any) -> Any:
     """Contents of a JSON file of a stage.
 
     Args:
@@ -88,20 +95,30 @@ def stored_facts(path: Path, form: Any) -> dict[str, Any]:
         raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
 
 
-def load_textures(paths: JobPaths) -> dict[str, Array]:
-    """Arrays of the appearance stage's textures.npz by name."""
+def stored_exposure(path: Path) -> dict[str, Any]:
+    """Contents of the appearance stage's exposure.json.
+
+    Raises:
+        StorageError: If it is missing or damaged.
+    """
+    exposure = stored_facts(path, _EXPOSURE)
+    if any(len(steps) != 3 for steps in exposure["steps"].values()):
+        raise StorageError(f"{path} is damaged (no three channels); reconstruct with --resume")
+    return exposure
+
+
+def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
+    """Arrays of the appearance stage's textures.npz by name.
+
+    Args:
+        paths: Result folder.
+        needed: Names that not every method writes, but the caller cannot do without.
+
+    Raises:
+        StorageError: If it is missing or damaged, or lacks something.
+    """
     path = paths.stage("appearance") / "textures.npz"
-    textures = stored_arrays(path)
-    side = len(textures.get("inside", ()))
-    shapes = {"albedo_linear": (side, side, 3), "roughness": (side, side), "inside": (side, side)}
-    wrong = [
-        name
-        for name, shape in shapes.items()
-        if name not in textures or textures[name].shape != shape
-    ]
-    if wrong or not side:
-        raise StorageError(f"{path} is damaged ({wrong}); run `robir reconstruct` with --resume")
-    return textures
+    return stored_arrays(path, _TEXTURES | {name: _TEXTURES[f"{name}?"] for name in needed})
 
 
 def view_layers(

@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.arrays import stored_arrays
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture, View
 from robir.capture.images import resize_view
 from robir.capture.store import load_settled
-from robir.errors import RobirError, StorageError
+from robir.errors import RobirError
 from robir.evaluation import metrics
-from robir.evaluation.layers import TONE_CURVE, stored_facts
+from robir.evaluation.layers import TONE_CURVE, stored_exposure, stored_facts
 from robir.evaluation.photos import Exposures, read_picture
 from robir.evaluation.sheet import cut, over_grey, save_sheet, window
 from robir.evaluation.warping import warped_views
@@ -37,7 +37,6 @@ from robir.geometry.mesh import Mesh
 from robir.geometry.rays import reduce_view
 from robir.geometry.surface import extract
 from robir.jobs.paths import JobPaths
-from robir.jobs.records import NUMBERS
 from robir.transport.config import TransportConfig
 from robir.transport.observe import MASK_INSIDE, spread_views
 
@@ -50,8 +49,6 @@ SIDE = 400
 
 STRIP_VIEWS = 3
 """Held-out photographs that are shown."""
-
-_EXPOSURE = {"steps": {...: NUMBERS}, "corner_steps": float, "other_light": [str]}
 
 NOTEWORTHY = 0.1
 """Loss below which no stage is named, dB."""
@@ -178,7 +175,7 @@ def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
     folder = paths.stage("appearance")
     exposure = {"steps": {}, "corner_steps": 0.0, "other_light": []}
     if (folder / "exposure.json").is_file():
-        exposure = stored_facts(folder / "exposure.json", _EXPOSURE)
+        exposure = stored_exposure(folder / "exposure.json")
     return exposure, stored_facts(folder / "tone_curve.json", TONE_CURVE)
 
 
@@ -255,12 +252,7 @@ def _stored(file: Path) -> Pictures:
     """Pictures that a stage left, by view."""
     if not file.is_file():
         return {}
-    pictures = stored_arrays(file)
-    if any(
-        a.ndim != 3 or a.dtype != np.uint8 or a.shape[2] not in (3, 4) for a in pictures.values()
-    ):
-        raise StorageError(f"{file} is damaged; run `robir reconstruct` with --resume")
-    return pictures
+    return stored_arrays(file, PICTURES)
 
 
 def _sized(picture: Picture, view: View) -> Picture:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from robir.capture.arrays import stored_arrays
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.store import load_settled
-from robir.errors import StorageError
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
 from robir.jobs.paths import JobPaths, replacing
@@ -138,14 +137,12 @@ def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
     """Our own re-renders of held-out views by camera pose."""
     held_out = paths.stage("appearance") / "held_out.npz"
     capture = load_settled(paths)
-    arrays = stored_arrays(held_out)
+    arrays = stored_arrays(held_out, PICTURES)
     found = {
         _pose_key(view.camera.camera_to_world): arrays[view.name]
         for view in capture.held_out
         if view.name in arrays
     }
-    if any(a.ndim != 3 or a.dtype != np.uint8 or a.shape[2] not in (3, 4) for a in found.values()):
-        raise StorageError(f"{held_out} is damaged; run `robir reconstruct` with --resume")
     return {key: picture[..., :3] for key, picture in found.items()}
 
 

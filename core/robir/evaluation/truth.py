@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-import json
+import math
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,33 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.camera import Camera
+from robir.capture.decode import MAX_FILE_BYTES
+from robir.capture.regular import regular
 from robir.errors import CaptureError
+from robir.jobs.records import MATRIX, NUMBERS, read_record
+from robir.maths.tone_power import DISPLAY_POWER
 
 Array = NDArray[np.float32]
 
 _FORMAT_VERSION = 1
+
+_SCENE = {
+    "format_version": int, "scene": Any, "ground": Any, "light": Any, "seed": Any,
+    "view_transform": str, "look?": (None, str), "exposure?": float, f"{DISPLAY_POWER}?": float,
+    "sun_direction": NUMBERS, "scene_radius": float, "sun_is_lamp?": bool,
+    "sun_irradiance_rgb?": NUMBERS,
+    "lamps?": [{"direction": NUMBERS, "irradiance_rgb": NUMBERS}],
+}  # fmt: skip
+_TEST_VIEWS = {
+    "w": int, "h": int, "fl_x": float, "fl_y": float, "cx": float, "cy": float,
+    "frames": [{"file_path": str, "transform_matrix": MATRIX}],
+}  # fmt: skip
+
+_MAX_NUMBERS = 400_000_000
+"""Largest EXR file, over all channels; a sky of 8192 columns has a quarter of it."""
+
+_DAMAGE = (OSError, ValueError, LookupError, RuntimeError, TypeError, AttributeError, EOFError)
+"""What reading a damaged truth raises."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +124,8 @@ def load_truth(capture: Path) -> Truth:
         )
     try:
         scene = _scene(folder / "scene.json")
-        mesh = trimesh.load_mesh(folder / "mesh.ply", process=False)
+        with regular(folder / "mesh.ply", MAX_FILE_BYTES) as file:
+            mesh = trimesh.load_mesh(BytesIO(file.read()), file_type="ply", process=False)
         return Truth(
             root=capture,
             scene=scene,
@@ -112,21 +136,21 @@ def load_truth(capture: Path) -> Truth:
             faces=np.asarray(mesh.faces, np.int32),
             radius=float(scene["scene_radius"]),
         )
-    except (OSError, ValueError, KeyError, RuntimeError) as fault:
+    except _DAMAGE as fault:
         raise CaptureError(
             f"the truth in {folder} cannot be read ({fault}); render the capture again"
         ) from fault
 
 
 def _scene(path: Path) -> dict[str, Any]:
-    scene = json.loads(path.read_text(encoding="utf-8"))
+    scene = read_record(path, _SCENE)
     if scene["format_version"] != _FORMAT_VERSION:
         raise ValueError(f"format version {scene['format_version']}, not {_FORMAT_VERSION}")
     return scene
 
 
 def _test_views(capture: Path) -> tuple[TrueView, ...]:
-    table = json.loads((capture / "transforms_test.json").read_text(encoding="utf-8"))
+    table = read_record(capture / "transforms_test.json", _TEST_VIEWS)
     views = []
     for frame in table["frames"]:
         name = Path(frame["file_path"]).name
@@ -140,8 +164,14 @@ def _test_views(capture: Path) -> tuple[TrueView, ...]:
             camera_to_world=np.array(frame["transform_matrix"], np.float64),
         )
         image = read_exr(capture / "truth" / "test" / f"{name}.exr")
-        with Image.open(capture / "test" / f"{name}.png", formats=["PNG"]) as picture:
+        with (
+            regular(capture / "test" / f"{name}.png") as file,
+            Image.open(file, formats=["PNG"]) as picture,
+        ):
             photo = np.asarray(picture.convert("RGBA"), np.float32)[..., :3] / 255.0
+        size = (camera.height, camera.width)
+        if {photo.shape[:2], *(channel.shape for channel in image.values())} != {size}:
+            raise ValueError(f"the pictures of {name} are not of the same size as its camera")
         views.append(
             TrueView(
                 name=name,
@@ -160,6 +190,12 @@ def _test_views(capture: Path) -> tuple[TrueView, ...]:
 
 def read_exr(path: Path) -> dict[str, Array]:
     """All channels of an EXR file's first part by name, (H, W) float32 each."""
+    with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
+        header = opened.header()
+        low, high = header["dataWindow"]
+        sides = [int(last) - int(first) + 1 for first, last in zip(low, high, strict=True)]
+        if math.prod(sides) * len(header["channels"]) > _MAX_NUMBERS:
+            raise ValueError(f"{path.name} has {sides[0]}x{sides[1]} pixels")
     with OpenEXR.File(str(path), separate_channels=True) as opened:
         return {name: np.asarray(c.pixels, np.float32) for name, c in opened.channels().items()}
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir import __version__
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.evaluation.layers import Layers, view_layers
@@ -154,8 +155,7 @@ def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
 
 
 def _own_rerenders(paths: JobPaths) -> dict[str, Picture]:
-    with np.load(paths.stage("appearance") / "held_out.npz", allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    return stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)
 
 
 def _shown_views(views: tuple[View, ...], rendering: Rendering) -> list[View]:

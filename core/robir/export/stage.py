@@ -13,7 +13,7 @@ from typing import Any
 from robir.capture.capture import Capture
 from robir.capture.store import load_settled, plain_view, view_path
 from robir.errors import CancelledError, RobirError, StorageError
-from robir.evaluation.layers import load_textures, result_mesh
+from robir.evaluation.layers import load_textures, result_mesh, stored_exposure, stored_facts
 from robir.export.blender import Outcome, run_headless
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
@@ -23,7 +23,7 @@ from robir.export.textures import finished_textures, write_textures
 from robir.export.tone import export_tone_curve
 from robir.geometry.mesh import Mesh
 from robir.jobs.context import StageContext
-from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.jobs.paths import JobPaths, write_json
 from robir.transport.observe import spread_views
 
 REVISION = 9
@@ -38,6 +38,10 @@ _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
 _ASSET_SHARE = 0.2
 _RENDER_SHARE = 0.95
+_CHOICES = [{
+    "choice": str, "chosen": (str, float), "alternatives": [(str, float)], "why": str,
+    "held_out_error": (None, float), "cost_seconds": (None, float),
+}]  # fmt: skip
 
 
 def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
@@ -53,10 +57,10 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     paths, report = context.paths, context.reporter
     report.progress(0.0, "reading the reconstruction")
     capture = load_settled(paths)
-    exposure = read_json(paths.stage("appearance") / "exposure.json")
+    exposure = stored_exposure(paths.stage("appearance") / "exposure.json")
     judged = capture.without(exposure["other_light"])
     mesh = result_mesh(paths, capture.bounds)
-    arrays = load_textures(paths)
+    arrays = load_textures(paths, "metallic", "coverage", "uncertainty", "disagreement")
     report.progress(0.05, "writing textures and the asset")
     textures = finished_textures(arrays, len(judged.train))
     write_textures(textures, paths.textures)
@@ -95,7 +99,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
 def _choices(paths: JobPaths) -> list[dict[str, Any]]:
     """Rows of the report's table; not every method chooses its surface."""
     files = [paths.stage(stage) / "choices.json" for stage in ("geometry", "appearance")]
-    return [row for file in files if file.is_file() for row in read_json(file)]
+    return [row for file in files if file.is_file() for row in stored_facts(file, _CHOICES)]
 
 
 def asset_name(capture: Capture) -> str:

@@ -10,7 +10,8 @@ from typing import Any
 
 from PIL import Image, ImageDraw, ImageFont
 
-from robir.jobs.paths import JobPaths, read_json, replacing, write_json
+from robir.evaluation.layers import TONE_CURVE, stored_facts
+from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.maths import tone
 
 _SAMPLES = 129
@@ -25,6 +26,12 @@ _SIZE = (832, 494)
 _LEFT, _TOP, _RIGHT, _BOTTOM = 62.0, 40.0, 816.0, 432.0
 """The plot's axes and the whole picture, pixels."""
 
+_FORM = TONE_CURVE | {
+    "candidates": [{"family": str, "score": float, "standard_error": (None, float)}],
+    "clipped_share": float, "blender_view_transform": (None, str), "blender_gamma?": float,
+    "exposure": float,
+}  # fmt: skip
+
 _SCALE = 2
 """Drawn so much larger and reduced, for smooth lines."""
 
@@ -38,7 +45,7 @@ def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
     Returns:
         The JSON's content.
     """
-    table = read_json(paths.stage("appearance") / "tone_curve.json")
+    table = stored_facts(paths.stage("appearance") / "tone_curve.json", _FORM)
     curve = tone.curve_from_name(table["family"], table["parameters"])
     table = table | {"samples": tone.as_samples(curve, _SAMPLES)}
     write_json(paths.tone_curve, table)

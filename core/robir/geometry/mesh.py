@@ -13,6 +13,10 @@ from robir.capture.arrays import stored_arrays
 from robir.errors import StorageError
 from robir.jobs.paths import replacing
 
+_FORM = {
+    "vertices": "f V 3", "faces": "i F 3", "normals": "f V 3", "uvs": "f + 2", "uv_faces": "i F 3",
+}  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
@@ -56,30 +60,19 @@ class Mesh:
         Raises:
             StorageError: If it is missing or damaged.
         """
-        arrays = stored_arrays(path)
-        lacking = [name for name in cls.__dataclass_fields__ if name not in arrays]
-        if lacking:
-            raise StorageError(f"{path} is damaged: it lacks {', '.join(lacking)}")
-        mesh = cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
+        mesh = cls(**stored_arrays(path, _FORM))
         if not mesh.is_whole():
             raise StorageError(f"{path} is damaged: its arrays do not fit together")
         return mesh
 
     def is_whole(self) -> bool:
-        """Whether the arrays are of the right shapes and every face has its corners."""
-        floats, wholes = (self.vertices, self.normals, self.uvs), (self.faces, self.uv_faces)
-        widths = zip((*floats, *wholes), (3, 3, 2, 3, 3), strict=True)
-        if any(array.ndim != 2 or array.shape[1] != width for array, width in widths):
-            return False
-        if any(a.dtype.kind != "f" for a in floats) or any(a.dtype.kind != "i" for a in wholes):
-            return False
+        """Whether every vertex has a normal and every face its corners."""
         pairs = ((self.faces, self.vertices), (self.uv_faces, self.uvs))
         are_there = all(
             not len(corners) or (corners.min() >= 0 and corners.max() < len(points))
             for corners, points in pairs
         )
-        is_finite = bool(np.isfinite(self.vertices).all())
-        return are_there and is_finite and len(self.normals) == len(self.vertices)
+        return are_there and len(self.normals) == len(self.vertices)
 
 
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:

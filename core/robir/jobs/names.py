@@ -7,6 +7,7 @@ nowhere else, before the disk is asked for it.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import stat
@@ -102,9 +103,26 @@ def open_regular(path: Path) -> int:
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     # a device may do something merely by being opened, so it is looked at first as well
     if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(f"{path} is no regular file")
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
     handle = os.open(path, flags)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise OSError(f"{path} is no regular file")
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
     return handle
+
+
+def read_regular(path: Path, most: int) -> bytes:
+    """Contents of a regular file of sane size.
+
+    Args:
+        path: File; links are followed.
+        most: Bytes it may have.
+
+    Raises:
+        OSError: If it cannot be read, is anything else, or is larger.
+    """
+    with os.fdopen(open_regular(path), "rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
+    return content

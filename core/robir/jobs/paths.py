@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robir.errors import QualityError
 from robir.jobs.records import read_record
 
 STAGES = ("capture", "geometry", "transport", "appearance", "export")
@@ -238,8 +239,17 @@ def write_json(path: Path, value: Any) -> None:
     Args:
         path: File to replace.
         value: Plain dictionaries, lists, strings, numbers, booleans and None.
+
+    Raises:
+        QualityError: If a number is not finite.
     """
-    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+    try:
+        text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+    except ValueError as error:
+        raise QualityError(
+            f"{path.name} would hold numbers that are not finite; run `robir check` on the "
+            "capture, or try another --seed"
+        ) from error
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 

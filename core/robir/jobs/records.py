@@ -10,12 +10,12 @@ other key. What a form does not name is let pass.
 from __future__ import annotations
 
 import json
-import os
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robir.jobs.names import open_regular
+from robir.jobs.names import read_regular
 
 MAX_BYTES = 1 << 26
 """Largest JSON file of a result that is read; they have a few thousand bytes."""
@@ -45,22 +45,28 @@ def read_record(path: Path, form: Any) -> Any:
         form: What it has to hold.
 
     Returns:
-        Plain values.
+        Plain values that can be written again: no text that is none, no number that is infinite.
 
     Raises:
-        OSError: If it cannot be read or is no regular file.
+        OSError: If it cannot be read, is no regular file or too large.
         ValueError: If it is no JSON, or holds something else; then a `DamagedFileError`.
     """
-    with os.fdopen(open_regular(path), "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise DamagedFileError(f"{path.name} is larger than {MAX_BYTES} bytes")
+    content = read_regular(path, MAX_BYTES)
     try:
-        value = json.loads(content.decode("utf-8"))
+        value = json.loads(content.decode("utf-8"), parse_float=_finite, parse_constant=_finite)
+        if b"\\u" in content:  # half of a pair of letters can only come by such a word
+            json.dumps(value, ensure_ascii=False).encode("utf-8")
     except RecursionError:
         raise DamagedFileError(f"{path.name} is nested too deeply") from None
     check(value, form, path.name)
     return value
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise DamagedFileError(f"{text[:30]} is no number")
+    return number
 
 
 def check(value: Any, form: Any, where: str) -> None:

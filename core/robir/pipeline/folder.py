@@ -76,7 +76,7 @@ def new_run(
     return {
         "robir_version": __version__,
         "python": platform.python_version(),
-        "platform": platform.platform(),
+        "platform": f"{platform.system()} {platform.release()} {platform.machine()}",
         "torch": version("torch"),
         "device": execution.device,
         "threads": execution.threads,

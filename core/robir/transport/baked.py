@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from robir.capture.arrays import stored_arrays
 from robir.capture.capture import View
 from robir.capture.images import resize_view
+from robir.errors import StorageError
 from robir.geometry.mesh import Mesh
 from robir.geometry.tracer import AbstractTracer, make_tracer
 from robir.jobs.paths import replacing
@@ -20,6 +22,19 @@ from robir.transport.config import TransportConfig
 from robir.transport.observe import Observations, observe, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
 from robir.transport.visibility import Visibility, trace_visibility
+
+_FORMS = {
+    "surfels.npz": {
+        "position": "f4 S 3", "normal": "f4 S 3", "spacing": "f", "display": "u1 S V 3",
+        "weight": "f4 S V", "clipped": "u1 *", "off_axis": "u1 S V", "camera_positions": "f4 V 3",
+        "views": "U V",
+    },
+    "visibility.npz": {
+        "directions": "f4 * 3", "bits": "u1 * *", "is_traced": "b", "offset": "f",
+    },
+    "bounce.npz": {"data": "f4 *", "indices": "i *", "indptr": "i *"},
+}  # fmt: skip
+"""What each file has to hold, see `stored_arrays`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,32 +91,42 @@ class Transport:
     @classmethod
     def load(cls, folder: Path) -> Transport:
         """Read what `save` wrote."""
-        with np.load(folder / "surfels.npz", allow_pickle=False) as arrays:
-            surfels = Surfels(
-                position=arrays["position"],
-                normal=arrays["normal"],
-                spacing=float(arrays["spacing"]),
-            )
-            display = arrays["display"]
-            clipped = np.unpackbits(arrays["clipped"], count=display.size).astype(bool)
-            observations = Observations(
-                display=display,
-                weight=arrays["weight"],
-                clipped=clipped.reshape(display.shape),
-                off_axis=arrays["off_axis"],
-                positions=arrays["camera_positions"],
-                views=tuple(arrays["views"].tolist()),
-            )
-        with np.load(folder / "visibility.npz", allow_pickle=False) as arrays:
-            directions, bits = arrays["directions"], arrays["bits"]
-            is_traced, offset = bool(arrays["is_traced"]), float(arrays["offset"])
-        with np.load(folder / "bounce.npz", allow_pickle=False) as arrays:
-            count = len(surfels)
+        samples, sight, light = (stored_arrays(folder / name, _FORMS[name]) for name in _FORMS)
+        display, weight = samples["display"], samples["weight"]
+        surfels = Surfels(
+            position=samples["position"],
+            normal=samples["normal"],
+            spacing=float(samples["spacing"]),
+        )
+        count = len(surfels)
+        try:
+            clipped = np.unpackbits(samples["clipped"], count=display.size).astype(bool)
+            clipped = clipped.reshape(display.shape)
+            bits = sight["bits"].reshape(count, -(-len(sight["directions"]) // 8))
             bounce = csr_matrix(
-                (arrays["data"], arrays["indices"], arrays["indptr"]), shape=(count, count)
+                (light["data"], light["indices"], light["indptr"]), shape=(count, count)
             )
+            bounce.check_format(full_check=True)  # C would follow an index to anywhere
+            if weight.min() < 0.0 or not weight.any():
+                raise ValueError("no view shows a sample")  # noqa: TRY301
+        except ValueError as fault:
+            raise StorageError(
+                f"{folder} is damaged ({fault}); run `robir reconstruct` with --resume"
+            ) from fault
+        observations = Observations(
+            display=display,
+            weight=weight,
+            clipped=clipped,
+            off_axis=samples["off_axis"],
+            positions=samples["camera_positions"],
+            views=tuple(samples["views"].tolist()),
+        )
         visibility = Visibility(
-            directions=directions, bits=bits, bounce=bounce, is_traced=is_traced, offset=offset
+            directions=sight["directions"],
+            bits=bits,
+            bounce=bounce,
+            is_traced=bool(sight["is_traced"]),
+            offset=float(sight["offset"]),
         )
         return cls(surfels=surfels, visibility=visibility, observations=observations)
 
