@@ -53,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail(options, "stopped", CancelledError.exit_code)
     except Exception as error:
+        if fault := commands.fault_of_folder(options, error):
+            return _fail(options, str(fault), fault.exit_code)
         return _fail(options, commands.describe_bug(options, error), 1)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robir.config import RunConfig, resolve
-from robir.errors import CaptureError, UsageError
+from robir.errors import CaptureError, RobirError, UsageError
 from robir.jobs.folder import refuse_special
 from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.presets import PRESETS
@@ -250,6 +250,15 @@ def show_failure(options: Namespace, message: str, exit_code: int) -> None:
         sys.stderr.write(json.dumps(event, ensure_ascii=False) + "\n")
     else:
         sys.stderr.write(f"robir: {message}\n")
+
+
+def fault_of_folder(options: Namespace, error: Exception) -> RobirError | None:
+    """What a disk or another user's result folder has against a command, or None."""
+    from robir.pipeline.faults import translated
+
+    out = getattr(options, "out", None)
+    told = error if out is None else translated(error, options.command.__name__, out)
+    return told if isinstance(told, RobirError) else None
 
 
 def describe_bug(options: Namespace, error: Exception) -> str:

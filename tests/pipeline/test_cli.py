@@ -218,3 +218,16 @@ def test_paths_that_are_none(word, command, capsys):
         cli.main([*command, word])
     assert ending.value.code == 2
     assert "path" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["relight", "evaluate"])
+def test_a_folder_of_another_user_is_no_bug(tmp_path, monkeypatch, capsys, command):
+    def locked(options):
+        raise PermissionError(13, "Permission denied", str(tmp_path / "lock"))
+
+    monkeypatch.setattr(cli.commands, command, locked)
+    more = ["--environment", "city"] if command == "relight" else []
+    assert cli.main([command, str(tmp_path), *more]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"robir: {tmp_path / 'lock'} cannot be read or written")
+    assert "internal error" not in told
