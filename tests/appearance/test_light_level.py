@@ -55,6 +55,16 @@ def test_highlights_tell_the_brightness(ball, wrong):
     assert told == pytest.approx(level_of(problem, light), abs=0.2)
 
 
+def test_without_a_specular_layer_no_dimmer_light_is_told(ball):
+    problem, light = ball
+    for wrong in (-0.8, 0.8):
+        supposed = light.tinted(torch.full((3,), wrong))
+        gloss = replace(estimate_gloss(problem, supposed, 2, 0)[0], has_highlights=False)
+        told = level_by_highlights(problem, supposed, gloss, 0)
+        wanted = max(level_of(problem, light), level_of(problem, supposed))
+        assert told == pytest.approx(wanted, abs=0.2)
+
+
 def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)

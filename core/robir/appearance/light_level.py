@@ -6,7 +6,8 @@ on paint returns of sky and suns is known, F0 = 0.04: beside the diffuse light i
 brighter the paint is. How views differ by it depends on the roughness too, so both are tried
 together, and what a brightness is worth is summed over all roughnesses, each patch of paint having
 its own. A highlight that the mesh puts in the wrong place would speak for a dim light, so each
-sample's normal may be as far off as the mesh's usually are.
+sample's normal may be as far off as the mesh's usually are. Where no specular layer was found all
+the same, that the light is dimmer is not believed.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ def level_by_highlights(problem: Problem, light: Light, gloss: Gloss, seed: int)
     position = problem.scene.transport.surfels.position[rows]
     patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
     sent = log_sent(light.irradiance(problem, every), problem.indirect[every])
-    return float(sent.mean()) + expected(_evidence(errors, count, patch) + usual(albedo))
+    factor = expected(_evidence(errors, count, patch) + usual(albedo))
+    return float(sent.mean()) + (factor if gloss.has_highlights else max(factor, 0.0))
 
 
 def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Reals, Reals]:

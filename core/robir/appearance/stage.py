@@ -45,7 +45,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 
-REVISION = 60
+REVISION = 61
 
 TEXTURE_VIEWS = 48
 
