@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from robir.errors import StorageError
 from robir.geometry import unwrap
 from robir.geometry.mesh import Mesh
 from robir.geometry.simplify import with_creases
@@ -52,6 +53,20 @@ def _inside(point: np.ndarray, triangle: np.ndarray) -> bool:
     if abs(np.linalg.det(matrix)) < 1e-12:
         return False
     return bool((np.linalg.solve(matrix, np.append(point, 1.0)) >= -1e-9).all())
+
+
+def test_texture_coordinates_that_fill_no_texel_are_refused() -> None:
+    uvs = np.float32([[0.1, 0.1], [0.1, 0.1], [0.1, 0.1]])
+    corners = np.int32([[0, 1, 2]])
+    mesh = Mesh(
+        vertices=np.eye(3, dtype=np.float32),
+        faces=corners,
+        normals=np.eye(3, dtype=np.float32),
+        uvs=uvs,
+        uv_faces=corners,
+    )
+    with pytest.raises(StorageError, match="fill no texel"):
+        unwrap.rasterise_atlas(mesh, 16)
 
 
 def test_timeout_decimates_and_at_last_gives_each_triangle_its_own_chart(

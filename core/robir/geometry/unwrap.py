@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.errors import StorageError
 from robir.geometry.charts import ATLAS_SIZE, GUTTER
 from robir.geometry.mesh import Mesh
 from robir.geometry.simplify import decimate
@@ -112,6 +113,9 @@ def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[n
     Returns:
         Face index (T, T) int32, -1 where no face lies, and barycentric coordinates (T, T, 3)
         float32, 0 there. Row 0 is the top, v = 1; texel centres lie at half integers.
+
+    Raises:
+        StorageError: If no face lies on any texel.
     """
     corners = mesh.uvs[mesh.uv_faces].astype(np.float64) * size
     corners[..., 1] = size - corners[..., 1]
@@ -143,6 +147,10 @@ def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[n
         inside = (share >= -1e-9).all(axis=1) & np.isfinite(total)
         face_index[row[inside], column[inside]] = face[inside]
         barycentric[row[inside], column[inside]] = share[inside]
+    if (face_index < 0).all():
+        raise StorageError(
+            "The mesh's texture coordinates fill no texel: run the geometry stage again."
+        )
     return face_index, barycentric
 
 
