@@ -27,7 +27,7 @@ TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points 
   colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
   worker_log run manifest capture_json arrays
 
-SHIPPED := core/robir robir_addon blender_scenes build_addon.py
+SHIPPED := core robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py
 
 # What Blender's wheel links against and a bare Debian lacks.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: `robir reconstruct|check|relight|evaluate|bench|selftest`.
+"""The command line: `robir reconstruct|check|relight|evaluate|selftest`, and `robir_bench`'s.
 
 Standard output carries the result alone (a path, or JSON where asked for); progress and messages
 go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
@@ -13,6 +13,8 @@ import errno
 import logging
 import os
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from robir import __version__, commands
@@ -75,9 +77,10 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(subparsers)
     _add_relight(subparsers)
     _add_evaluate(subparsers)
-    _add_bench(subparsers)
-    _add_stability(subparsers)
     _add_selftest(subparsers)
+    if find_spec("robir_bench") is not None:
+        # a package beside this one, which the panel does not install
+        import_module("robir_bench.command").add_to(subparsers)
     return parser
 
 
@@ -86,8 +89,8 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "reconstruct", help="make an asset from a capture", epilog=_EXIT_CODES
     )
     parser.set_defaults(command=commands.reconstruct)
-    parser.add_argument("capture", type=_path, metavar="CAPTURE", help=_CAPTURE)
-    parser.add_argument("-o", "--out", type=_path, required=True, help="result folder")
+    parser.add_argument("capture", type=path_argument, metavar="CAPTURE", help=_CAPTURE)
+    parser.add_argument("-o", "--out", type=path_argument, required=True, help="result folder")
     parser.add_argument(
         "--preset",
         choices=sorted(PRESETS),
@@ -95,12 +98,14 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     )
     parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
     parser.add_argument(
-        "--config", type=_path, metavar="FILE", help="TOML file of changed settings"
+        "--config", type=path_argument, metavar="FILE", help="TOML file of changed settings"
     )
     _add_set(parser)
-    parser.add_argument("--masks", type=_path, metavar="DIR", help="masks named like the images")
+    parser.add_argument(
+        "--masks", type=path_argument, metavar="DIR", help="masks named like the images"
+    )
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
-    parser.add_argument("--threads", type=_positive, help="threads of torch, default one")
+    parser.add_argument("--threads", type=positive, help="threads of torch, default one")
     parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
     )
@@ -110,9 +115,11 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser("check", help="look at a capture before time is spent on it")
     parser.set_defaults(command=commands.check)
-    parser.add_argument("capture", type=_path, metavar="CAPTURE", help=_CAPTURE)
+    parser.add_argument("capture", type=path_argument, metavar="CAPTURE", help=_CAPTURE)
     _add_set(parser)
-    parser.add_argument("--masks", type=_path, metavar="DIR", help="masks named like the images")
+    parser.add_argument(
+        "--masks", type=path_argument, metavar="DIR", help="masks named like the images"
+    )
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
     _add_progress(parser)
 
@@ -138,7 +145,7 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
 def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser("relight", help="render a result under another light in Cycles")
     parser.set_defaults(command=commands.relight)
-    parser.add_argument("out", type=_path, metavar="OUT", help="finished result folder")
+    parser.add_argument("out", type=path_argument, metavar="OUT", help="finished result folder")
     parser.add_argument(
         "--environment",
         required=True,
@@ -147,11 +154,9 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     parser.add_argument("--views", help="held_out (default), train, all, or names with commas")
     parser.add_argument("--rotation", type=float, help="degrees about the up axis")
-    parser.add_argument(
-        "--turntable", type=_positive, metavar="N", help="frames of a turning light"
-    )
-    parser.add_argument("--samples", type=_positive, help="Cycles samples per pixel")
-    parser.add_argument("--max-side", type=_positive, help="longer side of the pictures, pixels")
+    parser.add_argument("--turntable", type=positive, metavar="N", help="frames of a turning light")
+    parser.add_argument("--samples", type=positive, help="Cycles samples per pixel")
+    parser.add_argument("--max-side", type=positive, help="longer side of the pictures, pixels")
     _add_progress(parser)
 
 
@@ -160,50 +165,14 @@ def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
         "evaluate", help="say which stage loses the photographs, and compare with a truth"
     )
     parser.set_defaults(command=commands.evaluate)
-    parser.add_argument("out", type=_path, metavar="OUT", help="finished result folder")
+    parser.add_argument("out", type=path_argument, metavar="OUT", help="finished result folder")
     parser.add_argument(
-        "--truth", type=_path, metavar="CAPTURE", help="the rendered capture it was made from"
+        "--truth",
+        type=path_argument,
+        metavar="CAPTURE",
+        help="the rendered capture it was made from",
     )
     parser.add_argument("--json", action="store_true", help="scores as JSON on standard output")
-
-
-def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser(
-        "bench", help="run captures x methods and chart speed against accuracy"
-    )
-    parser.set_defaults(command=commands.bench)
-    parser.add_argument(
-        "plan", type=_path, nargs="?", metavar="PLAN.toml", help="captures, methods and seeds"
-    )
-    parser.add_argument(
-        "--population",
-        type=_path,
-        metavar="DIR",
-        help="instead of a plan: all captures that `python -m blender_scenes population` made, and "
-        "the distribution of their scores",
-    )
-    _add_runs(parser)
-
-
-def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser(
-        "stability", help="spoil captures one factor at a time and chart what that costs"
-    )
-    parser.set_defaults(command=commands.stability)
-    parser.add_argument(
-        "plan", type=_path, metavar="PLAN.toml", help="as for bench, with a table [factors]"
-    )
-    _add_runs(parser)
-
-
-def _add_runs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", type=_path, required=True, help="folder of runs and scores")
-    parser.add_argument(
-        "--budget",
-        type=float,
-        metavar="S",
-        help="CPU seconds after which no further run starts; 0 only draws what is done",
-    )
 
 
 def _add_selftest(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -221,7 +190,7 @@ def _add_progress(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
 
 
-def _path(text: str) -> Path:
+def path_argument(text: str) -> Path:
     """A path that the operating system can be asked for; whether it exists is looked at later."""
     try:
         Path(text).lstat()
@@ -233,7 +202,8 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """A whole number of at least 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not at least 1")

@@ -7,19 +7,15 @@ import json
 import sys
 import traceback
 from argparse import Namespace
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, RobirError, UsageError
 from robir.jobs.folder import refuse_special
 from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.presets import PRESETS
-
-if TYPE_CHECKING:
-    from robir.bench.plan import BenchRun
 
 
 def reconstruct(options: Namespace) -> int:
@@ -56,8 +52,8 @@ def reconstruct(options: Namespace) -> int:
 def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
     from robir.capture.check import check_capture
+    from robir.capture.checks.stands import stands_of
     from robir.capture.refusal import describe
-    from robir.capture.stands import stands_of
     from robir.capture.store import plain_view
     from robir.display import display_for
 
@@ -102,10 +98,10 @@ def evaluate(options: Namespace) -> int:
     Scores and pictures go beside the report, the levels into it.
     """
     paths = _finished(options.out)
-    from robir.bench.scores import score_lines
     from robir.evaluation.evaluate import evaluate as judge
     from robir.evaluation.level_table import level_lines
     from robir.evaluation.levels import level_scores
+    from robir.evaluation.scores import score_lines
     from robir.export.report import show_levels
 
     levels = level_scores(paths, paths.levels_strip)
@@ -163,54 +159,6 @@ def selftest(options: Namespace) -> int:
     else:
         print("\n".join(f"{name}: {value}" for name, value in verdict.items()))
     return code
-
-
-def bench(options: Namespace) -> int:
-    """Run a plan or a population, chart and tabulate its scores; prints the page's path.
-
-    Of a plan the exit code is the largest of its runs'; of a population, where failures are counted
-    among the scores, only a bug is a failure.
-    """
-    from robir.bench.page import write_bench, write_population
-    from robir.bench.plan import read_plan
-    from robir.bench.population import read_population
-
-    if (options.plan is None) == (options.population is None):
-        raise UsageError("give either PLAN.toml or --population DIR")
-    if options.population is not None:
-        runs = read_population(options.population)
-        tried = _carried_out(runs, write_population, options, is_truth_needed=True)
-        return 1 if 1 in tried else 0
-    return max(_carried_out(read_plan(options.plan), write_bench, options, is_truth_needed=False))
-
-
-def stability(options: Namespace) -> int:
-    """Run a plan on captures spoilt one factor at a time; prints the page's path.
-
-    A spoilt capture may well be refused; only a bug is a failure of the sweep.
-    """
-    from robir.bench.page import write_stability
-    from robir.bench.plan import read_sweep
-
-    runs = read_sweep(options.plan, options.out)
-    tried = _carried_out(runs, write_stability, options, is_truth_needed=True)
-    return 1 if 1 in tried else 0
-
-
-def _carried_out(
-    runs: list[BenchRun], write: Callable[..., Path], options: Namespace, *, is_truth_needed: bool
-) -> set[int]:
-    """Do the runs and write their page; the exit codes of those that were tried."""
-    from robir.bench.runs import carry_out, read_scores
-
-    def say(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
-    carry_out(runs, options.out, options.budget, say, is_truth_needed=is_truth_needed)
-    records = read_scores(options.out)
-    print(write(options.out, runs, records).resolve())
-    tried = [records[run.name] for run in runs if run.name in records]
-    return {0, *(record["exit_code"] for record in tried if "error" in record)}
 
 
 def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:

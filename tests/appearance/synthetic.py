@@ -15,12 +15,12 @@ import torch
 import trimesh
 from transport.shapes import box, mesh_of, patch
 
-from robir.appearance.light import Amplitudes, soft_lobes
-from robir.appearance.problem import Scene, make_scene
-from robir.appearance.solver import Light
-from robir.geometry.mesh import Mesh
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import EmbreeTracer
+from robir.appearance.light.lobes import Amplitudes, soft_lobes
+from robir.appearance.light.problem import Scene, make_scene
+from robir.appearance.light.solver import Light
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.maths import microfacet
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.maths.vectors import fibonacci_sphere

@@ -11,13 +11,13 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.gloss import specular_towards
-from robir.appearance.light import lobes_of, soft_lobes
+from robir.appearance.light.lobes import lobes_of, soft_lobes
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import specular_towards
+from robir.appearance.material.roughness import DULL, EACH, GLOSSY, MATTE, ONE
 from robir.appearance.model_size import smallest_model
-from robir.appearance.problem import make_problem
-from robir.appearance.roughness import DULL, EACH, GLOSSY, MATTE, ONE
 from robir.appearance.stage import solve
-from robir.appearance.tone_choice import choose_tone_curve
+from robir.appearance.tone.choose import choose_tone_curve
 from robir.maths.tone import curve_from_name
 
 CONFIG = AppearanceConfig(

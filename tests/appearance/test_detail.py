@@ -11,13 +11,13 @@ import pytest
 import torch
 from transport.shapes import looking_at, mesh_of, patch
 
-from robir.appearance.detail import agreed, finer
-from robir.appearance.texel_size import pixel_width, texture_side
-from robir.appearance.texture import TexelAlbedo
+from robir.appearance.texture.albedo import TexelAlbedo
+from robir.appearance.texture.detail import agreed, finer
+from robir.appearance.texture.texel_size import pixel_width, texture_side
 from robir.capture.capture import View
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import EmbreeTracer
-from robir.geometry.unwrap import rasterise_atlas
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.maths.tone import curve_from_name
 from robir.transport.surfels import interpolate
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from appearance import synthetic
 
-from robir.appearance import display_power
-from robir.appearance.display_power import USUAL_LEVEL, choose_power, leading_power
+from robir.appearance.tone import display_power
+from robir.appearance.tone.display_power import USUAL_LEVEL, choose_power, leading_power
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.5, 0.12

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.exposure import (
+from robir.appearance.photometry.exposure import (
     Exposures,
     Gains,
     comparable,
     decoded,
     find_falloff,
 )
-from robir.appearance.gains import _least_squares, are_uneven, solve_gains
-from robir.appearance.statistics import diffuse_radiance, linear_observations
-from robir.appearance.vignetting import NO_FALLOFF, Falloff
+from robir.appearance.photometry.gains import _least_squares, are_uneven, solve_gains
+from robir.appearance.photometry.statistics import diffuse_radiance, linear_observations
+from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations

@@ -10,11 +10,11 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.gloss import estimate_gloss
-from robir.appearance.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
-from robir.appearance.problem import make_problem
-from robir.appearance.reflections import Reflections, view_rays
-from robir.appearance.statistics import darker_view_weights, sharpest_views
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import estimate_gloss
+from robir.appearance.material.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
+from robir.appearance.material.reflections import Reflections, view_rays
+from robir.appearance.photometry.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.highlights import (
+from robir.appearance.material.highlights import (
     FEWEST_VIEWS,
     LEVELS,
     READING_ERROR,

@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light import (
+from robir.appearance.light.lobes import (
     BRIGHTEST_QUANTILE,
     Amplitudes,
     Priors,
@@ -21,11 +21,11 @@ from robir.appearance.light import (
     soft_transfer,
     unevenness,
 )
-from robir.appearance.pair_loss import PairWeights
-from robir.appearance.problem import make_problem, with_hidden
-from robir.appearance.solver import find_suns, fit, polish, refit
-from robir.appearance.statistics import Pairs, Radiance, neighbour_pairs
-from robir.appearance.sun import SunProblem, refine, scan
+from robir.appearance.light.pair_loss import PairWeights
+from robir.appearance.light.problem import make_problem, with_hidden
+from robir.appearance.light.solver import find_suns, fit, polish, refit
+from robir.appearance.light.sun import SunProblem, refine, scan
+from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12

@@ -11,11 +11,11 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.gloss import estimate_gloss
-from robir.appearance.light import Priors
-from robir.appearance.light_hue import hue_by_highlights
-from robir.appearance.problem import make_problem
-from robir.appearance.solver import refit
+from robir.appearance.evidence.hue import hue_by_highlights
+from robir.appearance.light.lobes import Priors
+from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import refit
+from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.tone import curve_from_name
 
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)

@@ -11,9 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.gloss import estimate_gloss
-from robir.appearance.light import MEAN_ALBEDO, log_sent
-from robir.appearance.light_level import (
+from robir.appearance.evidence.level import (
     FACTORS,
     LIMIT,
     MISREAD,
@@ -23,8 +21,10 @@ from robir.appearance.light_level import (
     misread,
     usual,
 )
-from robir.appearance.problem import make_problem
-from robir.appearance.solver import refit
+from robir.appearance.light.lobes import MEAN_ALBEDO, log_sent
+from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import refit
+from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.tone import curve_from_name
 
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)

@@ -8,8 +8,9 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.gloss import estimate_gloss
-from robir.appearance.metal import (
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import estimate_gloss
+from robir.appearance.material.metal import (
     BRIGHT_METAL,
     DARKEST_READING,
     METAL_LEVELS,
@@ -17,8 +18,7 @@ from robir.appearance.metal import (
     metal_parts,
     neighbourhoods,
 )
-from robir.appearance.problem import make_problem
-from robir.appearance.reflections import Reflections, view_rays
+from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
 
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)

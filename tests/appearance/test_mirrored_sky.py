@@ -10,11 +10,11 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.gloss import Gloss
-from robir.appearance.light import Amplitudes, soft_lobes
-from robir.appearance.mirrored_sky import sky_by_metal
-from robir.appearance.problem import make_problem
-from robir.appearance.reflections import Reflections, view_rays
+from robir.appearance.evidence.mirrored_sky import sky_by_metal
+from robir.appearance.light.lobes import Amplitudes, soft_lobes
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
 
 BASE, ROUGHNESS = np.array([0.8, 0.6, 0.3], np.float32), 0.3

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.exposure import compare_photographs
-from robir.appearance.gains import solve_gains
-from robir.appearance.other_light import find_unlike, unlike
+from robir.appearance.photometry.exposure import compare_photographs
+from robir.appearance.photometry.gains import solve_gains
+from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import make_tracer
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.tracer import make_tracer
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig

@@ -11,10 +11,10 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.blocks import mean_of
-from robir.appearance.light import MEAN_ALBEDO
-from robir.appearance.plain_lead import PlainLead, mismatch_table
-from robir.appearance.problem import blocks_of, make_problem
-from robir.appearance.statistics import Radiance
+from robir.appearance.light.lobes import MEAN_ALBEDO
+from robir.appearance.light.problem import blocks_of, make_problem
+from robir.appearance.photometry.statistics import Radiance
+from robir.appearance.tone.shoulder import PlainLead, mismatch_table
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 3.0, 0.25

@@ -8,14 +8,14 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.highlights import LEVELS
-from robir.appearance.metal import MetalParts
-from robir.appearance.metal_proof import proven_parts
-from robir.appearance.problem import make_problem
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.highlights import LEVELS
+from robir.appearance.material.metal import MetalParts
+from robir.appearance.material.metal_proof import proven_parts
+from robir.appearance.material.observed import looked_at
+from robir.appearance.material.trial import Trial
+from robir.appearance.photometry.statistics import display_mean
 from robir.appearance.proof import EVERY, Proof, fitted_views
-from robir.appearance.seen import looked_at
-from robir.appearance.statistics import display_mean
-from robir.appearance.trial import Trial
 from robir.maths.tone import curve_from_name
 
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)

@@ -10,8 +10,8 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.problem import make_problem
-from robir.appearance.solver import refit
+from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import refit
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12

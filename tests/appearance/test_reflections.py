@@ -10,10 +10,10 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.gloss import Gloss, specular_towards
-from robir.appearance.light import lobes_of
-from robir.appearance.problem import make_problem
-from robir.appearance.reflections import Reflections, as_rays, view_rays
+from robir.appearance.light.lobes import lobes_of
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import Gloss, specular_towards
+from robir.appearance.material.reflections import Reflections, as_rays, view_rays
 from robir.maths import microfacet
 from robir.maths.tone import curve_from_name
 

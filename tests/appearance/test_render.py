@@ -9,13 +9,13 @@ import torch
 from appearance.synthetic import Material, ball, ball_radiance, sun_and_uneven_sky
 from transport.shapes import looking_at
 
-from robir.appearance.gloss import Gloss
-from robir.appearance.problem import make_problem
+from robir.appearance.light.problem import make_problem
+from robir.appearance.material.gloss import Gloss
 from robir.appearance.render import render_views
-from robir.appearance.texture import TexelAlbedo
+from robir.appearance.texture.albedo import TexelAlbedo
 from robir.capture.capture import View
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import EmbreeTracer
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.transport.surfels import Surfels, interpolate
 

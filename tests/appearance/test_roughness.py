@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.highlights import LEVELS, Highlights
-from robir.appearance.proof import Proof
-from robir.appearance.roughness import (
+from robir.appearance.material.highlights import LEVELS, Highlights
+from robir.appearance.material.roughness import (
     DULL,
     EACH,
     GLOSSY,
@@ -20,6 +19,7 @@ from robir.appearance.roughness import (
     Patches,
     choose_roughness,
 )
+from robir.appearance.proof import Proof
 
 VIEWS = 12.0
 

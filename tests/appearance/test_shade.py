@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.shade import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
-from robir.appearance.statistics import Pairs
+from robir.appearance.light.shade import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
+from robir.appearance.photometry.statistics import Pairs
 
 DEEP, OPEN = 60, 40
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 from transport.shapes import looking_at, mesh_of, patch
 
-from robir.appearance.exposure import Gains
-from robir.appearance.sharpen import sharpened
-from robir.appearance.statistics import linear_observations
+from robir.appearance.photometry.exposure import Gains
+from robir.appearance.photometry.statistics import linear_observations
+from robir.appearance.texture.sharpen import sharpened
 from robir.capture.capture import View
-from robir.geometry.tracer import EmbreeTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import observe
 

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.statistics import Pairs, diffuse_radiance, neighbour_pairs, shadow_pairs
+from robir.appearance.photometry.statistics import (
+    Pairs,
+    diffuse_radiance,
+    neighbour_pairs,
+    shadow_pairs,
+)
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
 

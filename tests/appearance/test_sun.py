@@ -10,9 +10,9 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.problem import make_problem
-from robir.appearance.solver import ALIKE_COSINE, polish
-from robir.appearance.sun import (
+from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import ALIKE_COSINE, polish
+from robir.appearance.light.sun import (
     RIVALS,
     SAME_LIGHT,
     SunCandidate,

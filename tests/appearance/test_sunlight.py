@@ -10,7 +10,7 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance.sunlight import GRAZING_COSINE, Sunlight
+from robir.appearance.light.sunlight import GRAZING_COSINE, Sunlight
 from robir.maths.tone import curve_from_name
 
 

@@ -11,19 +11,19 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.appearance.evening import ALIKE, evened, with_normals
-from robir.appearance.gloss import Gloss
-from robir.appearance.light import Amplitudes, soft_transfer
-from robir.appearance.problem import make_problem, make_scene
-from robir.appearance.solver import Light
-from robir.appearance.texture import (
+from robir.appearance.light.lobes import Amplitudes, soft_transfer
+from robir.appearance.light.problem import make_problem, make_scene
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.texture.albedo import (
     Texels,
     _Reference,
     _settle_clipped,
     _settle_edges,
     texel_albedo,
 )
-from robir.geometry.tracer import EmbreeTracer
+from robir.appearance.texture.residual_shading import ALIKE, evened, with_normals
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.baked import Transport

@@ -10,10 +10,9 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.plain_lead import Lead, PlainLead
-from robir.appearance.problem import make_problem
-from robir.appearance.solver import fit
-from robir.appearance.tone_choice import (
+from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import fit
+from robir.appearance.tone.choose import (
     Judged,
     best_shoulder,
     choose_tone_curve,
@@ -21,6 +20,7 @@ from robir.appearance.tone_choice import (
     clipping_evidence,
     pair_likeness,
 )
+from robir.appearance.tone.shoulder import Lead, PlainLead
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
 

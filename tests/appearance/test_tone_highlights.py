@@ -10,9 +10,9 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.blocks import difference_error, mean_of
-from robir.appearance.light import Amplitudes
-from robir.appearance.problem import make_problem
-from robir.appearance.tone_highlights import highlight_tables
+from robir.appearance.light.lobes import Amplitudes
+from robir.appearance.light.problem import make_problem
+from robir.appearance.tone.highlight_evidence import highlight_tables
 from robir.maths.tone import curve_from_name
 
 DARK = synthetic.Material(np.float32([0.05, 0.1, 0.06]), 0.42)

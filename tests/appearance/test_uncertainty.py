@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from robir.appearance.uncertainty import (
+from robir.appearance.texture.uncertainty import (
     CHANGED,
     DISTANCE,
     FEW,

@@ -9,15 +9,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = [ROOT / "build_addon.py"]
-for folder in ("core/robir", "robir_addon", "blender_scenes"):
+for folder in ("core", "robir_addon", "blender_scenes"):
     SHIPPED += sorted((ROOT / folder).rglob("*.py"))
 
 STARTS_PROGRAMS = {
     "build_addon.py",
-    "core/robir/bench/prb.py",
-    "core/robir/bench/runs.py",
+    "core/robir_bench/peers/prb.py",
+    "core/robir_bench/runs.py",
     "core/robir/export/blender.py",
-    "core/robir/geometry/unwrap.py",
+    "core/robir/geometry/mesh/unwrap.py",
     "core/robir/jobs/client.py",
     "robir_addon/command_line.py",
     "robir_addon/engine/existing.py",

@@ -15,7 +15,7 @@ import pytest
 from robir.config import RunConfig
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = ("core/robir", "robir_addon", "blender_scenes")
+SHIPPED = ("core", "robir_addon", "blender_scenes")
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 
@@ -102,7 +102,7 @@ def test_the_word_for_hue_is_never_a_name_of_ours():
     forbidden = "col" + "or"
     bad = [
         f"{name(path)}:{node.name}"
-        for path in (ROOT / "core/robir").rglob("*.py")
+        for path in (ROOT / "core").rglob("*.py")
         for node in ast.walk(parse(path))
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and forbidden in node.name.lower()
     ]
@@ -134,7 +134,7 @@ def settings_fields() -> list[tuple[str, str, str]]:
 def test_every_setting_is_used_and_explained():
     attributes = {
         node.attr
-        for path in (ROOT / "core/robir").rglob("*.py")
+        for path in (ROOT / "core").rglob("*.py")
         if path.name != "config.py"
         for node in ast.walk(parse(path))
         if isinstance(node, ast.Attribute)

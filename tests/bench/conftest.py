@@ -9,7 +9,7 @@ import pytest
 from bench.fake_robir import FakeRobir
 from evaluation import sphere_run
 
-from robir.bench import runs as bench_runs
+from robir_bench import runs as bench_runs
 
 
 @pytest.fixture

@@ -14,16 +14,16 @@ from bench.fake_robir import scores, write_plan
 from evaluation import sphere_run
 
 from robir import cli
-from robir.bench import runs as bench_runs
-from robir.bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
-from robir.bench.runs import carry_out, read_scores
-from robir.bench.scores import score_lines
-from robir.bench.table import bench_tables
 from robir.config import resolve
 from robir.errors import ConfigError
+from robir.evaluation.scores import score_lines
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
-from robir.paper.config import VARIANTS
 from robir.presets import PRESETS
+from robir_bench import runs as bench_runs
+from robir_bench.paper.config import VARIANTS
+from robir_bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
+from robir_bench.runs import carry_out, read_scores
+from robir_bench.table import bench_tables
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -172,7 +172,7 @@ def test_published_methods_share_what_their_curve_does_not_change(
             shutil.copytree(source.stage(stage), paths.stage(stage), dirs_exist_ok=True)
         return {"psnr": 20.0}
 
-    monkeypatch.setattr("robir.bench.published.reconstruct_published", work)
+    monkeypatch.setattr("robir_bench.paper.method.reconstruct_published", work)
     carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
     assert done == {
         "paper": ["geometry", "transport", "appearance", "export"],
@@ -241,7 +241,7 @@ def test_a_capture_that_cannot_be_spoilt_stops_nothing(tmp_path, robir):
 
 def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):
     run = sphere_run.make_run(tmp_path / "whole")
-    from robir.bench.photo import texture_photographs
+    from robir_bench.peers.photo import texture_photographs
 
     config = resolve(PRESETS["draft"](), None, ["appearance.texture_size=128"])
     paths = JobPaths(tmp_path / "photo")

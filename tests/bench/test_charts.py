@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from bench.test_bench import scores
 
-from robir.bench.chart import medians, pareto_front, speed_accuracy
-from robir.bench.curves import calibration, tone_curves
-from robir.bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
-from robir.bench.scores import ALBEDO, SCORES, SHADOW
+from robir.evaluation.scores import ALBEDO, SCORES, SHADOW
+from robir_bench.chart import medians, pareto_front, speed_accuracy
+from robir_bench.curves import calibration, tone_curves
+from robir_bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
 
 SVG = "{http://www.w3.org/2000/svg}"
 

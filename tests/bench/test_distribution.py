@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from robir.bench.distribution import CONFIDENCE, estimate, mean, quantile
+from robir_bench.distribution import CONFIDENCE, estimate, mean, quantile
 
 TAIL = 0.5 * (1.0 - CONFIDENCE)
 

@@ -12,12 +12,12 @@ import torch
 from evaluation import sphere_run
 from PIL import Image
 
-from robir.bench.perturb import FACTORS, Perturbation
 from robir.errors import ConfigError
 from robir.evaluation.metrics import linear_from_srgb
-from robir.evaluation.tone import true_curve
+from robir.evaluation.tone_scores import true_curve
 from robir.evaluation.truth import load_truth, read_exr
 from robir.maths import tone
+from robir_bench.stability.perturb import FACTORS, Perturbation
 
 
 @pytest.fixture(scope="module")
@@ -237,6 +237,6 @@ def test_values_that_make_no_sense_are_refused(tmp_path, factor, value):
 
 
 def test_every_factor_is_in_the_module_s_table():
-    import robir.bench.perturb as module
+    import robir_bench.stability.perturb as module
 
     assert all(f"| `{name}`" in module.__doc__ for name in FACTORS)

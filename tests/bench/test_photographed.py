@@ -11,11 +11,11 @@ from bench.fake_robir import write_plan
 from evaluation import sphere_run
 
 from robir import cli
-from robir.bench import runs as bench_runs
-from robir.bench.pictures import PHOTOGRAPHED_TILES, clay
-from robir.bench.plan import read_plan, read_sweep
-from robir.bench.runs import carry_out, read_scores
 from robir.jobs.paths import JobPaths, read_json, write_json
+from robir_bench import runs as bench_runs
+from robir_bench.pictures import PHOTOGRAPHED_TILES, clay
+from robir_bench.plan import read_plan, read_sweep
+from robir_bench.runs import carry_out, read_scores
 
 
 def test_a_capture_without_truth_is_scored_by_its_held_out_photographs(

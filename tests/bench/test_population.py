@@ -11,7 +11,9 @@ import pytest
 from bench.fake_robir import scores
 
 from robir import cli
-from robir.bench.population import (
+from robir.errors import ConfigError
+from robir.evaluation.scores import ALBEDO, LEVEL, NORMALS, SHADOW, SUN
+from robir_bench.population import (
     below_photo,
     capture_classes,
     distribution,
@@ -21,8 +23,6 @@ from robir.bench.population import (
     spread,
     verdicts,
 )
-from robir.bench.scores import ALBEDO, LEVEL, NORMALS, SHADOW, SUN
-from robir.errors import ConfigError
 
 SUNNY = {"ground": "ground", "paint": "plain", "metal": "metal", "tone": "Filmic", "sun": "sun"}
 DULL = SUNNY | {"ground": "none", "sun": "no sun"}

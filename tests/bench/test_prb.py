@@ -14,15 +14,15 @@ import torch
 from evaluation import sphere_run
 
 from robir import cli
-from robir.bench import prb, prb_scene
-from robir.bench.prb_fit import Observed, PrbConfig, PrbFit, photo_loss, smoothness
-from robir.bench.prb_scene import all_pixels
 from robir.capture.camera import Camera
 from robir.errors import DeviceError
-from robir.evaluation.light import load_light
-from robir.geometry.mesh import Mesh
+from robir.evaluation.light_scores import load_light
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 from robir.maths.tone import families
+from robir_bench.peers import prb, prb_scene
+from robir_bench.peers.prb_fit import Observed, PrbConfig, PrbFit, photo_loss, smoothness
+from robir_bench.peers.prb_scene import all_pixels
 
 SMALL = PrbConfig(steps=80, light_steps=0, batch=1024, texture_size=16, light_rows=16)
 

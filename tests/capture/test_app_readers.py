@@ -15,7 +15,7 @@ from capture.test_readers import assert_same, read
 from robir.capture.capture import Capture
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
-from robir.capture.reality_scan import rotation
+from robir.capture.readers.reality_scan import rotation
 from robir.capture.recognise import read_capture, read_frames
 
 NEWEST = (1, 2, 14)

@@ -15,7 +15,7 @@ from robir.capture.bounds import enclosing_sphere, sphere_from_masks
 from robir.capture.capture import View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame, Lens
-from robir.capture.masks import from_folder
+from robir.capture.masks.given import from_folder
 from robir.capture.recognise import read_capture
 from robir.errors import CaptureError
 

@@ -17,18 +17,18 @@ from scipy import ndimage
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.check import check_capture
-from robir.capture.config import CaptureConfig
-from robir.capture.coverage import check_coverage, upwards
-from robir.capture.exposure import check_settings, exposure_offsets
-from robir.capture.findings import check_place
-from robir.capture.moving_light import (
+from robir.capture.checks.coverage import check_coverage, upwards
+from robir.capture.checks.findings import check_place
+from robir.capture.checks.moving_light import (
     background_likeness,
     check_light,
     check_turntable,
     light_of_camera,
 )
-from robir.capture.sharpness import check_sharpness
-from robir.capture.sightings import sight
+from robir.capture.checks.sharpness import check_sharpness
+from robir.capture.checks.sightings import sight
+from robir.capture.checks.uneven_exposure import check_settings, exposure_offsets
+from robir.capture.config import CaptureConfig
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,11 @@ from PIL import Image
 from robir.capture.bounds import enclosing_sphere, sphere_from_points
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
+from robir.capture.checks.findings import check_masks, mask_share
 from robir.capture.config import CaptureConfig
-from robir.capture.crop import LEAST_SAVED, MARGIN, object_box
-from robir.capture.findings import check_masks, mask_share
 from robir.capture.frames import Distortion, Frame, Lens, posed_otherwise
-from robir.capture.reading import DrawnMask, read_view
+from robir.capture.images.crop import LEAST_SAVED, MARGIN, object_box
+from robir.capture.images.reading import DrawnMask, read_view
 from robir.capture.recognise import read_capture
 from robir.capture.store import load_capture, save_capture
 from robir.cli import main
@@ -69,7 +69,7 @@ def captures(tmp_path_factory) -> tuple[Capture, Capture]:
     write_small_object(folder)
     cut = read_capture(folder, None, CaptureConfig(max_side=200))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("robir.capture.reading.object_box", lambda mask: None)
+        patch.setattr("robir.capture.images.reading.object_box", lambda mask: None)
         whole = read_capture(folder, None, CaptureConfig(max_side=400))
     return cut, whole
 
@@ -135,7 +135,7 @@ def test_a_cut_picture_shows_what_the_whole_shows(lens, max_side, tmp_path, monk
     cut = read_view(frame, "train", mask, max_side)
     assert max(cut.view.mask.shape) <= min(max_side, 180)
     assert cut.overview.mask.shape == (144, 192)
-    monkeypatch.setattr("robir.capture.reading.object_box", lambda mask: None)
+    monkeypatch.setattr("robir.capture.images.reading.object_box", lambda mask: None)
     whole = read_view(frame, "train", mask, 640).view
     camera = cut.view.camera
     points = camera.position + 5.0 * camera.rays(camera.pixel_centres())[1]

@@ -15,7 +15,7 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion, Frame, Lens
-from robir.capture.images import (
+from robir.capture.images.loading import (
     fitted_mask,
     open_photo,
     read_mask,
@@ -97,8 +97,8 @@ def test_masks_of_a_preview_size_are_fitted():
 def test_large_pictures_are_shrunk_in_bands_to_the_same(shots, monkeypatch, size):
     image, mask = (np.ascontiguousarray(shots[0].rgba[:, :, part]) for part in (np.s_[:3], 3))
     at_once = shrink(image, mask, *size)
-    monkeypatch.setattr("robir.capture.images._AT_ONCE", 100)
-    monkeypatch.setattr("robir.capture.images._BAND", 7)
+    monkeypatch.setattr("robir.capture.images.loading._AT_ONCE", 100)
+    monkeypatch.setattr("robir.capture.images.loading._BAND", 7)
     for one, other in zip(at_once, shrink(image, mask, *size), strict=True):
         assert one.shape == other.shape
         assert np.abs(one.astype(int) - other).max() <= 1

@@ -10,7 +10,7 @@ import pytest
 
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
-from robir.poses import solve
+from robir.capture.poses import solve
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SMALL = CaptureConfig(max_side=96)

@@ -17,7 +17,7 @@ from robir.capture.capture import Bounds, Capture, View
 from robir.capture.store import save_capture
 from robir.evaluation.layers import view_layers
 from robir.evaluation.metrics import srgb_from_linear
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import STAGES, JobPaths, write_json
 
 CENTRE = np.array([0.3, -0.2, 0.5])

@@ -8,9 +8,9 @@ from PIL import Image
 
 from robir.errors import CaptureError, StorageError
 from robir.evaluation.evaluate import evaluate
-from robir.evaluation.light import load_light
+from robir.evaluation.light_scores import load_light
 from robir.evaluation.truth import load_truth
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 from robir.maths.vectors import equirect_solid_angles
 

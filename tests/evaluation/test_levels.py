@@ -14,7 +14,7 @@ from PIL import Image
 from robir.capture.store import load_capture, save_capture
 from robir.evaluation.level_table import level_lines
 from robir.evaluation.levels import LEVELS, level_scores
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 
 

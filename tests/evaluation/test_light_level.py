@@ -10,7 +10,7 @@ import pytest
 from evaluation import sphere_run
 
 from robir.evaluation.evaluate import evaluate
-from robir.evaluation.light import level_and_hue
+from robir.evaluation.light_scores import level_and_hue
 from robir.evaluation.truth import load_truth
 
 ROWS = 64

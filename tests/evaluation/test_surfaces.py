@@ -8,8 +8,8 @@ import trimesh
 from robir.capture.camera import Camera
 from robir.evaluation import surfaces
 from robir.evaluation.layers import view_layers
-from robir.geometry.atlas import sample_texture
-from robir.geometry.mesh import Mesh, vertex_normals
+from robir.geometry.mesh.atlas import sample_texture
+from robir.geometry.mesh.triangles import Mesh, vertex_normals
 
 
 def mesh_of(solid, uvs=None, uv_faces=None):

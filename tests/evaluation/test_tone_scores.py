@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from robir.evaluation.tone import CODES, stops_apart, tone_scores, true_curve
+from robir.evaluation.tone_scores import CODES, stops_apart, tone_scores, true_curve
 from robir.maths import tone
 
 

@@ -8,7 +8,7 @@ import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
 from robir.evaluation.warping import NEAREST, nearness, warped_views
-from robir.geometry.tracer import EmbreeTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 
 OFFSET = 1e-3
 

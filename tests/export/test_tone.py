@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from robir.export import tone as plotted
+from robir.export import tone_lut as plotted
 from robir.jobs.paths import JobPaths, write_json
 from robir.maths import tone
 

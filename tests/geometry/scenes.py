@@ -12,10 +12,10 @@ import trimesh
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
-from robir.geometry.ground import Ground
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
-from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
 
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 import trimesh
 
-from robir.geometry.backdrop import BINS, Backdrop, common_colour, ground_palette, hues_held
-from robir.geometry.ground import Ground
+from robir.geometry.ground.backdrop import BINS, Backdrop, common_colour, ground_palette, hues_held
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
-from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
 from tests.geometry.scenes import capture_of, checker, disc
 

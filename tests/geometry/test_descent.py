@@ -6,11 +6,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from robir.geometry import descent
 from robir.geometry.config import GeometryConfig
-from robir.geometry.descent import Descent, agreement
-from robir.geometry.field import Field
-from robir.geometry.fit import fit
+from robir.geometry.fit import descent
+from robir.geometry.fit.descent import Descent, agreement
+from robir.geometry.fit.field import Field
+from robir.geometry.fit.optimise import fit
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import RaySampler
 

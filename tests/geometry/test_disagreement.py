@@ -15,15 +15,15 @@ from scipy.ndimage import binary_opening
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture
-from robir.capture.exposure import exposure_offsets
-from robir.capture.sightings import sight
+from robir.capture.checks.sightings import sight
+from robir.capture.checks.uneven_exposure import exposure_offsets
 from robir.geometry import stage
-from robir.geometry.backdrop import Backdrop, pixel_noise
 from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
-from robir.geometry.ground import Ground
+from robir.geometry.ground.backdrop import Backdrop, pixel_noise
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
-from robir.geometry.plane import detect
 from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, checker, disc, drum

@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from robir.geometry.facets import find_facets, flattened
-from robir.geometry.filtering import face_geometry, taubin
 from robir.geometry.lattice import Lattice
-from robir.geometry.mesh import Mesh
-from robir.geometry.surface import extract
+from robir.geometry.mesh.facets import find_facets, flattened
+from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.smoothing import face_geometry, taubin
+from robir.geometry.mesh.triangles import Mesh
 
 TURN = torch.tensor(Rotation.from_euler("xyz", [0.3, 0.5, 0.2]).as_matrix()).float()
 LATTICE = Lattice.around(np.full(3, -0.75), np.full(3, 0.75), 64)

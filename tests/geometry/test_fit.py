@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from robir.geometry import fit
-from robir.geometry.field import ColourNetwork
+from robir.geometry.fit import optimise as fit
+from robir.geometry.fit.field import ColourNetwork
+from robir.geometry.fit.regularise import smoothed
+from robir.geometry.fit.sampling import Occupancy, march
 from robir.geometry.lattice import Lattice
-from robir.geometry.regularise import smoothed
-from robir.geometry.sampling import Occupancy, march
 from robir.maths.adam import Adam
 
 

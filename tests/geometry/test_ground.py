@@ -9,8 +9,8 @@ import numpy as np
 import torch
 import trimesh
 
-from robir.geometry.backdrop import Backdrop
-from robir.geometry.ground import HIGHEST
+from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.flatten import HIGHEST
 from tests.geometry.scenes import disc, drum, ground_of
 
 TOP = -0.3

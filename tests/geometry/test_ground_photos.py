@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from robir.geometry import stage
-from robir.geometry.backdrop import Backdrop
 from robir.geometry.config import GeometryConfig
-from robir.geometry.ground import Ground
+from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.flatten import Ground
 from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.stage import GROUND_SIDE, ground_photos, reconstruct
 from tests.geometry.scenes import ball, capture_of, disc, drum

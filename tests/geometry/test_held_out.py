@@ -12,9 +12,10 @@ import trimesh
 from geometry.scenes import capture_of
 
 from robir.capture.store import save_capture
-from robir.geometry import held_out, stage
+from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
-from robir.geometry.held_out import field_view
+from robir.geometry.fit import held_out
+from robir.geometry.fit.held_out import field_view
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 

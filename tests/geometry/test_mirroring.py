@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from robir.capture.camera import Camera
-from robir.geometry.field import Field
+from robir.geometry.fit.field import Field
+from robir.geometry.fit.mirror_pits import MIRRORING, Mirroring, change_with_view
 from robir.geometry.lattice import Lattice
-from robir.geometry.mirroring import MIRRORING, Mirroring, change_with_view
 from robir.maths.vectors import fibonacci_sphere
 
 LATTICE = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.05, shape=(41, 41, 41))

@@ -16,17 +16,17 @@ from scipy.spatial.transform import Rotation
 from robir.capture.capture import Capture
 from robir.capture.store import load_settled, save_capture, save_turned
 from robir.errors import StorageError
-from robir.geometry.alignment import Alignment, image_motion_of_turns, turned
 from robir.geometry.config import GeometryConfig
-from robir.geometry.mesh import Mesh
-from robir.geometry.pose_trial import (
+from robir.geometry.fit.alignment import Alignment, image_motion_of_turns, turned
+from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.pose_trial import (
     LAST_STEP,
     MOST_ROUNDS,
     TRIAL_STEP,
     CamerasChangedError,
     PoseTrial,
 )
-from robir.geometry.preview import Renderer
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.jobs.paths import JobPaths

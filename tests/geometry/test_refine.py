@@ -14,12 +14,14 @@ from geometry.test_stereo import RADIUS, grain, plain
 
 from robir.errors import ConfigError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.field import Field
+from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Lattice
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.config import RefineConfig
-from robir.geometry.refine.consistency import (
+from robir.geometry.refine.correlation import (
     Patches,
     agreement,
     correlations,
@@ -32,8 +34,6 @@ from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.rival import BENT, Rival, bending
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import EmbreeTracer
 
 SIDE = 128
 CONFIG = RefineConfig(image_sides=(SIDE,), most_vertices=12000)

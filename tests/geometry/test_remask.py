@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation
 
 from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Bounds, Capture, Finding, View
 from robir.capture.store import load_settled, save_capture, save_masks
+from robir.capture.support import Plane
 from robir.errors import StorageError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import CLEARANCE, HullCarver, object_hull
@@ -21,7 +22,6 @@ from robir.geometry.rays import reduce_view
 from robir.geometry.remask import remasked
 from robir.geometry.stereo.config import StereoConfig
 from robir.jobs.paths import JobPaths
-from robir.masking.support import Plane
 
 CONFIG = GeometryConfig(hull_cells=48, stereo=StereoConfig(image_side=160, cells=80))
 TABLE = Plane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0, tolerance=0.01)

@@ -12,6 +12,7 @@ from geometry.scenes import ball, camera_at, capture_of
 
 from robir.errors import ConfigError
 from robir.geometry.lattice import Lattice
+from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import reduce_view
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse, points_at
@@ -27,7 +28,6 @@ from robir.geometry.stereo.sweep import (
     seen_through_planes,
     sweep,
 )
-from robir.geometry.surface import extract
 
 RADIUS = 0.6
 CONFIG = StereoConfig(image_side=96, cells=48)

@@ -13,16 +13,16 @@ from scipy.ndimage import binary_erosion
 
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.filtering import taubin
-from robir.geometry.ground import Ground
+from robir.geometry.fit.sampling import Occupancy, march
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
-from robir.geometry.plane import detect
+from robir.geometry.mesh.isosurface import extract, plain_mesh
+from robir.geometry.mesh.simplify import decimate, fill_holes, is_closed
+from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.sampling import Occupancy, march
-from robir.geometry.simplify import decimate, fill_holes, is_closed
 from robir.geometry.stage import reconstruct
-from robir.geometry.surface import extract, plain_mesh
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 

@@ -11,10 +11,10 @@ import pytest
 import torch
 import trimesh
 
-from robir.geometry.ground import Ground
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.terraces import terraces
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
-from robir.geometry.terraces import terraces
 from tests.geometry.scenes import disc, ground_of
 
 TOP = -0.3

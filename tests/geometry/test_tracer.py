@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from transport.shapes import mesh_of, patch
 
-from robir.geometry.torch_tracer import LEAF_SIZE, TorchTracer, _halved
-from robir.geometry.tracer import EmbreeTracer, make_tracer
+from robir.geometry.mesh.torch_tracer import LEAF_SIZE, TorchTracer, _halved
+from robir.geometry.mesh.tracer import EmbreeTracer, make_tracer
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 
@@ -85,7 +85,7 @@ def test_blocked_up_to_a_reach(device):
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_axis_aligned_rays_and_many_chunks(device, monkeypatch):
-    monkeypatch.setattr("robir.geometry.torch_tracer.CHUNK_CPU", 1000)
+    monkeypatch.setattr("robir.geometry.mesh.torch_tracer.CHUNK_CPU", 1000)
     vertices, faces = soup(200, 5)
     origins, _ = rays(3001, 6)
     directions = np.eye(3, dtype=np.float32)[np.arange(3001) % 3]

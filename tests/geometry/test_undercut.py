@@ -11,13 +11,13 @@ import torch
 import trimesh
 
 from robir.geometry import stage
-from robir.geometry.backdrop import Backdrop
 from robir.geometry.config import GeometryConfig
+from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.pixel_rays import pixels_of
+from robir.geometry.ground.undercut import undercut
 from robir.geometry.lattice import Lattice
-from robir.geometry.pixel_rays import pixels_of
 from robir.geometry.stage import reconstruct
 from robir.geometry.stereo.config import StereoConfig
-from robir.geometry.undercut import undercut
 from tests.geometry.scenes import camera_at, capture_of, disc, drum, ground_of
 
 TOP = -0.3

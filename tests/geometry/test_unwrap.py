@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from robir.errors import StorageError
-from robir.geometry import unwrap
-from robir.geometry.mesh import Mesh
-from robir.geometry.simplify import with_creases
-from robir.geometry.surface import plain_mesh
+from robir.geometry.mesh import unwrap
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.simplify import with_creases
+from robir.geometry.mesh.triangles import Mesh
 
 
 def ball(subdivisions: int = 3) -> Mesh:

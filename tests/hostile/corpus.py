@@ -18,7 +18,6 @@ from hostile.mutants import FORMATS, Mutant, corpus, write_wholes
 from hostile.sandbox import Outcome, tried
 
 from robir import cli
-from robir.capture import unmasked  # noqa: F401  what is loaded before is shared by all
 from robir.pipeline.inputs import capture_fingerprint
 
 TAKEN, REFUSED = 0, 3

@@ -31,7 +31,7 @@ from robir.specimen import write_specimen
 CODES = (0, 1, 2, 3, 4, 5)
 """Every end that a command may come to by itself."""
 
-UNWRAP = "robir.geometry.charts"
+UNWRAP = "robir.geometry.mesh.charts"
 """The one program that these stages start: this Python, for charts of the texture."""
 
 

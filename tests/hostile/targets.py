@@ -16,9 +16,9 @@ from capture.scene import cameras, shoot
 from PIL import Image
 
 from robir.capture.arrays import stored_arrays
-from robir.capture.decode import exif_values, opened, orientation
-from robir.capture.frame_checks import check_frames
-from robir.capture.images import read_mask
+from robir.capture.checks.frame_checks import check_frames
+from robir.capture.images.decode import exif_values, opened, orientation
+from robir.capture.images.loading import read_mask
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError

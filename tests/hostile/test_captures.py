@@ -22,7 +22,7 @@ from PIL import Image
 from robir import cli
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
-from robir.capture.decode import exif_values, header
+from robir.capture.images.decode import exif_values, header
 from robir.capture.recognise import read_frames
 from robir.errors import CaptureError
 from robir.pipeline.inputs import capture_fingerprint
@@ -329,7 +329,7 @@ def test_lenses_that_no_camera_has(studio, lens):
 
 def test_a_film_that_is_a_list_of_other_files(tmp_path):
     pytest.importorskip("av")
-    from robir.poses.video import take_frames
+    from robir.capture.poses.video import take_frames
 
     film = tmp_path / "film.mp4"
     for content in (b"#EXTM3U\n#EXTINF:5,\n/etc/passwd\n#EXT-X-ENDLIST\n", b"ffconcat version 1.0"):
@@ -347,7 +347,7 @@ def test_nothing_but_robir_runs_a_program_for_check(synthetic, tmp_path):
     program = f"""
 import sys
 from robir import cli
-import robir.capture.check, robir.capture.unmasked, PIL.Image
+import robir.capture.check, robir.capture.masks.unmasked, PIL.Image
 PIL.Image.init()
 def hook(event, arguments):
     if event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork"):

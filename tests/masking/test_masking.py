@@ -15,15 +15,15 @@ from robir.capture.capture import Finding
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
+from robir.capture.masks.finish import sharpened
+from robir.capture.masks.matching import features, triangulated
+from robir.capture.masks.region import find_region, focus, region_of_box
+from robir.capture.masks.soft_hull import Volume
+from robir.capture.masks.table_disc import disc_about, disc_picture
+from robir.capture.masks.walker import walk
 from robir.capture.recognise import read_capture
+from robir.capture.support import Plane, support_plane
 from robir.errors import CaptureError, ConfigError
-from robir.masking.finish import sharpened
-from robir.masking.ground import disc_about, disc_picture
-from robir.masking.matching import features, triangulated
-from robir.masking.region import find_region, focus, region_of_box
-from robir.masking.support import Plane, support_plane
-from robir.masking.volume import Volume
-from robir.masking.walker import walk
 
 SMALL = CaptureConfig(max_side=160)
 BENT = Distortion(radial=(-0.12, 0.03, 0.0, 0.0))

@@ -11,11 +11,11 @@ import torch
 
 from robir.maths.spherical_gaussian import integral
 from robir.maths.tone import AcesToneCurve
-from robir.paper import losses
-from robir.paper.config import PaperConfig, published, published_truck, shrunken
-from robir.paper.light import EnvironmentLight
-from robir.paper.networks import MaterialNetwork
-from robir.paper.tone import AcesTone, SrgbTone, gamma_of
+from robir_bench.paper import losses
+from robir_bench.paper.config import PaperConfig, published, published_truck, shrunken
+from robir_bench.paper.light import EnvironmentLight
+from robir_bench.paper.networks import MaterialNetwork
+from robir_bench.paper.tone import AcesTone, SrgbTone, gamma_of
 
 
 def coin_divergence(p: float, q: float) -> float:

@@ -13,18 +13,24 @@ import torch
 from evaluation import sphere_run
 
 from robir import cli
-from robir.bench.published import reconstruct_published
 from robir.config import resolve
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.spherical_gaussian import SphericalGaussians
 from robir.maths.vectors import fibonacci_sphere
-from robir.paper.appearance import Fitter, Sky
-from robir.paper.config import NeusConfig, NormalsConfig, PaperConfig, VisibilityConfig, shrunken
-from robir.paper.networks import NormalNetwork
-from robir.paper.tone import SrgbTone
-from robir.paper.transport import Hits, TransportNetworks, fit_normals, incident
 from robir.presets import PRESETS
+from robir_bench.paper.appearance import Fitter, Sky
+from robir_bench.paper.config import (
+    NeusConfig,
+    NormalsConfig,
+    PaperConfig,
+    VisibilityConfig,
+    shrunken,
+)
+from robir_bench.paper.method import reconstruct_published
+from robir_bench.paper.networks import NormalNetwork
+from robir_bench.paper.tone import SrgbTone
+from robir_bench.paper.transport import Hits, TransportNetworks, fit_normals, incident
 
 
 def tiny() -> PaperConfig:

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from robir.maths.vectors import fibonacci_sphere
-from robir.paper.networks import (
+from robir_bench.paper.networks import (
     IndirectNetwork,
     MaterialNetwork,
     NormalNetwork,

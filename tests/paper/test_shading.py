@@ -10,7 +10,7 @@ import torch
 
 from robir.maths.spherical_gaussian import SphericalGaussians, lobe_shapes
 from robir.maths.vectors import dot, fibonacci_sphere, normalise
-from robir.paper import shading
+from robir_bench.paper import shading
 
 DIRECTIONS = fibonacci_sphere(200_000, dtype=torch.float64)
 SOLID_ANGLE = 4.0 * math.pi / len(DIRECTIONS)

@@ -11,10 +11,10 @@ import torch
 
 from robir.geometry.lattice import Lattice
 from robir.maths.vectors import dot, fibonacci_sphere
-from robir.paper import neus
-from robir.paper.config import NeusConfig
-from robir.paper.tracer import FieldTracer
-from robir.paper.transport import Hits, secondary_distances
+from robir_bench.paper import neus
+from robir_bench.paper.config import NeusConfig
+from robir_bench.paper.tracer import FieldTracer
+from robir_bench.paper.transport import Hits, secondary_distances
 
 SMALL = torch.tensor([0.0, 0.0, 0.62])
 RADII = (0.4, 0.15)

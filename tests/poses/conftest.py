@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from poses.room import COUNT, Registered, Walk, photograph, ring
 
-from robir.poses.register import register
+from robir.capture.poses.register import register
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,8 @@ from masking import scene
 from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Bounds, Capture, View
-from robir.poses.adjustment import adjust, lead, with_adjusted_cameras
-from robir.poses.bundle import Bundle, Tracks, _derivatives, adjusted
+from robir.capture.poses.adjustment import adjust, lead, with_adjusted_cameras
+from robir.capture.poses.bundle import Bundle, Tracks, _derivatives, adjusted
 
 VIEWS, POINTS = 12, 80
 

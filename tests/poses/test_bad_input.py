@@ -15,10 +15,10 @@ from robir import cli
 from robir.capture.camera import Camera
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
+from robir.capture.poses import solve
+from robir.capture.poses.prepare import FEATURE_SIDE, prepare
+from robir.capture.poses.register import register
 from robir.capture.refusal import CaptureRefusedError
-from robir.poses import solve
-from robir.poses.prepare import FEATURE_SIDE, prepare
-from robir.poses.register import register
 
 
 def refusal_of(folder: Path, work: Path) -> CaptureRefusedError:

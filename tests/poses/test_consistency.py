@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robir.poses import register
-from robir.poses.consistency import Verdict, forget, hold_against_links
-from robir.poses.diagnose import Links, _strangers, look_alikes
-from robir.poses.prepare import Prepared
-from robir.poses.solve import Workplace
+from robir.capture.poses import register
+from robir.capture.poses.ambiguity import Verdict, forget, hold_against_links
+from robir.capture.poses.diagnose import Links, _strangers, look_alikes
+from robir.capture.poses.prepare import Prepared
+from robir.capture.poses.solve import Workplace
 
 pytestmark = pytest.mark.pycolmap
 

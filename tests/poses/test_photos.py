@@ -11,14 +11,14 @@ from PIL import Image
 from poses.room import photograph, ring
 from scipy import ndimage
 
-from robir.capture.decode import exif_values, opened, orientation, upright
-from robir.capture.images import Photo, open_photo
+from robir.capture.images.decode import exif_values, opened, orientation, upright
+from robir.capture.images.loading import Photo, open_photo
+from robir.capture.poses.pairs import all_pairs, sequence_pairs
+from robir.capture.poses.photos import find_photographs, lens_of
+from robir.capture.poses.prepare import prepare
+from robir.capture.poses.video import FRAMES, sharpness, take_frames
 from robir.capture.refusal import CaptureRefusedError
 from robir.pipeline.inputs import capture_fingerprint
-from robir.poses.pairs import all_pairs, sequence_pairs
-from robir.poses.photos import find_photographs, lens_of
-from robir.poses.prepare import prepare
-from robir.poses.video import FRAMES, sharpness, take_frames
 
 
 def unheard(share: float, text: str) -> None:

@@ -14,9 +14,9 @@ from PIL import Image
 from poses.room import COUNT, TARGET, Registered, Walk, align, photograph, ring
 
 from robir.capture.config import CaptureConfig
+from robir.capture.poses.register import register
 from robir.capture.recognise import Workshop, read_capture
 from robir.errors import CancelledError
-from robir.poses.register import register
 
 pytestmark = pytest.mark.pycolmap
 
@@ -96,7 +96,7 @@ def test_a_capture_comes_out_of_it(walk: Walk, registered: Registered):
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
-from robir.poses.register import register
+from robir.capture.poses.register import register
 
 def tell(share, text):
     if text.startswith("looking for matches") and "of pair 1 " not in text:

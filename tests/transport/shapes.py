@@ -7,7 +7,7 @@ import numpy as np
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 
 
 def mesh_of(*parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Mesh:

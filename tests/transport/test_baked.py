@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
 from robir.errors import StorageError
-from robir.geometry.mesh import Mesh
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import make_tracer
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport, bake
 from robir.transport.config import TransportConfig
 from robir.transport.surfels import Surfels, interpolate, sample_surfels

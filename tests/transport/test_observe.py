@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.capture.images import resize_view
-from robir.geometry.tracer import EmbreeTracer
+from robir.capture.images.loading import resize_view
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.transport.observe import MIN_COSINE, observe, spread_views
 
 PLATE_HEIGHT, PLATE_HALF = 0.4, 0.25

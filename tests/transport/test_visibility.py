@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from transport.shapes import mesh_of, patch
 
-from robir.geometry.tracer import EmbreeTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.surfels import Surfels
 from robir.transport.visibility import lobe_directions, lobe_transfer, trace_visibility

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light import soft_transfer
-from robir.appearance.problem import Problem, blocks_of
-from robir.appearance.solver import Light, fit
-from robir.appearance.tone_choice import pair_errors
+from robir.appearance.light.lobes import soft_transfer
+from robir.appearance.light.problem import Problem, blocks_of
+from robir.appearance.light.solver import Light, fit
+from robir.appearance.tone.choose import pair_errors
 from robir.jobs.choice import Choice
 
 BOUNCED_QUANTILE = 0.99

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from robir.appearance import other_light
-from robir.appearance.display_power import POWERS, PowerChoice
-from robir.appearance.exposure import Gains
-from robir.appearance.gains import LEAST_STEPS
-from robir.appearance.solver import Light
-from robir.appearance.tone_choice import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
+from robir.appearance.light.solver import Light
+from robir.appearance.photometry import other_light
+from robir.appearance.photometry.exposure import Gains
+from robir.appearance.photometry.gains import LEAST_STEPS
+from robir.appearance.tone.choose import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
+from robir.appearance.tone.display_power import POWERS, PowerChoice
 from robir.jobs.choice import Choice
 
 GREY, BY_MEAN, BY_HIGHLIGHTS = (

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.gloss import Gloss, specular_towards
-from robir.appearance.problem import Problem
-from robir.appearance.solver import Light
-from robir.appearance.texture import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss, specular_towards
+from robir.appearance.texture.albedo import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import AbstractTracer
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.transport.observe import MASK_INSIDE, off_axis_codes
 from robir.transport.surfels import interpolate
 

@@ -12,33 +12,34 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.detail import finer
-from robir.appearance.exposure import Gains, compare_photographs
-from robir.appearance.gloss import Gloss, estimate_gloss
-from robir.appearance.light import lobes_of
-from robir.appearance.light_hue import hue_by_highlights
-from robir.appearance.light_level import level_by_highlights
-from robir.appearance.mirrored_sky import sky_by_metal
+from robir.appearance.evidence.hue import hue_by_highlights
+from robir.appearance.evidence.level import level_by_highlights
+from robir.appearance.evidence.mirrored_sky import sky_by_metal
+from robir.appearance.light.lobes import lobes_of
+from robir.appearance.light.problem import Problem, make_scene
+from robir.appearance.light.solver import Light, polish, refit
+from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.model_size import SizedModel, smallest_model
-from robir.appearance.problem import Problem, make_scene
+from robir.appearance.photometry.exposure import Gains, compare_photographs
 from robir.appearance.proof import EVERY, Proof
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views, view_errors
-from robir.appearance.shading_normals import shading_normals
-from robir.appearance.solver import Light, polish, refit
-from robir.appearance.texel_size import pixel_width, solved_side, texture_side
-from robir.appearance.texture import TexelAlbedo, Texels, texel_albedo
-from robir.appearance.tone_choice import ToneChoice, choose_tone_curve
+from robir.appearance.texture.albedo import TexelAlbedo, Texels, texel_albedo
+from robir.appearance.texture.detail import finer
+from robir.appearance.texture.shading_normals import shading_normals
+from robir.appearance.texture.texel_size import pixel_width, solved_side, texture_side
+from robir.appearance.tone.choose import ToneChoice, choose_tone_curve
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
-from robir.capture.images import resize_view
-from robir.capture.nerf_synthetic import is_by_camera
-from robir.capture.preview import save_preview
+from robir.capture.images.loading import resize_view
+from robir.capture.images.preview import save_preview
+from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import AbstractTracer, make_tracer
-from robir.geometry.unwrap import rasterise_atlas
+from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import Transport

@@ -13,8 +13,8 @@ from numpy.lib import format as numpy_format
 from numpy.typing import NDArray
 
 from robir.capture.frames import Array
+from robir.capture.images.regular import regular
 from robir.capture.refusal import DAMAGED_ARRAYS
-from robir.capture.regular import regular
 from robir.errors import StorageError
 
 MAX_STORED_BYTES = 1 << 32

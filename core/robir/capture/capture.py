@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
-from robir.masking.support import Plane
+from robir.capture.support import Plane
 
 Split = Literal["train", "held_out"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from robir.capture.capture import Capture, Finding
 from robir.capture.config import CaptureConfig
-from robir.capture.frames import FrameSet
+from robir.capture.frames import FrameSet, PosedRefusedError
 from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import CaptureRefusedError
 from robir.capture.views import Progress, unheard
@@ -34,7 +34,8 @@ def check_capture(
             workshop = Workshop(folder=Path(folder), seed=0)
             capture = read_capture(source, masks, config, progress, workshop)
     except CaptureRefusedError as refusal:
-        return None, _sorted(refusal.findings), refusal.frames
+        posed = refusal.frames if isinstance(refusal, PosedRefusedError) else None
+        return None, _sorted(refusal.findings), posed
     return capture, _sorted(capture.findings), None
 
 

@@ -16,6 +16,7 @@ polynomial that is the model of Kannala and Brandt, which OpenCV and COLMAP call
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -25,11 +26,23 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Finding
-from robir.capture.decode import HEIF_SUFFIXES, RAW_SUFFIXES
-from robir.capture.refusal import refuse
+from robir.capture.refusal import CaptureRefusedError, refuse
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
 
 Array = NDArray[np.float64]
+
+HEIF_SUFFIXES = (".heic", ".heif")
+"""Photographs of phones, decoded by pillow-heif."""
+
+RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2")
+"""Sensor data of cameras, developed by rawpy."""
+
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"),
+    *HEIF_SUFFIXES,
+    *RAW_SUFFIXES,
+)
+"""Kinds of photographs that are read."""
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse."""
@@ -279,6 +292,19 @@ def rigid(pose: Array) -> Array:
     return result
 
 
+class PosedRefusedError(CaptureRefusedError):
+    """The capture cannot be reconstructed, though its photographs are posed.
+
+    Attributes:
+        frames: The posed photographs, in which a user may look for the fault.
+    """
+
+    def __init__(self, findings: Iterable[Finding], frames: FrameSet) -> None:
+        """Make the message from the errors among the findings."""
+        super().__init__(findings)
+        self.frames = frames
+
+
 def posed_otherwise(camera: Camera, frame: Frame) -> Camera:
     """The camera of a photograph, cut and reduced as it is, with the pose another frame states."""
     size = (max(1, round(side)) for side in camera.whole_size)
@@ -333,11 +359,3 @@ def _check_name(name: str, relative: str) -> None:
 
 def _has_image_suffix(name: str) -> bool:
     return name.lower().endswith(IMAGE_SUFFIXES)
-
-
-IMAGE_SUFFIXES = (
-    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"),
-    *HEIF_SUFFIXES,
-    *RAW_SUFFIXES,
-)
-"""Kinds of photographs that are read."""

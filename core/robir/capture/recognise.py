@@ -10,7 +10,23 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from robir.capture import (
+from robir.capture.capture import Capture, Finding, Split
+from robir.capture.checks.coverage import check_coverage
+from robir.capture.checks.findings import check_masks, check_photographs, check_place
+from robir.capture.checks.frame_checks import check_count, check_frames
+from robir.capture.checks.moving_light import check_light, check_turntable
+from robir.capture.checks.place import place_object
+from robir.capture.checks.shapes import check_shapes
+from robir.capture.checks.sharpness import check_sharpness
+from robir.capture.checks.uneven_exposure import check_settings
+from robir.capture.config import CaptureConfig
+from robir.capture.frames import Frame, FrameSet, PosedRefusedError
+from robir.capture.images.decode import may_hold_alpha
+from robir.capture.masks import given as mask_files
+from robir.capture.poses import solve
+from robir.capture.poses.photos import find_photographs
+from robir.capture.poses.register import is_video, register
+from robir.capture.readers import (
     colmap,
     llff,
     meshroom,
@@ -22,27 +38,11 @@ from robir.capture import (
     reality_scan,
     transforms,
 )
-from robir.capture import masks as mask_files
-from robir.capture.capture import Capture, Finding, Split
-from robir.capture.config import CaptureConfig
-from robir.capture.coverage import check_coverage
-from robir.capture.decode import may_hold_alpha
-from robir.capture.exposure import check_settings
-from robir.capture.files import children
-from robir.capture.findings import check_masks, check_photographs, check_place
-from robir.capture.frame_checks import check_count, check_frames
-from robir.capture.frames import Frame, FrameSet
-from robir.capture.left_out import without_left_out
-from robir.capture.moving_light import check_light, check_turntable
-from robir.capture.place import place_object
+from robir.capture.readers.files import children
+from robir.capture.readers.left_out import without_left_out
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
-from robir.capture.shapes import check_shapes
-from robir.capture.sharpness import check_sharpness
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
-from robir.poses import solve
-from robir.poses.photos import find_photographs
-from robir.poses.register import is_video, register
 
 _READING = 0.8
 """Share of the progress that reading the photographs takes."""
@@ -260,7 +260,7 @@ def read_capture(
 
     Raises:
         CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
-            hold everything that was noticed until then, and its frames the poses if they are sound.
+            hold everything that was noticed until then, a `PosedRefusedError` if poses are sound.
     """
     if workshop is not None and solve.is_available() and _lacks_poses(source):
         photographs = find_photographs(source) if source.is_dir() else []
@@ -278,8 +278,7 @@ def read_capture(
     try:
         return _read_posed(source, (frames, findings), masks, (config, guesses), progress)
     except CaptureRefusedError as refusal:
-        refusal.frames = frames
-        raise
+        raise PosedRefusedError(refusal.findings, frames) from None
 
 
 def _read_posed(
@@ -352,7 +351,9 @@ def _load_masked(
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
         return loaded, findings
-    from robir.capture.unmasked import with_guessed_masks  # OpenCV, which most captures need not
+    from robir.capture.masks.unmasked import (
+        with_guessed_masks,  # OpenCV, which most captures need not
+    )
 
     loaded, about = with_guessed_masks(
         frames,

@@ -7,13 +7,10 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robir.capture.capture import Finding
 from robir.errors import CaptureError
-
-if TYPE_CHECKING:
-    from robir.capture.frames import FrameSet
 
 MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
@@ -42,10 +39,7 @@ class CaptureRefusedError(CaptureError):
 
     Attributes:
         findings: All findings so far, notes and warnings included.
-        frames: The posed photographs, where the fault is not theirs; else None.
     """
-
-    frames: FrameSet | None = None
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         """Make the message from the errors among the findings."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from robir.capture.checks.findings import clipped_share, mask_share
 from robir.capture.config import CaptureConfig
-from robir.capture.findings import clipped_share, mask_share
+from robir.capture.poses.adjustment import with_adjusted_cameras
 from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
-from robir.poses.adjustment import with_adjusted_cameras
 
 REVISION = 3
 """Raised by hand when the results of this stage change."""

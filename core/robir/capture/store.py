@@ -14,11 +14,11 @@ from PIL import Image
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, Finding, View
+from robir.capture.support import Plane
 from robir.errors import StorageError
 from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
-from robir.masking.support import Plane
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
 """What reading a damaged file of the stage raises."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
-from robir.capture.decode import stored_size
 from robir.capture.frames import Frame
-from robir.capture.reading import MaskSource, read_view
+from robir.capture.images.decode import stored_size
+from robir.capture.images.reading import MaskSource, read_view
 from robir.capture.refusal import CaptureRefusedError, note, refuse
-from robir.masking.support import Plane
+from robir.capture.support import Plane
 
 HARMLESS_PIXELS = 16_000_000
 """A photograph of so many pixels is decoded in a second, whatever the others have."""

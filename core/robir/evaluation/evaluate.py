@@ -24,12 +24,12 @@ from robir.evaluation.layers import (
     stored_mesh,
     view_layers,
 )
-from robir.evaluation.light import light_scores, load_light
+from robir.evaluation.light_scores import light_scores, load_light
 from robir.evaluation.relighting import relight_scores
 from robir.evaluation.sheet import save_sheet, truth_sheet
-from robir.evaluation.tone import tone_scores
+from robir.evaluation.tone_scores import tone_scores
 from robir.evaluation.truth import TrueView, Truth, load_truth
-from robir.geometry.mesh import Mesh, vertex_normals
+from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths
 
 Array = NDArray[np.floating[Any]]

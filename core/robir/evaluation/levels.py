@@ -23,7 +23,7 @@ from PIL import Image
 
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture, View
-from robir.capture.images import resize_view
+from robir.capture.images.loading import resize_view
 from robir.capture.store import load_settled
 from robir.errors import RobirError
 from robir.evaluation import metrics
@@ -33,9 +33,9 @@ from robir.evaluation.sheet import cut, over_grey, save_sheet, window
 from robir.evaluation.warping import warped_views
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import carve, hull_of
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
-from robir.geometry.surface import extract
 from robir.jobs.paths import JobPaths
 from robir.transport.config import TransportConfig
 from robir.transport.observe import MASK_INSIDE, spread_views

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.capture.camera import Camera
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import make_tracer
+from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.triangles import Mesh
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]

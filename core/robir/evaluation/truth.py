@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from robir.capture.camera import Camera
-from robir.capture.decode import MAX_FILE_BYTES
-from robir.capture.regular import regular
+from robir.capture.images.decode import MAX_FILE_BYTES
+from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_power import DISPLAY_POWER

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.evaluation.surfaces import MeshCaster
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.transport.observe import Observations, observe
 
 Floats = NDArray[np.float32]

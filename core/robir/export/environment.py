@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.evaluation.light import RecoveredLight, load_light
+from robir.evaluation.light_scores import RecoveredLight, load_light
 from robir.export.textures import write_exr
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths import spherical_gaussian as sg

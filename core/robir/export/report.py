@@ -21,7 +21,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
-from robir.evaluation.light import RecoveredLight
+from robir.evaluation.light_scores import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
 from robir.evaluation.sheet import (
     MAX_SIDE,
@@ -33,7 +33,7 @@ from robir.evaluation.sheet import (
 )
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.trust import quality
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
 Array = NDArray[np.floating[Any]]

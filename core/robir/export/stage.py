@@ -20,8 +20,8 @@ from robir.export.environment import export_light
 from robir.export.gltf import write_glb
 from robir.export.report import Products, Rendering, write_report
 from robir.export.textures import finished_textures, write_textures
-from robir.export.tone import export_tone_curve
-from robir.geometry.mesh import Mesh
+from robir.export.tone_lut import export_tone_curve
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, write_json
 from robir.transport.observe import spread_views

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture, View
-from robir.capture.findings import clipped_share
-from robir.capture.images import resize_view
-from robir.capture.nerf_synthetic import is_by_camera
+from robir.capture.checks.findings import clipped_share
+from robir.capture.images.loading import resize_view
+from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.evaluation.surfaces import MeshCaster, intersection_over_union
 from robir.geometry.hull import mask_distance
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.transport.observe import spread_views
 
 Array = NDArray[np.floating[Any]]

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from robir.capture.capture import Capture, View
-from robir.capture.exposure import uneven_exposures
-from robir.capture.sightings import POWER, sight
+from robir.capture.checks.sightings import POWER, sight
+from robir.capture.checks.uneven_exposure import uneven_exposures
 
 
 def evened(capture: Capture) -> Capture:

@@ -14,11 +14,11 @@ from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture
+from robir.capture.masks.guess import DISSENT
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, resample
 from robir.geometry.rays import Photo
-from robir.masking.guess import DISSENT
 from robir.maths.vectors import farthest_points
 
 CLEARANCE = 0.015

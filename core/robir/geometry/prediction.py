@@ -15,10 +15,10 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
-from robir.geometry.mesh import Mesh
+from robir.capture.images.opencv import cv2
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-from robir.geometry.tracer import EmbreeTracer
-from robir.masking.opencv import cv2
 from robir.maths.vectors import farthest_points
 
 JUDGES = 12

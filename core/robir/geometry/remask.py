@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture, View
+from robir.capture.masks.finish import sharpened
+from robir.capture.masks.guess import SIDE
+from robir.capture.masks.recut import recut
+from robir.capture.masks.sight import reduced
 from robir.geometry.config import GeometryConfig
-from robir.geometry.field import Field
+from robir.geometry.fit.field import Field
 from robir.geometry.hull import mask_distance, object_hull
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.rays import reduce_view
 from robir.geometry.rival import smooth_surface
 from robir.geometry.stereo.fusion import entry_depth
 from robir.geometry.stereo.surface import stereo_surface
-from robir.geometry.tracer import EmbreeTracer
-from robir.masking.finish import sharpened
-from robir.masking.guess import SIDE
-from robir.masking.recut import recut
-from robir.masking.sight import reduced
 
 COARSENESS = 0.64
 """Size of the photographs and of the lattice for these surfaces, as a share of the final ones."""

@@ -17,20 +17,20 @@ import numpy as np
 from torch import Tensor
 
 from robir.capture.capture import View
-from robir.geometry.clean import largest_pieces
 from robir.geometry.config import GeometryConfig
-from robir.geometry.facets import flattened
-from robir.geometry.field import Field
-from robir.geometry.filtering import taubin
+from robir.geometry.fit.clean import largest_pieces
+from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Lattice
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.facets import flattened
+from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.simplify import decimate, fill_holes
+from robir.geometry.mesh.smoothing import taubin
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.refine.consistency import pixel_size
+from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
-from robir.geometry.simplify import decimate, fill_holes
 from robir.geometry.stereo.surface import stereo_surface
-from robir.geometry.surface import extract
 from robir.jobs.choice import Choice
 
 STEREO, FIELD = "by depth maps", "by a fit of field and colours"

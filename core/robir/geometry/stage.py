@@ -12,28 +12,28 @@ import torch
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_masks, save_turned
 from robir.errors import CaptureError
-from robir.geometry.backdrop import Backdrop
 from robir.geometry.brightness import evened
-from robir.geometry.clean import restore_missing
 from robir.geometry.config import GeometryConfig
-from robir.geometry.facets import flattened
-from robir.geometry.field import ColourNetwork, Field
-from robir.geometry.fit import fit
-from robir.geometry.ground import Ground
-from robir.geometry.held_out import save_field_views
+from robir.geometry.fit.clean import restore_missing
+from robir.geometry.fit.field import ColourNetwork, Field
+from robir.geometry.fit.field_preview import Preview, Renderer
+from robir.geometry.fit.held_out import save_field_views
+from robir.geometry.fit.mirror_pits import Mirroring
+from robir.geometry.fit.optimise import fit
+from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
+from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
+from robir.geometry.ground.undercut import undercut
 from robir.geometry.hull import object_hull
 from robir.geometry.lattice import resample
-from robir.geometry.mesh import Mesh
-from robir.geometry.mirroring import Mirroring
-from robir.geometry.plane import detect
-from robir.geometry.pose_trial import CamerasChangedError, PoseTrial
-from robir.geometry.preview import Preview, Renderer
+from robir.geometry.mesh.facets import flattened
+from robir.geometry.mesh.simplify import decimate, fill_holes, with_creases
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.remask import remasked
 from robir.geometry.rival import Rival, smooth_surface
-from robir.geometry.simplify import decimate, fill_holes, with_creases
-from robir.geometry.undercut import undercut
-from robir.geometry.unwrap import unwrap
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json

@@ -19,7 +19,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from robir.maths.lattice import Planes
+from robir.maths.tetrahedral import Planes
 
 MAX_LINEAR = 16.0
 # The half code below white: anything brighter is written as 255.

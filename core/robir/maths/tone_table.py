@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.maths import lattice
-from robir.maths.lattice import Lattice, Planes
+from robir.maths import tetrahedral as lattice
+from robir.maths.tetrahedral import Lattice, Planes
 from robir.maths.tone_curve import (
     MAX_LINEAR,
     AbstractToneCurve,

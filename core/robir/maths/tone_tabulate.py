@@ -29,7 +29,8 @@ import scipy.sparse.linalg
 import torch
 from numpy.typing import NDArray
 
-from robir.maths import lattice, tone_table
+from robir.maths import tetrahedral as lattice
+from robir.maths import tone_table
 from robir.maths.tone_curve import linear_from_srgb
 
 Array = NDArray[np.float64]

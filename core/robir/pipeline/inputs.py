@@ -8,12 +8,12 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from robir.capture.decode import MAX_FILE_BYTES
 from robir.capture.frames import IMAGE_SUFFIXES
+from robir.capture.images.decode import MAX_FILE_BYTES
+from robir.capture.poses.register import is_video
+from robir.capture.poses.video import MAX_BYTES
 from robir.errors import CaptureError
 from robir.jobs.names import leads_out, open_regular
-from robir.poses.register import is_video
-from robir.poses.video import MAX_BYTES
 
 _POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])

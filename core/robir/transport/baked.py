@@ -12,10 +12,11 @@ from scipy.sparse import csr_matrix
 
 from robir.capture.arrays import stored_arrays
 from robir.capture.capture import View
-from robir.capture.images import resize_view
+from robir.capture.images.loading import resize_view
 from robir.errors import StorageError
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import AbstractTracer, make_tracer
+from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import replacing
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.config import TransportConfig

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.tracer import AbstractTracer
+from robir.geometry.mesh.tracing import AbstractTracer
 from robir.maths.vectors import farthest_points
 
 Floats = NDArray[np.float32]

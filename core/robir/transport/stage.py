@@ -9,7 +9,7 @@ import numpy as np
 
 from robir.capture.store import load_settled
 from robir.errors import CaptureError
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig

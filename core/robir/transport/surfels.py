@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.triangles import Mesh
 
 Floats = NDArray[np.float32]
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from robir.geometry.mesh import Mesh
-from robir.geometry.tracer import AbstractTracer
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.geometry.hull import mask_distance
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-from robir.geometry.tracer import AbstractTracer
 
 GRAZING = 0.2
 """Cosine between normal and view below which a vertex lies on an outline."""

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from robir.capture.capture import View
-from robir.geometry.filtering import neighbour_mean, taubin
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.smoothing import neighbour_mean, taubin
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.config import RefineConfig
-from robir.geometry.refine.consistency import correlations, pixel_size, seen_by
+from robir.geometry.refine.correlation import correlations, pixel_size, seen_by
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.stereo.semiglobal import refined_minimum
 from robir.geometry.stereo.sweep import Picture
-from robir.geometry.surface import plain_mesh
-from robir.geometry.tracer import EmbreeTracer
 
 Array = NDArray[np.float64]
 

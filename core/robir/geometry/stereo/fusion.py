@@ -16,12 +16,12 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.geometry.lattice import Lattice
-from robir.geometry.mesh import Mesh
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sources import angles_between, choose_sources
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
-from robir.geometry.tracer import EmbreeTracer
 from robir.maths.vectors import farthest_points
 
 WITNESS_DEGREES = 40.0

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from robir.geometry.lattice import Lattice, resample
+from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse
 from robir.geometry.stereo.smoothest import smoothest
-from robir.geometry.surface import extract
 
 FREE = 0.98
 """Share of the band's half width from which a distance says that a node is free, not how far."""

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hue of the light as a whole, by the highlights of paint.
+
+Photographs of diffuse surfaces know light and albedo by their product alone: blue light on white
+paint is white light on blue paint. A highlight on paint has the colour of the light, whatever the
+paint (the dichromatic model: Shafer 1985, "Using color to separate reflection components").
+
+The camera's white balance is evidence as well: what it balanced has a light near grey in its own
+colours. A hue far beyond what white balance leaves is a misread highlight, and one within it must
+let photographs that had no part in reading it be predicted better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.blocks import block_numbers
+from robir.appearance.light.lobes import log_sent
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss, low_mean
+from robir.appearance.material.observed import Seen, looked_at
+from robir.appearance.proof import EVERY, Proof
+
+Floats = NDArray[np.float32]
+
+CLEAR = 0.2
+"""Highlight against what is below it from which its hue is read: below, errors of the normals and
+what shines back from coloured surfaces weigh as much."""
+
+LEAST_CLEAR = 50
+"""Views that must show such a highlight."""
+
+USUAL = 0.1
+"""Deviation of the log hue of a light, each channel, as photographs are balanced. Of six rendered
+scenes, which no camera balanced, it is .09; of cameras .05 to .1."""
+
+WIDEST = 3.0
+"""Deviations beyond which a hue is misread."""
+
+STEP = 2
+"""Every so manieth of the samples that take part in the light solve is looked at."""
+
+
+def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | None:
+    """Hue of what sky and suns send together where highlights are the only witness.
+
+    Args:
+        problem: Scene under a tone curve, highlights included.
+        light: Its light, of which all but the hue as a whole is taken for right.
+        gloss: Specular material under it.
+
+    Returns:
+        Log (3,) of the mean irradiance of the samples that take part, less its mean over the
+        channels; None where too few highlights show.
+    """
+    if not gloss.has_highlights or not len(light.axes):
+        return None
+    shown, predicted, below, near = _highlights(problem, light, gloss)
+    clear = np.flatnonzero((shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1))
+    if len(clear) < LEAST_CLEAR:
+        return None
+    rows = problem.scene.rows
+    sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
+    grey = (sent.mean() - sent).numpy()
+    off = _off(shown[clear], predicted[clear])
+    told = sent + torch.from_numpy(off)
+    told = told - told.mean()
+    # each fold of the views is predicted with what the others tell
+    fold, factors = near.view[clear] % EVERY, np.zeros((2, len(clear), 3), np.float32)
+    for index in np.unique(fold):
+        others = clear[fold != index]
+        if not len(others):
+            return None
+        read = _off(shown[others], predicted[others])
+        brightness = (read - grey).mean()
+        factors[:, fold == index] = np.exp([grey + brightness, read])[:, None]
+    seen = near.seen.of(torch.from_numpy(clear))
+    plain, tinted = (
+        seen.squared(torch.from_numpy(below[clear] + predicted[clear] * factor))
+        for factor in factors
+    )
+    is_likely = float(told.abs().max()) < WIDEST * USUAL
+    # what displaces highlights, the mesh, errs place by place
+    proof = Proof.of(plain, tinted, (near.block[clear],))
+    return told if is_likely and proof.is_given else None
+
+
+def _off(shown: Floats, predicted: Floats) -> Floats:
+    """Log (3,) of highlights (M, 3) over those predicted, of all together.
+
+    Sums, not medians: the brightest hold least of what the surface itself scatters.
+    """
+    return np.log(shown.sum(0).clip(1e-9) / predicted.sum(0)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class _Near:
+    """Views near a sun's mirror direction.
+
+    Attributes:
+        seen: What they show.
+        view: (M,) their views.
+        block: (M,) block of the surface that each shows.
+    """
+
+    seen: Seen
+    view: NDArray[np.int64]
+    block: NDArray[np.int64]
+
+
+def _highlights(
+    problem: Problem, light: Light, gloss: Gloss
+) -> tuple[Floats, Floats, Floats, _Near]:
+    """Highlights (M, 3) of paint that are not clipped, as predicted (M, 3), and what is below."""
+    chosen = problem.radiance.seen.numpy() & gloss.is_paint
+    rows = problem.scene.rows[::STEP]
+    rows = rows[chosen[rows]]
+    reflections, rays, seen, valid = looked_at(problem, light, rows)
+    specular = torch.zeros(len(rays.sample), 3)
+    level = gloss.roughness[rows][rays.sample]
+    for roughness in np.unique(level):
+        own = torch.from_numpy(np.flatnonzero(level == roughness))
+        specular[own] = reflections.from_suns(rays.of(own), float(roughness))[:, 0]
+    near = reflections.near_highlight(rays)
+    near = near[~seen.clipped[near].any(1)]
+    below, part = (low_mean(values, rays, valid)[rays.sample] for values in (seen.linear, specular))
+    parts = (seen.linear - below, specular - part, below)
+    shown, predicted, base = (values[near].numpy() for values in parts)
+    sample, view = rays.sample[near.numpy()], rays.view[near.numpy()]
+    block = block_numbers(problem.scene.transport.surfels.position[rows])[sample]
+    return shown, predicted, base, _Near(seen.of(near), view, block)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sky and suns: found, solved, and given level and hue."""

@@ -1,0 +1,383 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light: fixed soft lobes for the sky, a few free sharp lobes for suns and lamps.
+
+Irradiance is linear in the amplitudes. With the exitant radiance R of a diffuse sample measured by
+the cameras, albedo is not an unknown but a ratio, a = pi R / E, and only the light is searched
+(variable elimination): a few hundred numbers. What decides is the prior on the logarithm of that
+ratio. Absolute differences between neighbours do not saturate, so a light that leaves every
+shadow in the albedo pays for every shadow; a saturating penalty would forgive them and prefer a
+light without a sun.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light.pair_loss import PairWeights
+from robir.appearance.photometry.statistics import Pairs, Radiance
+from robir.maths.adam import Adam
+from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
+from robir.maths.vectors import fibonacci_sphere
+from robir.transport.visibility import Visibility
+
+MEAN_ALBEDO = 0.3
+"""Geometric mean of the albedos of common scenes."""
+
+BRIGHTEST_QUANTILE = 0.97
+
+LAMP_TINT = 0.4
+"""Log of the factor by which a channel of a sun may differ from grey at no cost: a sun ten degrees
+above the horizon is that orange."""
+
+SOFT_SHARPNESS_PER_LOBE = 0.17
+"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
+
+EVEN_SHARPNESS = 1e-3
+"""Sharpness of a lobe that stands for an even sky alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer:
+    """Irradiance at the samples that take part, per unit of each light.
+
+    Attributes:
+        soft: (U, K) irradiance for unit amplitude of each soft lobe.
+        sharp: (U, J) irradiance for unit energy of each sharp lobe, visibility included.
+        indirect: (U, 3) irradiance from surfaces, fixed by the photographs.
+        sure: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
+    """
+
+    soft: Tensor
+    sharp: Tensor
+    indirect: Tensor
+    sure: Tensor | None = None
+
+    @cached_property
+    def soft_rows(self) -> Tensor:
+        """The soft transfer with a row (U,) a lobe."""
+        return self.soft.T.contiguous()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Amplitudes:
+    """Strength of the lights.
+
+    Attributes:
+        soft: (K, 3) radiance at the lobe's peak.
+        sharp: (J, 3) irradiance at normal incidence.
+    """
+
+    soft: Tensor
+    sharp: Tensor
+
+    def irradiance(self, transfer: Transfer) -> Tensor:
+        """Irradiance (U, 3) at the samples of a transfer."""
+        sky = _ThinProduct.apply(transfer.soft, transfer.soft_rows, self.soft)
+        return sky + transfer.sharp @ self.sharp + transfer.indirect
+
+
+class _ThinProduct(torch.autograd.Function):
+    """Matrix (U, K) by a few columns (K, C), differentiable in those.
+
+    A product of few rows takes a quarter of the time of one of few columns.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Tensor, matrix_rows: Tensor, columns: Tensor) -> Tensor:
+        ctx.matrix = matrix
+        return (columns.T @ matrix_rows).T.contiguous()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor]:
+        return None, None, (gradients[0].T @ ctx.matrix).T
+
+
+def soft_lobes(count: int) -> tuple[Tensor, float]:
+    """Axes (K, 3) and the common sharpness of the fixed soft lobes; one alone is an even sky."""
+    if count == 1:
+        return torch.tensor([[0.0, 0.0, 1.0]]), EVEN_SHARPNESS
+    return fibonacci_sphere(count).float(), max(1.0, SOFT_SHARPNESS_PER_LOBE * count)
+
+
+def sky_radiance(directions: Tensor, amplitudes: Tensor) -> Tensor:
+    """Radiance (D, ...) of the soft lobes of amplitudes (K, ...) from directions (D, 3)."""
+    axes, sharpness = soft_lobes(len(amplitudes))
+    return torch.exp(sharpness * (directions @ axes.T - 1)) @ amplitudes
+
+
+def soft_transfer(
+    visibility: Visibility, normal: NDArray[np.float32], rows: NDArray[np.int64], count: int
+) -> Tensor:
+    """Irradiance at samples for unit amplitude of each soft lobe, by equation (1) of transport.
+
+    Args:
+        visibility: Bits of all samples.
+        normal: (S, 3) normals of all samples.
+        rows: (U,) samples wanted.
+        count: Number of soft lobes.
+
+    Returns:
+        (U, count) float32.
+    """
+    axes, sharpness = soft_lobes(count)
+    directions = torch.from_numpy(visibility.directions)
+    values = torch.exp(sharpness * (directions @ axes.T - 1))
+    values = values * (4 * np.pi / len(directions))
+    parts = []
+    for start in range(0, len(rows), 4096):
+        chosen = rows[start : start + 4096]
+        bits = np.unpackbits(visibility.bits[chosen], axis=1, count=len(directions))
+        cosine = torch.from_numpy(normal[chosen]) @ directions.T
+        parts.append((torch.from_numpy(bits).float() * cosine.clamp(min=0)) @ values)
+    return torch.cat(parts)
+
+
+def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
+    """Logarithm of albedo, log(pi R / E), kept finite where hardly any light arrives."""
+    floor = 0.02 * irradiance.mean(0).detach()
+    return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
+
+
+def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
+    """Log (3,) of the mean irradiance that sky and suns send; less its mean, the light's hue.
+
+    Args:
+        irradiance: (U, 3) from everything.
+        indirect: (U, 3) of it from surfaces.
+    """
+    return (irradiance - indirect).mean(0).log()
+
+
+def missing(sent: Tensor, told: Tensor | None, level: float | None) -> Tensor:
+    """Log factors (3,) that a light is short of what highlights tell of it as a whole.
+
+    Args:
+        sent: Its `log_sent` (3,).
+        told: Log hue (3,), its mean zero, if it is told.
+        level: Mean over the channels, if it is told.
+    """
+    mean = sent.mean()
+    hue = torch.zeros_like(sent) if told is None else told - (sent - mean)
+    return hue if level is None else hue + (level - mean)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Priors:
+    """Weights of the priors on albedo and light, relative to the neighbour term.
+
+    Attributes:
+        brightest: Albedo that the brightest materials should not exceed.
+        bounds: Weight of staying within a physical range.
+        hue: Weight of the lights sharing one hue.
+        told: Log hue (3,) of the mean irradiance from the lights by highlights, if they tell any.
+        level: Mean over the channels of its log by highlights, if they tell it.
+        neutral: Weight of the light as a whole being grey. Surfaces that do not shine do not tell
+            its hue from that of all albedos, and under a tint bounced light is judged wrongly.
+        witness: Weight of the light as a whole being as told. On six rendered scenes under two
+            lights each hues by highlights were .04 off in log units (root of the mean square), a
+            grey light .09; the weights go as the inverse squares.
+        lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
+            light is clipped, nothing else holds it.
+        smooth: Weight of neighbouring soft lobes being alike.
+        spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
+            could else be as bright as it takes to shade what is painted.
+        shadow: Weight of equal albedo on both sides of a shadow.
+        turned: Weight of equal albedo on sides turned from a sun and lit ones. Fewer of these are
+            of one material: at 1 an avocado's flesh took its lit skin's brightness for its own.
+        parsimony: Weight of few distinct albedos; 0 leaves the step out.
+        width: Width of an albedo cluster in log units, at the end of the annealing.
+    """
+
+    brightest: float = 0.9
+    bounds: float = 1.0
+    hue: float = 0.03
+    told: Tensor | None = None
+    level: float | None = None
+    neutral: float = 0.3
+    witness: float = 1.5
+    lamp: float = 0.3
+    smooth: float = 0.01
+    spread: float = 0.1
+    shadow: float = 0.25
+    turned: float = 0.25
+    parsimony: float = 0.0
+    width: float = 0.15
+
+
+def solve_amplitudes(
+    radiance: Radiance,
+    transfer: Transfer,
+    pairs: tuple[Pairs, ...],
+    priors: Priors,
+    iterations: int,
+    start: Amplitudes | None = None,
+) -> tuple[Amplitudes, float]:
+    """Light strengths whose eliminated albedo is the most plausible.
+
+    Args:
+        radiance: Of the samples that take part (U,).
+        transfer: Of the same samples.
+        pairs: Neighbours among the same samples, pairs across shadows and, where they are
+            compared, sides turned from a sun with lit ones.
+        priors: Weights.
+        iterations: Adam steps.
+        start: Where to begin; a neutral sky with equally strong suns if None.
+
+    Returns:
+        Amplitudes and the final neighbour loss (mean absolute log difference).
+    """
+    num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
+    if start is None:
+        start = neutral_start(radiance, transfer)
+    log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
+    log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
+    optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
+    reaching = transfer.soft.mean(0)
+    hidden = 1 - reaching / reaching.max()
+    axes, _ = soft_lobes(num_soft)
+    near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
+    loss_value = 0.0
+    neighbours, *others = (PairWeights.of(part, radiance.clipped) for part in pairs)
+    weighed = list(zip((priors.shadow, priors.turned), others, strict=False))
+    whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
+    count = len(radiance.seen)
+    sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
+    generator = torch.Generator().manual_seed(num_sharp)
+    for step in range(iterations):
+        fraction = step / max(1, iterations - 1)
+        amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
+        irradiance = amplitudes.irradiance(transfer)
+        log_albedo = log_ratio(radiance.linear, irradiance)
+        neighbour = neighbours.loss(log_albedo)
+        loss = neighbour + sum(weight * part.loss(log_albedo) for weight, part in weighed)
+        loss = loss + priors.bounds * range_loss(log_albedo, (whole, sure), priors)
+        hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
+        hues = hues - hues.mean(1, keepdim=True)
+        loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
+        if num_sharp:
+            beyond = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
+            loss = loss + priors.lamp * beyond.clamp(min=0).sum(1).mean()
+        sent = log_sent(irradiance, transfer.indirect)
+        loss = loss + priors.neutral * ((sent - sent.mean()) ** 2).sum()
+        loss = loss + priors.witness * (missing(sent, priors.told, priors.level) ** 2).sum()
+        loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
+        loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
+        if priors.parsimony > 0:
+            width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
+            loss = loss + priors.parsimony * parsimony_loss(log_albedo, whole, width, generator)
+        loss.backward()
+        rate = 0.06 * (1 - 0.9 * fraction)
+        optimiser.step((rate, rate))
+        loss_value = float(neighbour.detach())
+    return Amplitudes(soft=log_soft.detach().exp(), sharp=log_sharp.detach().exp()), loss_value
+
+
+def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
+    """A grey sky and equally strong suns, scaled so that the median albedo is 0.35."""
+    num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
+    sky = transfer.soft.sum(1)
+    unit = sky + float(sky.mean()) * 2 * transfer.sharp.sum(1) / max(1, num_sharp)
+    wanted = np.pi * radiance.linear.mean(1) / 0.35
+    scale = float((wanted.median() / unit.median().clamp(min=1e-6)).clamp(min=1e-6))
+    soft = torch.full((num_soft, 3), scale)
+    sharp = torch.full((num_sharp, 3), 2 * scale * float(sky.mean()) / max(1, num_sharp))
+    return Amplitudes(soft=soft, sharp=sharp)
+
+
+def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors) -> Tensor:
+    """Penalty for albedos that no common material has; it fixes the overall scale.
+
+    The mean of log albedo is drawn towards that of common scenes where no highlight tells how
+    bright the light is, as long as the brightest materials stay common ones; where one tells, as
+    long as they reflect no more than they receive: held to the limit of common ones as well, a
+    white cow lost a tenth of its red. These are looked for where it is sure how much sun arrives:
+    under a low sun a wall that the mesh turns out of it by a few degrees has an albedo of two. Only
+    the lowest of the brightest few per cent counts: above it lie highlights.
+
+    Args:
+        log_albedo: (U, 3).
+        chosen: Samples of which no channel is clipped, and those of which it is sure.
+        priors: Limits.
+    """
+    whole, sure = chosen
+    # the quantile, linear between ranks, without sorting what lies below
+    brightness = log_albedo.index_select(0, sure).amax(1)
+    rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
+    above = brightness.topk(len(brightness) - int(rank)).values
+    brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
+    if priors.level is not None:
+        return 2 * brightest.clamp(min=0)
+    high = (brightest - np.log(priors.brightest)).clamp(min=0)
+    middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
+    return 2 * high + 0.2 * middle.nan_to_num()
+
+
+def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
+    """How far lobes that few samples see outshine the sky as a whole.
+
+    The log of their mean square over the square of all lobes' mean: where all are hidden, of their
+    number over the participation ratio. A studio's boxes and lamps come to about .9, an outdoor sky
+    without its sun to .1. A lobe that is well seen may be as bright as the photographs have it.
+
+    Args:
+        soft: (K, 3) amplitudes, > 0.
+        hidden: (K,) weights, 0 for the lobe that lights the samples best, 1 for one that none sees.
+
+    Returns:
+        Mean over the channels, at least 0.
+    """
+    square = (hidden @ soft**2) / hidden.sum().clamp(min=1e-6)
+    return (square / soft.mean(0) ** 2).clamp(min=1).log().mean()
+
+
+def parsimony_loss(
+    log_albedo: Tensor, whole: Tensor, width: float, generator: torch.Generator | None
+) -> Tensor:
+    """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy.
+
+    Args:
+        log_albedo: (U, 3).
+        whole: Samples of which no channel is clipped.
+        width: Width of the kernel, log units.
+        generator: Source of the pairs.
+    """
+    if len(whole) < 2:
+        return log_albedo.sum() * 0
+    count = 20000
+    first = whole[torch.randint(len(whole), (count,), generator=generator)]
+    second = whole[torch.randint(len(whole), (count,), generator=generator)]
+    # a channel at a time: rows of three cost thrice as much, there and back
+    columns = log_albedo.T.contiguous().unbind()
+    apart = (c.index_select(0, first) - c.index_select(0, second) for c in columns)
+    squared = torch.stack([difference**2 for difference in apart]).sum(0)
+    kernel = torch.exp(-squared / (2 * width**2))
+    return -torch.log(kernel.mean() + 1e-4)
+
+
+def lobes_of(
+    amplitudes: Amplitudes, axes: NDArray[np.float32], sharpness: NDArray[np.float32]
+) -> SphericalGaussians:
+    """All lights as one mixture of lobes.
+
+    Args:
+        amplitudes: Strengths; a sharp lobe's is its irradiance at normal incidence.
+        axes: (J, 3) axes of the sharp lobes.
+        sharpness: (J,) their sharpness.
+
+    Returns:
+        Soft lobes first, then sharp ones; amplitudes are radiance.
+    """
+    soft_axes, soft_sharpness = soft_lobes(len(amplitudes.soft))
+    sharp = torch.from_numpy(sharpness).float()
+    return SphericalGaussians(
+        axis=torch.cat([soft_axes, torch.from_numpy(axes).float().reshape(-1, 3)]),
+        sharpness=torch.cat([torch.full((len(soft_axes),), soft_sharpness), sharp]),
+        amplitude=torch.cat([amplitudes.soft, amplitude_from_irradiance(sharp, amplitudes.sharp)]),
+    )

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light problem of one scene under one tone curve: what is known, sub-sampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from robir.appearance.blocks import block_numbers
+from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
+from robir.appearance.photometry.exposure import Exposures, Gains
+from robir.appearance.photometry.statistics import (
+    Pairs,
+    Radiance,
+    diffuse_radiance,
+    linear_observations,
+    neighbour_pairs,
+)
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.baked import Transport
+from robir.transport.visibility import lobe_directions, lobe_transfer
+
+Floats = NDArray[np.float32]
+
+PAIR_REACHES = (0.05, 0.12, 0.25)
+"""Distances over which albedos are compared, unit frame: below and above the width of a shadow."""
+
+PARTNERS = 6
+"""Partners of a sample at each of these distances; with half as many the light hangs on chance."""
+
+EVERY_PARTNERS = 3
+"""The same where every sample takes part; 6 give the same light at twice the cost."""
+
+SKY_SHARE = 0.3
+"""Radiance of a surface in the shade, open to the whole sky, over the median of what is seen."""
+
+LOOK_ALIKES, LOOK_ALIKE_RANK = 64, 0.9
+"""Seen samples that tell a hidden one's albedo, the nearest, and the rank among them that does: the
+brighter ones are those in the light."""
+
+HIDDEN_ALBEDO = (0.05, 0.8)
+"""Least and greatest albedo of what no camera sees."""
+
+BOUNCES = 3
+"""Reflections between surfaces that no camera sees."""
+
+SUN_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What does not depend on the tone curve.
+
+    Attributes:
+        transport: Baked samples, visibility, observations.
+        tracer: Tracer of the mesh; None when nothing blocks light.
+        soft: (S, K) irradiance for unit amplitude of the soft lobes.
+        offset: Distance that rays start above the surface.
+        rows: (U,) samples that take part in the light solve; all are seen by two views or more.
+        pairs: Neighbours among them.
+        exposures: Where the photographs were not exposed alike, what tells how; else None.
+        by_camera: Whether cameras took the photographs, and no renderer.
+    """
+
+    transport: Transport
+    tracer: AbstractTracer | None
+    soft: Tensor
+    offset: float
+    rows: NDArray[np.int64]
+    pairs: Pairs
+    exposures: Exposures | None = None
+    by_camera: bool = False
+
+    def bounced(self, exitant: Tensor) -> Tensor:
+        """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
+        bounce = self.transport.visibility.bounce
+        return torch.from_numpy(np.asarray(bounce @ exitant.numpy(), np.float32))
+
+    def sharp_transfer(self, axes: Floats, sharpness: Floats, rows: NDArray[np.int64]) -> Tensor:
+        """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
+        surfels = self.transport.surfels
+        points = (surfels.position[rows], surfels.normal[rows])
+        return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, SUN_SAMPLES))
+
+    def sharp_transfer_at(
+        self, points: tuple[Floats, Floats], axes: Floats, sharpness: Floats, samples: int
+    ) -> Floats:
+        """The same (N, J) at any points.
+
+        Args:
+            points: Positions and normals, (N, 3) each, unit frame.
+            axes: (J, 3) of the lobes.
+            sharpness: (J,) of the lobes.
+            samples: Rays a lobe.
+        """
+        position, normal = points
+        columns = [
+            lobe_transfer(
+                self.tracer,
+                position,
+                normal,
+                lobe_directions(axis, float(width), samples),
+                self.offset,
+            )
+            for axis, width in zip(axes, sharpness, strict=True)
+        ]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(position), 0), np.float32)
+
+
+def make_scene(
+    transport: Transport,
+    tracer: AbstractTracer | None,
+    offset: float,
+    sizes: tuple[int, int],
+    rng: np.random.Generator,
+) -> Scene:
+    """Choose the samples that take part and precompute the sky's transport.
+
+    Args:
+        transport: Baked transport.
+        tracer: Tracer of the mesh, or None where nothing blocks light.
+        offset: Distance that rays start above the surface.
+        sizes: Number of samples that take part and number of soft lobes.
+        rng: Source of randomness.
+
+    Returns:
+        The scene.
+    """
+    num_rows, num_soft = sizes
+    surfels = transport.surfels
+    everything = np.arange(len(surfels))
+    soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
+    seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
+    rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, PARTNERS, rng)
+    return Scene(transport, tracer, soft, offset, rows, pairs)
+
+
+def blocks_of(scene: Scene) -> NDArray[np.int64]:
+    """Block number of the first sample of every ordered pair, (2 P,)."""
+    block = block_numbers(scene.transport.surfels.position[scene.rows])
+    return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """A scene under one tone curve.
+
+    Attributes:
+        scene: The scene.
+        curve: The tone curve.
+        gains: How each photograph was exposed, under this curve.
+        linear: (S, V, 3) radiance of every observation, at the common exposure.
+        radiance: (S) diffuse radiance of all samples.
+        exitant: (S, 3) radiance that leaves all samples, of the hidden ones as it is judged.
+        indirect: (S, 3) irradiance of all samples from other surfaces.
+    """
+
+    scene: Scene
+    curve: AbstractToneCurve
+    gains: Gains
+    linear: Tensor
+    radiance: Radiance
+    exitant: Tensor
+    indirect: Tensor
+
+    def without_highlights(self, diffuse: Tensor) -> Problem:
+        """The problem once the radiance (S, V, 3) without its specular part is known."""
+        observations = self.scene.transport.observations
+        return replace(self, radiance=diffuse_radiance(observations, diffuse))
+
+    def by_every_sample(self, rng: np.random.Generator) -> Problem:
+        """The problem in which every sample takes part that two views see.
+
+        By five thousand of twelve an avocado's light hung on which: its albedo came to 25.1 to
+        27.2 dB by three draws.
+
+        Args:
+            rng: Source of the neighbours.
+        """
+        rows, surfels = np.flatnonzero(self.radiance.seen), self.scene.transport.surfels
+        pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, EVERY_PARTNERS, rng)
+        return replace(self, scene=replace(self.scene, rows=rows, pairs=pairs))
+
+    def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
+        """Radiance of some samples."""
+        return Radiance(
+            linear=self.radiance.linear[rows],
+            clipped=self.radiance.clipped[rows],
+            seen=self.radiance.seen[rows],
+        )
+
+    def transfer(self, sharp: Tensor, rows: NDArray[np.int64]) -> Transfer:
+        """Transfer of some samples, with given columns for the sharp lobes."""
+        return Transfer(soft=self.scene.soft[rows], sharp=sharp, indirect=self.indirect[rows])
+
+
+def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
+    """Undo a tone curve and gather what it makes known.
+
+    Args:
+        scene: The scene.
+        curve: Tone curve to undo.
+
+    Returns:
+        The problem, highlights included.
+    """
+    observations = scene.transport.observations
+    gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
+    linear = linear_observations(observations, curve, gains)
+    total = diffuse_radiance(observations, linear)
+    # What bounces is everything that leaves the surface, highlights aside.
+    exitant = with_hidden(scene, total)
+    indirect = scene.bounced(exitant)
+    return Problem(
+        scene=scene,
+        curve=curve,
+        gains=gains,
+        linear=linear,
+        radiance=total,
+        exitant=exitant,
+        indirect=indirect,
+    )
+
+
+def with_hidden(scene: Scene, total: Radiance) -> Tensor:
+    """Radiance (S, 3) of all samples, of those that no camera sees by what reaches them.
+
+    They lie inside and underneath: the less sky they see, the darker they are. What they lack of
+    the sky they get, a little, from each other and from what is seen. A white plate is white
+    underneath: with one albedo for all, the ground about it got too little light.
+
+    Args:
+        scene: The scene.
+        total: Radiance of all samples, right where `seen`.
+    """
+    exitant, hidden = total.linear.clone(), ~total.seen
+    if not hidden.any() or hidden.all():
+        return exitant
+    open_sky = scene.soft.sum(1)
+    openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[hidden, None]
+    median = exitant[total.seen].median(0).values
+    albedo = _hidden_albedo(scene, total, median)
+    sky = SKY_SHARE * median * openness * albedo / MEAN_ALBEDO
+    exitant[hidden] = sky
+    for _ in range(BOUNCES):
+        exitant[hidden] = sky + albedo / np.pi * scene.bounced(exitant)[hidden]
+    return exitant
+
+
+def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
+    """Albedo (H, 3) of the hidden samples, from the brighter seen ones about them.
+
+    Args:
+        scene: The scene.
+        total: Radiance of all samples, right where `seen`.
+        median: (3,) radiance of what is seen, that of a surface of MEAN_ALBEDO.
+    """
+    position, seen = scene.transport.surfels.position, total.seen.numpy()
+    count = min(LOOK_ALIKES, int(seen.sum()))
+    around = cKDTree(position[seen]).query(position[~seen], k=count)[1].reshape(-1, count)
+    bright = np.quantile(total.linear.numpy()[seen][around], LOOK_ALIKE_RANK, axis=1)
+    relative = torch.from_numpy(bright).float() / median.clamp(min=1e-6)
+    return (MEAN_ALBEDO * relative).clamp(*HIDDEN_ALBEDO)

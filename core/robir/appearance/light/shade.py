@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What shade tells of the light: which pairs across a shadow count, and how much."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from robir.appearance.photometry.statistics import STEP_WIDTH, Pairs
+
+ALIKE_HUE, ALIKE_BRIGHTNESS = 0.1, 0.35
+"""Differences of log albedo, in hue and in brightness, beyond the step common to all pairs across a
+shadow, at which two samples hardly are one material. The fields of a board are .8 apart."""
+
+LIGHT_ERROR = 0.05
+"""Error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
+has an albedo that nobody knows."""
+
+
+def irradiance_doubt(irradiance: Tensor) -> Tensor:
+    """One standard deviation (N,) of the logarithm of an irradiance (N, 3)."""
+    return LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clamp(min=1e-6)
+
+
+def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
+    """Pairs across shadows, those counting more whose shaded end's irradiance is well known.
+
+    In the gap below an object little light arrives and a mesh that is a trifle off changes it by
+    half, while open shade is what is seen: where gaps held as many samples of a chessboard's shade,
+    the sky came out a third too weak for its open ground. Sides turned from a sun are another
+    matter: what little light they get comes from the sky they face, and so they tell of it.
+
+    Args:
+        parts: Pairs of the U samples, a list a sun, the shaded end first.
+        irradiance: (U, 3) by the light as it is known.
+
+    Returns:
+        The same pairs.
+    """
+    doubt = irradiance_doubt(irradiance) / STEP_WIDTH
+    return [part.weighted(1 / (1 + doubt[part.first] ** 2)) for part in parts]
+
+
+def of_one_material(parts: list[Pairs], log_albedo: Tensor, clipped: Tensor) -> Pairs:
+    """Pairs with one end out of a sun's light, those counting more that are of one material.
+
+    These are alike but for the step that all pairs of one material show.
+
+    Args:
+        parts: Pairs of the U samples, a list a sun, the end out of its light first.
+        log_albedo: (U, 3) under the light as it is known.
+        clipped: (U, 3) bool, of the samples' radiance.
+
+    Returns:
+        The pairs of all suns.
+    """
+    weighted = []
+    for part in parts:
+        step = part.of(part.unclipped(clipped)).common_step(log_albedo)
+        weighted.append(part.weighted(part.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, step)))
+    return Pairs.joined(weighted)

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finding the suns: a dense scan over directions, then a shrinking search with traced rays.
+
+For a candidate direction the irradiance is a grey sky plus the measured bounce plus the candidate
+at one of several strengths; the score is the mean absolute difference of log albedo between
+neighbours (light.py). A sun whose shadows lie where the photographs show them removes every
+shadow edge at once, so its score drops sharply, and only near the right direction: the scan must be
+dense, and every candidate is blurred by the spacing of the scan so that none is stepped over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from robir.appearance.light.pair_loss import PairWeights
+from robir.appearance.light.problem import Problem
+from robir.appearance.photometry.statistics import Pairs, Radiance
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.maths.vectors import fibonacci_sphere, tangents
+from robir.transport.visibility import lobe_directions, lobe_transfer
+
+Floats = NDArray[np.float32]
+
+STRENGTHS = (0.25, 0.8, 2.0, 6.0)
+"""Irradiance of the sun at normal incidence over the mean of the base light, tried for each
+direction."""
+
+LIT = 0.05
+"""Visibility times cosine above which a sample is lit."""
+
+LEAST_LIT = 0.4
+"""Samples that a sun lights, over those that the best placed one would. From below the ground only
+one side of what stands on it is lit, and the strength of such a light is whatever evens out the
+albedo there; the soft lobes carry it."""
+
+BASIN = 1.5
+"""Spacings of the scan within which a candidate must be the best."""
+
+SAME_LIGHT = 0.3
+"""Angle, radians, between directions that the scan takes for the same light."""
+
+RIVALS = 12
+"""Directions of the scan, of those about a candidate, that are compared anew by more samples. A
+bottle's shadow ran off the ground, and along it the scan's 2000 samples could not tell the sun from
+a place 13 degrees lower; one in another choice of samples was the sun."""
+
+STARTS = 3
+"""Of these, how many the search begins from."""
+
+SMOOTHED = 0.022
+"""Radius, radians, about the best trial of a search, in which a paraboloid smooths the losses. They
+leap wherever a shadow's edge steps over a sample; the lowest alone is up to a degree aside."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunProblem:
+    """What the scan compares: a sub-sample of the surface.
+
+    Attributes:
+        position: (U, 3) unit frame.
+        normal: (U, 3) unit.
+        radiance: Of the U samples.
+        base: (U, 3) irradiance of the lights that are already known, or of a grey sky, per unit
+            strength of that light.
+        indirect: (U, 3) irradiance from surfaces.
+        pairs: Over the U samples.
+        tracer: Tracer of the mesh, or None where nothing blocks.
+        offset: Distance that rays start above the surface.
+    """
+
+    position: Floats
+    normal: Floats
+    radiance: Radiance
+    base: Tensor
+    indirect: Tensor
+    pairs: Pairs
+    tracer: AbstractTracer | None
+    offset: float
+
+    @classmethod
+    def of(
+        cls, problem: Problem, base: Tensor, rows: NDArray[np.int64], pairs: Pairs
+    ) -> SunProblem:
+        """Of some samples `rows` (U,) and pairs of them, the light `base` (S, 3) being known."""
+        scene, surfels = problem.scene, problem.scene.transport.surfels
+        return cls(
+            position=surfels.position[rows],
+            normal=surfels.normal[rows],
+            radiance=problem.rows_radiance(rows),
+            base=base[rows],
+            indirect=problem.indirect[rows],
+            pairs=pairs,
+            tracer=scene.tracer,
+            offset=scene.offset,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunCandidate:
+    """A direction with its score.
+
+    Attributes:
+        axis: (3,) float32, unit, towards the light.
+        loss: Mean absolute log difference with this sun.
+        gain: How much lower that is than without any sun, as a share.
+        lit: Share of the samples that it lights.
+        least_lit: Share that it must light to be a sun.
+        rivals: (R, 3) other directions that the scan takes for the same light, lowest loss first.
+    """
+
+    axis: Floats
+    loss: float
+    gain: float
+    lit: float = 1.0
+    least_lit: float = 0.0
+    rivals: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+
+
+def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tensor]:
+    """Loss of each candidate at every strength.
+
+    Args:
+        problem: The samples.
+        transfer: (C, U) visibility times cosine of each candidate.
+
+    Returns:
+        Losses (C, G) summed over channels, each channel at the strength common to all; and the
+        loss (1,) without any sun.
+    """
+    wanted = (np.pi * problem.radiance.linear.mean(1) / 0.35).median()
+    weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
+    # a column a strength and channel, channels fastest: short last axes are slow
+    base, indirect, log_radiance = (
+        part.repeat(1, len(STRENGTHS))
+        for part in (problem.base, problem.indirect, torch.log(problem.radiance.linear))
+    )
+    grey = problem.base.mean(1)
+    strengths = torch.tensor(STRENGTHS) * problem.base.mean()
+
+    def losses(row: Tensor) -> Tensor:
+        """Losses (G,) with one candidate's transfer (U,)."""
+        middle = grey + strengths[:, None] * row
+        scale = wanted / middle.median(1).values.clamp(min=1e-6)
+        direct = torch.addr(base, row, strengths.repeat_interleave(3))
+        irradiance = torch.addcmul(indirect, direct, scale.repeat_interleave(3))
+        floor = 0.02 * irradiance.mean(0).view(-1, 3).mean(1).repeat_interleave(3)
+        return weights.losses(log_radiance - 0.5 * (irradiance.square_().add_(floor**2)).log_())
+
+    return torch.stack([losses(row) for row in transfer]), losses(torch.zeros_like(grey))[:1]
+
+
+def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
+    """Lowest points of a dense scan, far enough apart to be different lights.
+
+    Args:
+        problem: The samples.
+        count: Directions over the whole sphere.
+        keep: Candidates returned at most.
+
+    Returns:
+        Candidates, lowest loss first.
+    """
+    directions = fibonacci_sphere(count).numpy().astype(np.float32)
+    bits = _trace_directions(problem, directions)
+    cosine = np.clip(directions @ problem.normal.T, 0, None)
+    # One spacing of blur: the true direction then lies inside the basin of its neighbours.
+    spacing = np.sqrt(4 * np.pi / count)
+    kernel = np.exp((directions @ directions.T - 1) / (0.5 * spacing) ** 2)
+    kernel[kernel < 0.02] = 0
+    kernel /= kernel.sum(1, keepdims=True)
+    transfer = csr_matrix(kernel) @ (bits * cosine)
+    lit = (transfer > LIT).mean(1)
+    least_lit = LEAST_LIT * float(lit.max())
+    indices = np.flatnonzero(lit > least_lit)
+    if not len(indices):
+        return []
+    losses, without = candidate_loss(problem, torch.from_numpy(transfer[indices]).float())
+    best = losses.min(1).values
+    # Of the directions about a light only the best is a candidate: a broad lamp that many of them
+    # fit would else leave no room for a small one.
+    useful_axes = directions[indices]
+    around = torch.from_numpy(useful_axes @ useful_axes.T > np.cos(BASIN * spacing))
+    is_lowest = best <= torch.where(around, best, np.inf).min(1).values
+    order = best.argsort()
+    ordered, is_free = useful_axes[order], np.ones(len(order), bool)
+    chosen: list[SunCandidate] = []
+    for rank in np.flatnonzero(is_lowest[order].numpy()):
+        if not is_free[rank]:
+            continue
+        axis, index = ordered[rank], int(order[rank])
+        same = is_free & (ordered @ axis > np.cos(SAME_LIGHT))
+        is_free &= ~same
+        same[: rank + 1] = False
+        loss = float(best[index])
+        chosen.append(
+            SunCandidate(
+                axis=axis,
+                loss=loss,
+                gain=1 - loss / float(without),
+                lit=float(lit[indices[index]]),
+                least_lit=least_lit,
+                rivals=ordered[same][:RIVALS],
+            )
+        )
+        if len(chosen) == keep:
+            break
+    return chosen
+
+
+def _trace_directions(problem: SunProblem, directions: Floats) -> Floats:
+    """Visibility (D, U) as 0 or 1 for every direction."""
+    bits = np.zeros((len(directions), len(problem.position)), np.float32)
+    origin = problem.position + problem.offset * problem.normal
+    for index, direction in enumerate(directions):
+        facing = np.flatnonzero(problem.normal @ direction > 0)
+        if problem.tracer is not None and len(facing):
+            rays = np.broadcast_to(direction, (len(facing), 3))
+            facing = facing[~problem.tracer.is_blocked(origin[facing], rays)]
+        bits[index, facing] = 1
+    return bits
+
+
+def refine(problem: SunProblem, start: SunCandidate, reach: float, rounds: int) -> SunCandidate:
+    """Shrinking search around a direction and its rivals, every trial traced anew.
+
+    Args:
+        problem: The samples, more than the scan's.
+        start: Where to begin.
+        reach: Radius of the first ring, radians.
+        rounds: Rings; each has 0.6 of the last one's radius.
+
+    Returns:
+        The best direction found.
+    """
+    best, heads = start, _best_starts(problem, start, reach)
+    tried: list[SunCandidate] = []
+    for index in range(rounds):
+        radius = reach * 0.6**index
+        sharpness = 2 / max(radius / 3, 0.01) ** 2
+        trials = [
+            direction
+            for head in heads
+            for direction in (
+                head,
+                *_ring(head, radius, 7, 0.9 * index),
+                *_ring(head, radius / 2, 4, 0.5),
+            )
+        ]
+        judged = _judged(problem, trials, sharpness)
+        best = min(judged, key=lambda candidate: candidate.loss)
+        heads = [best.axis]
+        tried += judged
+    axes = np.stack([candidate.axis for candidate in tried])
+    losses = np.array([candidate.loss for candidate in tried])
+    lowest = lowest_point(best.axis, axes, losses)
+    return replace(best, axis=lowest, least_lit=start.least_lit)
+
+
+def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
+    """Directions as lobes of some sharpness, each at its best strength."""
+    transfer = np.stack(
+        [
+            lobe_transfer(
+                problem.tracer,
+                problem.position,
+                problem.normal,
+                lobe_directions(axis, sharpness, 4),
+                problem.offset,
+            )
+            for axis in axes
+        ]
+    )
+    losses, without = candidate_loss(problem, torch.from_numpy(transfer))
+    lit = (transfer > LIT).mean(1)
+    return [
+        SunCandidate(axis=axis, loss=loss, gain=1 - loss / float(without), lit=float(share))
+        for axis, loss, share in zip(axes, losses.min(1).values.tolist(), lit, strict=True)
+    ]
+
+
+def _best_starts(problem: SunProblem, start: SunCandidate, reach: float) -> list[Floats]:
+    """The best of a candidate and its rivals, none within `reach` of a better one."""
+    if not len(start.rivals):
+        return [start.axis]
+    judged = _judged(problem, [start.axis, *start.rivals], 2 / reach**2)
+    starts: list[Floats] = []
+    for candidate in sorted(judged, key=lambda candidate: candidate.loss):
+        if all(float(candidate.axis @ other) < np.cos(reach) for other in starts):
+            starts.append(candidate.axis)
+    return starts[:STARTS]
+
+
+def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Floats:
+    """Lowest point of a paraboloid through the losses of directions within SMOOTHED of the best.
+
+    Args:
+        best: (3,) unit, about where the lowest point is.
+        axes: (T, 3) unit directions that were tried.
+        losses: (T,) of them.
+
+    Returns:
+        (3,) unit, at most half of SMOOTHED from the best; that itself where the losses do not curve
+        upwards.
+    """
+    across = np.stack(tangents(best))
+    near = axes @ best > np.cos(SMOOTHED)
+    x, y = across @ axes[near].T
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    _, slope_x, slope_y, xx, xy, yy = np.linalg.lstsq(terms, losses[near], rcond=None)[0]
+    curvature = np.array([[2 * xx, xy], [xy, 2 * yy]])
+    if np.linalg.eigvalsh(curvature)[0] <= 0:
+        return best
+    step = -np.linalg.solve(curvature, [slope_x, slope_y])
+    step *= min(1.0, 0.5 * SMOOTHED / max(float(np.linalg.norm(step)), 1e-9))
+    axis = best + step @ across
+    return (axis / np.linalg.norm(axis)).astype(np.float32)
+
+
+def _ring(axis: Floats, radius: float, count: int, turn: float) -> list[Floats]:
+    """Directions on a circle about an axis."""
+    tangent, bitangent = tangents(axis)
+    angles = turn + np.arange(count) * 2 * np.pi / count
+    ring = np.cos(radius) * axis + np.sin(radius) * (
+        np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent
+    )
+    return [direction.astype(np.float32) for direction in ring]

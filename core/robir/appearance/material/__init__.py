@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roughness, metal and the specular light that comes with them."""

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the photographs show along rays from the samples, to be compared with predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.reflections import Reflections, ViewRays, view_rays
+from robir.maths.tone_curve import AbstractToneCurve
+
+MOST_ERROR = 0.15
+"""Display error beyond which the mesh is wrong, whatever the material, and more says no more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the photographs show along some rays.
+
+    Attributes:
+        curve: Tone curve.
+        linear: (M, 3) radiance.
+        display: (M, 3) display codes, 0..1.
+        clipped: (M, 3) whether the true value is at least `linear`.
+        gain: (M, 1) exposure of the photograph there.
+    """
+
+    curve: AbstractToneCurve
+    linear: Tensor
+    display: Tensor
+    clipped: Tensor
+    gain: Tensor
+
+    def of(self, chosen: Tensor) -> Seen:
+        """Some of the rays."""
+        parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
+        return Seen(self.curve, *parts)
+
+    def excess(self, prediction: Tensor) -> Tensor:
+        """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
+        return self.display - self.curve.display_from_linear(self.gain * prediction)
+
+    def error(self, prediction: Tensor) -> Tensor:
+        """Display error (M,) of a predicted radiance (M, 3)."""
+        return self.counted(self.excess(prediction), prediction)
+
+    def squared(self, prediction: Tensor) -> NDArray[np.float64]:
+        """Squared display error (M,) of a predicted radiance (M, 3), for proofs."""
+        off = self.excess(prediction).masked_fill(self.clipped & (prediction > self.linear), 0)
+        return (off**2).mean(1).clamp(max=MOST_ERROR**2).double().numpy()
+
+    def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
+        """The same where the excess (M, 3) is known."""
+        shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
+        return shown.clamp(max=MOST_ERROR).mean(1)
+
+
+def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
+    """What the photographs show of some samples."""
+    observations = problem.scene.transport.observations
+    sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
+    gain = problem.gains.of(observations.views)[view]
+    off_axis = observations.off_axis[rows][rays.sample, rays.view]
+    return Seen(
+        curve=problem.curve,
+        linear=problem.linear[rows][sample, view],
+        display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
+        clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
+        gain=problem.gains.dimmed(gain, off_axis),
+    )
+
+
+def looked_at(
+    problem: Problem, light: Light, rows: NDArray[np.int64]
+) -> tuple[Reflections, ViewRays, Seen, Tensor]:
+    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V).
+
+    Args:
+        problem: Scene under a tone curve.
+        light: Its light.
+        rows: The samples.
+    """
+    transport = problem.scene.transport
+    observations, directions = transport.observations, transport.visibility.directions
+    rays = view_rays(transport.surfels, observations, rows, directions)
+    valid = torch.from_numpy(observations.weight[rows] > 0)
+    return Reflections(problem, light, rows), rays, seen_along(problem, rays, rows), valid
+
+
+def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
+    """Scatter a flat list (M, C) into (U, V, C), zero where there is no observation."""
+    table = torch.zeros(*shape, values.shape[1])
+    table[rays.sample, rays.view] = values
+    return table

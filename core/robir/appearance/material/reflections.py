@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Specular light of samples towards the cameras, from sky, bounces and suns.
+
+Soft light is the incident light blurred about the mirror direction and scaled by the split-sum
+reflectance; a sun is evaluated with the GGX lobe itself.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.light.lobes import sky_radiance
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.maths import microfacet
+from robir.maths.vectors import normalise, orthonormal_frame
+from robir.transport.observe import Observations
+from robir.transport.surfels import Surfels
+
+Floats = NDArray[np.float32]
+
+F0 = 0.04
+"""Reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)."""
+
+SHARPEST_HIGHLIGHT = 0.12
+"""Roughness below which a sun's highlight is narrower than the samples can tell."""
+
+HIGHLIGHT_COSINE = 0.87
+"""Cosine between normal and half vector, 30 degrees, within which a view is near the mirror."""
+
+
+TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
+"""Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
+
+CHUNK = 1024
+"""Rays at a time, whose cosines with all directions then stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewRays:
+    """Observations of some samples as a flat list.
+
+    Attributes:
+        sample: (M,) index into the rows, ascending.
+        view: (M,) view index.
+        view_dir: (M, 3) unit, towards the camera.
+        cosine: (M,) normal times view direction.
+        mirror: (M,) index of the direction nearest to the mirror direction.
+    """
+
+    sample: NDArray[np.int64]
+    view: NDArray[np.int64]
+    view_dir: Tensor
+    cosine: Tensor
+    mirror: Tensor
+
+    def of(self, chosen: Tensor) -> ViewRays:
+        """Those (N,) of the rays whose numbers are given."""
+        sample, view = self.sample[chosen.numpy()], self.view[chosen.numpy()]
+        parts = (self.view_dir, self.cosine, self.mirror)
+        return ViewRays(sample, view, *(part[chosen] for part in parts))
+
+
+def view_rays(
+    surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
+) -> ViewRays:
+    """All observations of some samples.
+
+    Args:
+        surfels: All samples.
+        observations: Theirs.
+        rows: (U,) samples wanted.
+        directions: (D, 3) fixed directions, unit.
+
+    Returns:
+        One ray an observation, samples numbered as in `rows`.
+    """
+    sample, view = np.nonzero(observations.weight[rows] > 0)
+    position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
+    towards = observations.positions[view] - position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return as_rays(sample, view, towards, normal, directions)
+
+
+def as_rays(
+    sample: NDArray[np.int64],
+    view: NDArray[np.int64],
+    view_dir: Floats,
+    normal: Floats,
+    directions: Floats,
+) -> ViewRays:
+    """Rays from samples towards cameras.
+
+    Args:
+        sample: (M,) sample numbers, ascending.
+        view: (M,) view numbers.
+        view_dir: (M, 3) unit, away from the surface.
+        normal: (M, 3) unit.
+        directions: (D, 3) fixed directions, unit.
+
+    Returns:
+        The rays with their nearest mirror directions.
+    """
+    cosine = (view_dir * normal).sum(1).clip(0.02, 1)
+    mirror = 2 * cosine[:, None] * normal - view_dir
+    nearest = [
+        (mirror[start : start + CHUNK] @ directions.T).argmax(1)
+        for start in range(0, len(mirror), CHUNK)
+    ]
+    return ViewRays(
+        sample,
+        view,
+        torch.from_numpy(view_dir.astype(np.float32)),
+        torch.from_numpy(cosine.astype(np.float32)),
+        torch.from_numpy(np.concatenate(nearest) if nearest else np.zeros(0, np.int64)),
+    )
+
+
+def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
+    """Share (M,) of even light that a dielectric's specular layer reflects towards each view.
+
+    What it reflects does not reach the diffuse layer, as in Blender's Principled material.
+    """
+    scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
+    return F0 * scale + bias
+
+
+def _product_at(
+    tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
+) -> list[Tensor]:
+    """Some entries (M,) of the products of tables (U, D) and a kernel (D, D).
+
+    A sample has some 15 views and there are hundreds of directions: the whole products take six
+    times as long.
+
+    Args:
+        tables: With a row a sample.
+        kernel: Symmetric.
+        place: Row, ascending, and column of each entry.
+    """
+    row, column = place
+    starts = np.searchsorted(row, np.arange(len(tables[0]) + 1))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        wanted = torch.sparse_csr_tensor(
+            torch.from_numpy(starts),
+            column,
+            torch.zeros(len(row)),
+            size=(len(tables[0]), len(kernel)),
+            check_invariants=False,
+        )
+    return [
+        torch.sparse.sampled_addmm(wanted, table, kernel, beta=0.0).values() for table in tables
+    ]
+
+
+def _radiance_of_surfaces(
+    problem: Problem, rows: NDArray[np.int64]
+) -> tuple[tuple[Tensor, ...], Tensor]:
+    """Radiance that samples (U,) see of each other in every direction.
+
+    A polished board mirrors the piece that stands on it. With the mean over all blocked directions
+    instead, its dark fields in the shade differed from view to view as no paint may, and passed for
+    the gold of that piece: their albedo was read twice too bright.
+
+    Returns:
+        Of each channel (U, D), and where a surface is known to be seen, (U, D).
+    """
+    transport = problem.scene.transport
+    directions, position = transport.visibility.directions, transport.surfels.position
+    met = transport.visibility.bounce[rows].tocoo()
+    towards = position[met.col] - position[rows[met.row]]
+    starts = range(0, len(towards), CHUNK)
+    # lengths do not change which direction is the nearest
+    nearest = [(towards[start : start + CHUNK] @ directions.T).argmax(1) for start in starts]
+    column = np.concatenate([np.zeros(0, np.int64), *nearest])
+    shape = (len(rows), len(directions))
+    place = torch.from_numpy(met.row.astype(np.int64) * len(directions) + column)
+
+    def summed(values: Tensor) -> Tensor:
+        return torch.zeros(shape[0] * shape[1]).index_add_(0, place, values).reshape(shape)
+
+    count = summed(torch.ones(len(place)))
+    exitant = problem.exitant[met.col]
+    sums = (summed(exitant[:, channel]) for channel in range(3))
+    return tuple(total / count.clamp(min=1) for total in sums), count > 0
+
+
+class Reflections:
+    """Light that reaches samples from around any mirror direction."""
+
+    def __init__(self, problem: Problem, light: Light, rows: NDArray[np.int64]) -> None:
+        scene = problem.scene
+        visibility = scene.transport.visibility
+        directions = torch.from_numpy(visibility.directions)
+        sky = sky_radiance(directions, light.amplitudes.soft)
+        normal = torch.from_numpy(scene.transport.surfels.normal[rows])
+        bits = np.unpackbits(visibility.bits[rows], axis=1, count=len(directions))
+        seen = torch.from_numpy(bits.astype(np.float32))
+        cosine = (normal @ directions.T).clamp(min=0)
+        blocked = (cosine > 0).float() - seen
+        around = (blocked * cosine).sum(1) * (4 * np.pi / len(directions))
+        # Where no ray tells the surface: the mean radiance that the bounce carries.
+        bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
+        surfaces, is_hit = _radiance_of_surfaces(problem, rows)
+        self._directions = directions
+        self._incident = [
+            seen * sky[:, channel]
+            + blocked * torch.where(is_hit, surfaces[channel], bounced[:, channel, None])
+            for channel in range(3)
+        ]
+        self._above = (cosine > 0).float()
+        self._seen = seen
+        self._normal = normal
+        self._light = light
+        self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
+
+    def radiance(self, rays: ViewRays, roughness: float) -> Tensor:
+        """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
+        return self.from_sky(rays, roughness) + self.from_suns(rays, roughness)
+
+    def from_sky(self, rays: ViewRays, roughness: float) -> Tensor:
+        """The part (M, 2, 3) that soft lobes and bounces send."""
+        tables = (*self._incident, self._above)
+        kernel = self._kernel(roughness)
+        *channels, mass = _product_at(tables, kernel, (rays.sample, rays.mirror))
+        blurred = torch.stack(channels, 1) / mass.clamp(min=1e-6)[:, None]
+        scale, bias = microfacet.environment_brdf(
+            rays.cosine, torch.full_like(rays.cosine, roughness)
+        )
+        return torch.stack(
+            [blurred * (F0 * scale + bias)[:, None], blurred * (scale + bias)[:, None]], 1
+        )
+
+    def _kernel(self, roughness: float) -> Tensor:
+        """How much directions count about each mirror direction, (D, D)."""
+        # Width of the GGX lobe about the mirror direction at a typical slant.
+        alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
+        sharpness = float(1 / (2 * alpha**2 * 0.75))
+        return torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
+
+    def from_lobes(self, rays: ViewRays, roughness: float, count: int) -> Tensor:
+        """What soft lobes of amplitude 1 send, per unit of a metal's base colour.
+
+        Args:
+            rays: Observations.
+            roughness: Of the surface.
+            count: Number K of the lobes.
+
+        Returns:
+            (M, K); with the lobes' amplitudes, `from_sky` but for what surfaces send.
+        """
+        kernel = self._kernel(roughness)
+        lobes = sky_radiance(self._directions, torch.eye(count))
+        sample = torch.from_numpy(rays.sample)
+        parts = []
+        for start in range(0, len(sample), CHUNK):
+            some = sample[start : start + CHUNK]
+            around = kernel[rays.mirror[start : start + CHUNK]]
+            mass = (around * self._above[some]).sum(1, keepdim=True)
+            parts.append((around * self._seen[some]) @ lobes / mass.clamp(min=1e-6))
+        scale, bias = microfacet.environment_brdf(
+            rays.cosine, torch.full_like(rays.cosine, roughness)
+        )
+        return torch.cat(parts) * (scale + bias)[:, None]
+
+    def near_highlight(self, rays: ViewRays) -> Tensor:
+        """Numbers (N,) of the observations near the mirror direction of a sun that is seen."""
+        sample = torch.from_numpy(rays.sample)
+        near = torch.zeros(len(sample), dtype=torch.bool)
+        for index in range(len(self._light.axes)):
+            half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
+            facing = (self._normal[sample] * half).sum(1) > HIGHLIGHT_COSINE
+            near |= facing & (self._sun[sample, index] > 0.1)
+        return near.nonzero()[:, 0]
+
+    def tilted(self, rays: ViewRays, tilt: tuple[float, float]) -> ViewRays:
+        """The same rays mirrored by normals that are tilted along two tangents."""
+        normal = self._normals(tilt)[rays.sample].numpy()
+        return as_rays(
+            rays.sample, rays.view, rays.view_dir.numpy(), normal, self._directions.numpy()
+        )
+
+    def _normals(self, tilt: tuple[float, float]) -> Tensor:
+        """Normals (U, 3) tilted along two tangents."""
+        first, second = orthonormal_frame(self._normal)
+        return normalise(self._normal + tilt[0] * first + tilt[1] * second)
+
+    def from_suns(
+        self, rays: ViewRays, roughness: float, tilt: tuple[float, float] = (0.0, 0.0)
+    ) -> Tensor:
+        """The part (M, 2, 3) that sharp lobes send.
+
+        Args:
+            rays: Observations.
+            roughness: Of the surface.
+            tilt: How far the normal is tilted along two tangents: where a highlight lies depends on
+                the normal twice over, and the mesh's is a few degrees off.
+        """
+        sample = torch.from_numpy(rays.sample)
+        normal = self._normals(tilt)[sample]
+        total = torch.zeros(len(sample), 2, 3)
+        for index, sharpness in enumerate(self._light.sharpness):
+            # About the half vector a sun is half as wide, and widths add as squares: a lobe of
+            # sharpness s widens alpha^2 by 1 / (2 s).
+            blurred = (roughness**4 + 0.5 / float(sharpness)) ** 0.25
+            wide = torch.full_like(rays.cosine, max(blurred, SHARPEST_HIGHLIGHT))
+            axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
+            arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
+            lobe = microfacet.specular_brdf(
+                axis, rays.view_dir, normal, wide, torch.tensor([F0, 1.0])
+            )
+            total += lobe[:, :, None] * arriving[:, None]
+        return total

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many roughnesses the paint of an object has: none, one, or one per patch of it.
+
+Where highlights cannot tell, one roughness for all is no safer guess than many: most of what is
+mirrored is the ground, whose roughness says nothing of the object's. So each patch of like albedo
+and place has its own, drawn towards those like it by how little its own highlights say, see
+highlights.py. Whether there is any specular layer, and more than one roughness, is told by
+photographs that had no part in the fit, see proof.py.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.appearance.material.highlights import Highlights, pooled, read
+from robir.appearance.material.trial import Trial
+from robir.jobs.choice import Choice
+
+Floats = NDArray[np.float32]
+Reals = NDArray[np.floating[Any]]
+
+MATTE = 1.0
+"""Roughness stated for paint without highlights; it has no bearing on how it looks."""
+
+MIN_HIGHLIGHTS = 100
+"""Views near a sun's mirror direction that an object must have for anything to be judged."""
+
+STEP = 0.02
+"""Roughnesses are whole multiples of this: finer differences are below the errors of the readings,
+and every one of them has its own pass over its samples."""
+
+NO_DIFFERENCE = 0.04
+"""Deviation of the roughness over the surface below which there is one: nobody sees it, and patches
+are fitted to all views, so that chance alone lets them predict a little better."""
+
+STRIDE = 3
+"""Every so manieth sample of paint is tried."""
+
+ONE, EACH = "one for the whole object", "one per patch of like paint"
+GLOSSY, DULL = "as of any paint: F0 = 0.04", "none"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoughnessChoice:
+    """What was chosen.
+
+    Attributes:
+        has_highlights: Whether anything but metal has a specular layer.
+        roughness: (K,) of every patch.
+        choices: What was chosen against what, for the report.
+    """
+
+    has_highlights: bool
+    roughness: NDArray[np.float64]
+    choices: tuple[Choice, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """Parts of the surface that share a roughness each.
+
+    Attributes:
+        features: (K, D) log albedo and place of each.
+        number: (U,) patch of every sample.
+    """
+
+    features: Reals
+    number: NDArray[np.int64]
+
+
+def choose_roughness(
+    highlights: Highlights,
+    patches: Patches,
+    trial: Trial,
+    paint: NDArray[np.bool_],
+    *,
+    by_camera: bool,
+) -> RoughnessChoice:
+    """Roughness of every patch, as many as there are.
+
+    Args:
+        highlights: Of the U samples.
+        patches: That they lie on.
+        trial: The same samples.
+        paint: (U,) those that are no metal, of which all is judged.
+        by_camera: Whether a camera took the photographs. Those of a rendering may differ from patch
+            to patch, and have a specular layer, as they mostly do, unless the contrary is proven.
+
+    Returns:
+        The choice.
+    """
+    started = time.process_time()
+    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features)
+    kept = trial.rays_of(paint & (np.arange(len(paint)) % STRIDE == 0))
+    levels = np.full(len(paint), _stepped(one)), each[patches.number]
+    plain = trial.paint_errors(kept, None)
+    single, several = (trial.paint_errors(kept, level) for level in levels)
+    many = trial.proof(kept, single, several)
+    is_likely = many.is_given or not by_camera
+    gloss = trial.proof(kept, plain, several if is_likely else single)
+    of_paint = each[patches.number[paint]]
+    is_alike = not len(of_paint) or float(of_paint.std()) < NO_DIFFERENCE
+    is_dull = not (gloss.is_given if by_camera else gloss.is_open)
+    is_one = is_dull or is_alike or not is_likely
+    roughness = np.full(len(each), MATTE if is_dull else _stepped(one)) if is_one else each
+    choices = (
+        Choice(
+            choice="specular",
+            chosen=DULL if is_dull else GLOSSY,
+            alternatives=(GLOSSY if is_dull else DULL,),
+            held_out_error=gloss.plain if is_dull else gloss.rich,
+            why=f"with a specular layer {gloss.words}",
+        ),
+        Choice(
+            choice="roughness",
+            chosen=ONE if is_one else EACH,
+            alternatives=(EACH if is_one else ONE,),
+            held_out_error=many.plain if is_one else many.rich,
+            cost_seconds=time.process_time() - started,
+            why=f"with one per patch {many.words}",
+        ),
+    )
+    return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
+
+
+def _fitted(
+    highlights: Highlights, number: NDArray[np.int64], features: Reals
+) -> tuple[float, NDArray[np.float64]]:
+    """Roughness of all samples together, and of every patch (K,), in whole steps."""
+    readings = read(highlights, number, len(features))
+    return readings.weighted_mean(), _stepped(pooled(readings, features))
+
+
+def _stepped(roughness: Any) -> Any:
+    """The nearest whole multiples of STEP."""
+    return np.round(np.asarray(roughness, np.float64) / STEP) * STEP

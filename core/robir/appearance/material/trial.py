@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Materials of samples tried on photographs that had no part in their fit.
+
+Every material predicts the views as it would be rendered: metal with the one base colour of its
+part, paint with the diffuse light under its specular layer. That is each sample's own, and what its
+own views would only repeat, so it is taken from other views than the one that is predicted: the
+views are parted in folds, and each fold is predicted by the rest. Roughness and base colour are
+common to hundreds of observations at least, and fitted to all. Which of two materials is the better
+is told by `proof`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.material.observed import Seen
+from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
+from robir.appearance.proof import EVERY, Proof
+
+Reals = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """Some samples in all views.
+
+    Attributes:
+        reflections: What the U samples reflect.
+        rays: Their observations.
+        seen: What these show.
+    """
+
+    reflections: Reflections
+    rays: ViewRays
+    seen: Seen
+
+    def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
+        """Numbers of the rays of chosen samples (U,) that views of another fold show as well."""
+        fold = self.rays.view % EVERY
+        count = np.zeros((len(chosen), EVERY))
+        np.add.at(count, (self.rays.sample, fold), 1)
+        elsewhere = count.sum(1)[self.rays.sample] > count[self.rays.sample, fold]
+        return torch.from_numpy(np.flatnonzero(chosen[self.rays.sample] & elsewhere))
+
+    def paint_errors(self, chosen: Tensor, level: Reals | None) -> Reals:
+        """Squared errors (M,) of rays if their samples are paint.
+
+        Args:
+            chosen: Numbers (M,) of all rays of some samples, from `rays_of`.
+            level: (U,) roughness of the specular layer, or None where there is none.
+        """
+        rays, seen = self.rays.of(chosen), self.seen.of(chosen)
+        specular, through = torch.zeros(len(chosen), 3), torch.ones(len(chosen), 1)
+        levels = np.zeros(0) if level is None else level[rays.sample]
+        for roughness in np.unique(levels):
+            own = torch.from_numpy(np.flatnonzero(levels == roughness))
+            part = rays.of(own)
+            specular[own] = self.reflections.radiance(part, float(roughness))[:, 0]
+            through[own] = 1 - reflected_share(part, float(roughness))[:, None]
+        below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
+        shown = seen.curve.display_from_linear(below).float()
+        diffuse = seen.curve.linear_from_display(_by_other_folds(shown, rays).clamp(0, 1)).float()
+        return seen.squared(through * diffuse + specular)
+
+    def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
+        """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
+
+        How bright the light is nobody knows well; a base colour that is held to what metals have
+        would make metal look wrong under a light that is judged too strong.
+        """
+        seen = self.seen.of(chosen)
+        white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
+        return seen.squared(white * (seen.linear / white).median(0).values)
+
+    def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
+        """What rays say of two models by their errors (M,)."""
+        return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
+
+
+def _by_other_folds(shown: Tensor, rays: ViewRays) -> Tensor:
+    """Mean (M, 3) over the rays of the same sample in all other folds than each one's own."""
+    sample = torch.from_numpy(rays.sample)
+    number = sample * EVERY + torch.from_numpy(rays.view % EVERY)
+    size = int(sample.max()) + 1 if len(sample) else 0
+    values = torch.cat([shown, torch.ones(len(shown), 1)], 1)
+    whole = torch.zeros(size, 4).index_add_(0, sample, values)
+    own = torch.zeros(size * EVERY, 4).index_add_(0, number, values)
+    rest = whole[sample] - own[number]
+    return rest[:, :3] / rest[:, 3:].clamp(min=1)

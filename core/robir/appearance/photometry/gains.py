@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much brighter each photograph is than the others, and whether that is its exposure.
+
+An exposure changes all points alike; sheen depends on where a point faces. So gains from points of
+some orientations must let photographs predict points of the others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from robir.appearance.photometry.robust import Weighing, solve_views
+from robir.appearance.proof import Proof
+from robir.maths.tone import curve_from_name
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+LEAST_STEPS = 0.12
+"""Root mean square of the gains, steps, below which photographs count as exposed alike; gloss
+of paint and plates feigns up to 0.07."""
+
+NORMAL_STEPS = 1.5
+"""Steps of a normal's components within which points err together: some forty degrees."""
+
+FEWEST_POINTS = 50
+"""Points in all from which photographs can be compared."""
+
+
+def solve_gains(log: Array, normals: Floats) -> Array:
+    """Gains of views by the points they share.
+
+    Args:
+        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
+            point is shown by some view.
+        normals: (P, 3) unit.
+
+    Returns:
+        Log gains (V, 3) of mean 0 in every channel.
+    """
+    known = np.isfinite(log[..., 0])
+    values = np.nan_to_num(log)
+    weighing = Weighing(known, normals)
+    gains = np.zeros(log.shape[1:])
+    for _ in weighing.rounds():
+        gains, points = _least_squares(values, weighing.weight, weighing.prior())
+        weighing.renew(np.abs(values - gains - points[:, None]).mean(2))
+    return gains
+
+
+def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, Array]:
+    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values.
+
+    The points are eliminated, so that what only chains of photographs connect is solved as well as
+    what single photographs do.
+
+    Args:
+        values: (P, V, 3) log radiance.
+        weight: (P, V), 0 where a view does not show a point.
+        prior: Weight with which every gain is drawn to 0.
+    """
+    mass = weight.sum(1)
+    mean = np.einsum("pv,pvc->pc", weight, values) / mass[:, None]
+    right = np.einsum("pv,pvc->vc", weight, values - mean[:, None])
+    system = np.diag(weight.sum(0)) - weight.T @ (weight / mass[:, None])
+    gains = solve_views(system, right, prior)
+    return gains, mean - weight @ gains / mass[:, None]
+
+
+def are_uneven(log: Array, normals: Floats) -> bool:
+    """Whether photographs were exposed apart, by more than sheen feigns.
+
+    Args:
+        log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
+            does not show a point.
+        normals: (P, 3) of the points.
+    """
+    gains = solve_gains(log, normals)
+    if np.sqrt((gains**2).mean()) <= LEAST_STEPS * np.log(2):
+        return False
+    orientation = orientations(normals)
+    is_first = _halves(orientation)[orientation]
+    if min(is_first.sum(), (~is_first).sum()) < FEWEST_POINTS:
+        return False
+    plain, rich, groups = [], [], []
+    for judged in (is_first, ~is_first):
+        gains = solve_gains(log[~judged], normals[~judged])
+        shown = log[judged]
+        point, view = np.nonzero(np.isfinite(shown[..., 0]))
+        groups.append(np.stack([view, orientation[judged][point]]))
+        plain.append(_others_errors(shown, np.zeros_like(gains))[point, view])
+        rich.append(_others_errors(shown, gains)[point, view])
+    proof = Proof.of(
+        np.concatenate(plain), np.concatenate(rich), tuple(np.concatenate(groups, axis=1))
+    )
+    return proof.is_given
+
+
+def orientations(normals: Floats) -> NDArray[np.int64]:
+    """Numbers (P,) of orientations that err together, from 0 without gaps."""
+    cells = np.rint(NORMAL_STEPS * normals)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which orientations make up one half of the points, about: the largest first, by turns."""
+    counts, lead = np.bincount(orientation), 0
+    is_first = np.zeros(len(counts), bool)
+    for number in np.argsort(-counts, kind="stable"):
+        is_first[number] = lead <= 0
+        lead += int(counts[number]) * (1 if lead <= 0 else -1)
+    return is_first
+
+
+def _others_errors(log: Array, gains: Array) -> Array:
+    """Squared display errors (P, V) of what each view shows, predicted by the others."""
+    evened = log - gains
+    known = np.isfinite(evened[..., :1])
+    values = np.where(known, evened, 0.0)
+    others = (values.sum(1, keepdims=True) - values) / np.maximum(
+        known.sum(1, keepdims=True) - 1, 1
+    )
+    curve = curve_from_name("standard")
+    seen, predicted = (
+        curve.display_from_linear(torch.from_numpy(np.exp(shown)))
+        for shown in (np.where(known, log, 0.0), others + gains)
+    )
+    return ((seen - predicted) ** 2).mean(2).numpy()

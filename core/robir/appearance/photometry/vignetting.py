@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lens that darkens the corners of all photographs alike.
+
+The same surface points stand now in the middle of a photograph, now near its edge. With s the
+square of the distance from the middle, 1 in the corners, a point p in view v shows
+
+    log linear(p, v) = point(p) + gain(v) - k s(p, v) + highlight or error,
+
+solved by robust least squares together with the gains, which would otherwise take part of it. The
+law cos^4 of a simple lens is this to first order in s; of a further coefficient objects in the
+middle of their photographs tell nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.photometry.robust import Weighing, solve_views
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.uint8]
+
+PRIOR = 1.0
+"""Standard deviation of the strength before anything is seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Falloff:
+    """How much darker than in its middle a photograph is.
+
+    Attributes:
+        strength: Natural logarithm of the middle's radiance over the corners'; 0 where there is no
+            falloff.
+    """
+
+    strength: float = 0.0
+
+    @property
+    def corner_steps(self) -> float:
+        """Steps (log2) by which the corners are darker."""
+        return self.strength / float(np.log(2))
+
+    def log(self, off_axis: Codes) -> Array:
+        """Log radiance against the middle, of codes as in `Observations.off_axis`."""
+        return -self.strength * (off_axis / 255.0)
+
+    def factor(self, off_axis: Codes) -> Tensor:
+        """Factors (..., 1) float32 on linear radiance, of codes (...)."""
+        return torch.from_numpy(np.exp(self.log(off_axis)).astype(np.float32))[..., None]
+
+
+NO_FALLOFF = Falloff()
+"""Corners as bright as the middle."""
+
+
+def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:
+    """Falloff of all views by the points they share.
+
+    Args:
+        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
+            point is shown by some view.
+        normals: (P, 3) unit.
+        off_axis: (P, V) codes as in `Observations.off_axis`.
+
+    Returns:
+        The falloff, proven or not.
+    """
+    known = np.isfinite(log[..., 0])
+    values = np.nan_to_num(log).mean(2)
+    square = off_axis / 255.0
+    weighing = Weighing(known, normals)
+    strength, gains = 0.0, np.zeros(log.shape[1])
+    for _ in weighing.rounds():
+        strength, gains, points = _least_squares(values, square, weighing)
+        weighing.renew(np.abs(values + strength * square - gains - points[:, None]))
+    return Falloff(strength)
+
+
+def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[float, Array, Array]:
+    """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V).
+
+    Points are eliminated first, then gains.
+    """
+    weight = weighing.weight
+    mass = weight.sum(1)
+    share = weight / mass[:, None]
+    columns = np.stack([-square, values], axis=2)
+    columns -= np.einsum("pv,pvk->pk", share, columns)[:, None]
+    right = np.einsum("pv,pvk->vk", weight, columns)
+    system = np.diag(weight.sum(0)) - weight.T @ share
+    through = solve_views(system, right, weighing.prior())
+    moments = np.einsum("pvk,pv,pvl->kl", columns, weight, columns) - right.T @ through
+    ridge = weight[weighing.known].mean() * (weighing.noise / PRIOR) ** 2
+    strength = float(moments[0, 1] / (moments[0, 0] + ridge))
+    gains = through[:, 1] - strength * through[:, 0]
+    points = (share * (values + strength * square - gains)).sum(1)
+    return strength, gains, points

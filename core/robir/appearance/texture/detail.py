@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Textures as fine as the photographs: detail that shading cannot explain is paint.
+
+Albedo is solved on texels of a moderate size. What a photograph shows finer than these, against its
+own mean about the spot,
+
+    d(p) = log linear(p) - log mean of linear about p over one solved texel,
+
+is free of its exposure and of all light that varies slowly; the few photographs that resolve a spot
+best, head-on, near and sharp, agree on it, and albedo is multiplied by exp d. So colours come from
+all views and detail from the best, as in multi-band blending (Burt and Adelson 1983, "A
+multiresolution spline with application to image mosaics"; Allene, Pons and Keriven 2008, "Seamless
+image-based texture atlases using multi-band blending").
+
+Batch letters: N fine texels, M of them in one view, K views a texel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, grid_sample
+
+from robir.appearance.texture.albedo import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
+from robir.capture.capture import Bounds, View
+from robir.capture.checks.sharpness import relative_sharpness
+from robir.capture.images.loading import resize_view
+from robir.geometry.mesh.atlas import sample_texture
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.transport.observe import MASK_INSIDE, clean_pixels
+from robir.transport.surfels import interpolate
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+BEST = 4
+"""Views whose detail is blended at a texel."""
+
+STEEPNESS = 4.0
+"""Power of a view's pixels on a unit of surface by which it counts against the others."""
+
+DEPTH_SIDE = 400
+"""Longer side of the pictures by which is told what hides a texel, pixels."""
+
+NEAR = 0.015
+"""Difference of depth, unit frame, up to which a texel is the surface that a pixel sees."""
+
+MIN_COSINE = 0.3
+"""Views flatter than this blur all detail."""
+
+MOST_DETAIL = 1.5
+"""Of the logarithm of radiance: most that a spot may differ from its surroundings."""
+
+DISAGREEMENT = 0.1
+"""Difference of detail between views, natural logarithm, from which they count as disagreeing: a
+highlight's edge is in one of them only."""
+
+ROUNDS = 3
+
+BLOCK = 1 << 21
+"""Texels that are worked on at a time; each takes some hundred bytes."""
+
+
+def finer(
+    values: TexelAlbedo,
+    inside: Mask,
+    surface: tuple[Mesh, AbstractTracer],
+    photographs: tuple[Sequence[View], AbstractToneCurve],
+    side: int,
+) -> tuple[Mask, TexelAlbedo]:
+    """Texture values with the photographs' detail.
+
+    Args:
+        values: As solved.
+        inside: (T, T), the texels they belong to.
+        surface: Unwrapped mesh, unit frame, and its tracer.
+        photographs: Views to read, unit frame, and their tone curve.
+        side: Texels along a side that are wanted; the values come back as they are where these are
+            no more than T.
+
+    Returns:
+        The texels of the finer atlas that hold something, (side, side), and their values.
+    """
+    if side <= len(inside):
+        return inside, values
+    mesh, tracer = surface
+    views, curve = photographs
+    face, barycentric = rasterise_atlas(mesh, side)
+    held = face >= 0
+    rows, columns = np.nonzero(held)
+    uv = np.stack([(columns + 0.5) / side, 1.0 - (rows + 0.5) / side], axis=1)
+    fine = _upsampled(values, inside, uv)
+    where = (face[held], barycentric[held])
+    unit = Bounds(centre=np.zeros(3), radius=1.0, origin="")
+    sharp = np.minimum(relative_sharpness(views, unit), 1.0)
+    area = _area(mesh)
+    sizes = (math.sqrt(area / max(1, held.sum())), math.sqrt(area / max(1, inside.sum())))
+    lenses = [
+        _Lens(view, tracer, curve, (sizes, float(factor)))
+        for view, factor in zip(views, sharp, strict=True)
+    ]
+    albedo = fine.albedo.copy()
+    for start in range(0, len(rows), BLOCK):
+        part = slice(start, start + BLOCK)
+        position, normal = interpolate(mesh, where[0][part], where[1][part].astype(np.float32))
+        detail = detail_of(position, normal, lenses)
+        detail[fine.metallic[part] > 0.5] = 0.0
+        albedo[part] = (albedo[part] * np.exp(detail)).clip(MIN_ALBEDO, MAX_ALBEDO)
+    return held, replace(fine, albedo=albedo)
+
+
+def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floats:
+    """What the best views show at texels against what they show about them.
+
+    Args:
+        position: (N, 3), unit frame.
+        normal: (N, 3), unit.
+        lenses: Photographs.
+
+    Returns:
+        (N, 3), natural logarithm; 0 where no view shows the texel well.
+    """
+    weight = np.zeros((len(position), BEST), np.float32)
+    detail = np.zeros((len(position), BEST, 3), np.float32)
+    for lens in lenses:
+        texel, counts, own = lens.read(position, normal)
+        slot = weight[texel].argmin(1)
+        better = counts > weight[texel, slot]
+        texel, slot = texel[better], slot[better]
+        weight[texel, slot] = counts[better]
+        detail[texel, slot] = own[better]
+    return agreed(weight, detail)
+
+
+def agreed(weight: Floats, detail: Floats) -> Floats:
+    """The detail that views agree on: their mean, those that stand alone counting little.
+
+    Args:
+        weight: (N, K), 0 where there is none.
+        detail: (N, K, 3) natural logarithm.
+
+    Returns:
+        (N, 3); 0 where no view counts.
+    """
+    weight = weight / np.maximum(weight.max(1, keepdims=True), 1e-20)
+    share = weight
+    mean = np.zeros((len(weight), 3), np.float32)
+    for _ in range(ROUNDS):
+        total = np.maximum(share.sum(1, keepdims=True), 1e-9)
+        mean = np.einsum("nk,nkc->nc", share / total, detail)
+        apart = np.abs(detail - mean[:, None]).mean(2)
+        share = weight / (1.0 + (apart / DISAGREEMENT) ** 2)
+    return mean
+
+
+def _upsampled(values: TexelAlbedo, inside: Mask, uv: NDArray[np.float64]) -> TexelAlbedo:
+    """The values at points (N, 2) of the atlas, read between texels."""
+
+    def at(column: NDArray[np.generic]) -> Floats:
+        full = np.zeros((*inside.shape, *column.shape[1:]), np.float32)
+        full[inside] = column
+        layer = full.reshape(*inside.shape, -1)
+        blocks = [
+            sample_texture(layer, uv[start : start + BLOCK], inside).astype(np.float32)
+            for start in range(0, len(uv), BLOCK)
+        ]
+        return np.concatenate(blocks).reshape(len(uv), *column.shape[1:])
+
+    return TexelAlbedo(
+        albedo=at(values.albedo),
+        coverage=np.rint(at(values.coverage)).astype(np.int64),
+        disagreement=at(values.disagreement),
+        read=at(values.read),
+        unknown=at(values.unknown),
+        uncertainty=at(values.uncertainty),
+        roughness=at(values.roughness),
+        metallic=(at(values.metallic) > 0.5).astype(np.float32),
+    )
+
+
+def _area(mesh: Mesh) -> float:
+    """Area of the mesh, unit frame."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class _Levels:
+    """A photograph and its means over ever larger squares.
+
+    Attributes:
+        layers: (1, 4, H, W) float32 each, half as large as the one before: radiance times what
+            counts, and what counts.
+    """
+
+    layers: tuple[Tensor, ...]
+
+    @classmethod
+    def of(cls, radiance: Tensor, counts: Tensor, most: float) -> _Levels:
+        """Levels of a picture (H, W, 3) up to one of which a pixel is `most` pixels wide."""
+        layer = torch.cat([radiance * counts[..., None], counts[..., None]], dim=2)
+        layers = [layer.permute(2, 0, 1)[None]]
+        while 2 ** (len(layers) - 1) < most and min(layers[-1].shape[2:]) > 2:
+            layers.append(avg_pool2d(layers[-1], 2, ceil_mode=True, count_include_pad=False))
+        return cls(tuple(layers))
+
+    def read(self, place: Tensor, width: Tensor) -> Tensor:
+        """Means (M, 4) over squares of some widths (M,), pixels, about places (M, 2)."""
+        level = width.clamp(min=1.0).log2().clamp(max=len(self.layers) - 1)
+        found = torch.zeros(len(place), 4)
+        for number, layer in enumerate(self.layers):
+            share = (1.0 - (level - number).abs()).clamp(min=0.0)
+            rows = share.nonzero()[:, 0]
+            if not len(rows):
+                continue
+            # a layer's last pixel may stand for less than the others, and they for as much as ever
+            size = torch.tensor([layer.shape[3], layer.shape[2]]) * float(2**number)
+            at = (2.0 * place[rows] / size - 1.0)[None, None]
+            shown = grid_sample(layer, at, padding_mode="border", align_corners=False)
+            found[rows] += share[rows, None] * shown[0, :, 0].T
+        return found
+
+
+class _Lens:
+    """One photograph, ready to tell detail.
+
+    Args:
+        view: Photograph, unit frame.
+        tracer: Tracer of the mesh.
+        curve: Its tone curve.
+        how: Widths of a fine texel and of a solved one, unit frame; and the photograph's sharpness
+            against the others', at most 1.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        tracer: AbstractTracer,
+        curve: AbstractToneCurve,
+        how: tuple[tuple[float, float], float],
+    ) -> None:
+        self._view, self._tracer, self._curve = view, tracer, curve
+        (self._fine, self._solved), self._sharpness = how
+
+    @cached_property
+    def _depth(self) -> Tensor:
+        """(1, 2, h, w) inverse depth, and whether no outline is near, of a small copy."""
+        small = resize_view(self._view, DEPTH_SIDE)
+        clean, inverse = clean_pixels(self._tracer, small)
+        return torch.from_numpy(np.stack([inverse, clean]).astype(np.float32))[None]
+
+    def _levels(self, most: float) -> _Levels:
+        """Radiance and where it can be told: wholly on the object and not clipped."""
+        image = torch.from_numpy(self._view.image_display)
+        counts = (torch.from_numpy(self._view.mask) > MASK_INSIDE) & (image < 255).all(2)
+        radiance = self._curve.linear_from_display(image.float() / 255.0)
+        return _Levels.of(radiance.float(), counts.float(), most)
+
+    def read(self, position: Floats, normal: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Detail of the texels that the photograph shows.
+
+        Args:
+            position: (N, 3), unit frame.
+            normal: (N, 3), unit.
+
+        Returns:
+            Numbers of the texels (M,), what the photograph counts there (M,), and detail (M, 3).
+        """
+        texel, place, scale, density = self._shown(position, normal)
+        if not len(texel):
+            return texel, np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+        levels = self._levels(self._solved * float(scale.max()))
+        fine = levels.read(place, self._fine * scale)
+        coarse = levels.read(place, self._solved * scale)
+        kept = (fine[:, 3] > 0.99) & (coarse[:, 3] > 0.5)
+        logs = [
+            (layer[kept, :3] / layer[kept, 3:]).clamp(min=1e-4).log() for layer in (fine, coarse)
+        ]
+        detail = (logs[0] - logs[1]).clamp(-MOST_DETAIL, MOST_DETAIL)
+        counts = (density[kept] * self._sharpness**2) ** STEEPNESS
+        return texel[kept.numpy()], counts.numpy(), detail.numpy()
+
+    def _shown(
+        self, position: Floats, normal: Floats
+    ) -> tuple[NDArray[np.int64], Tensor, Tensor, Tensor]:
+        """Texels the camera sees: numbers, places, pixels per unit of length, and of area."""
+        camera = self._view.camera
+        towards = camera.position.astype(np.float32) - position
+        cosine = np.einsum("nd,nd->n", towards, normal) / np.linalg.norm(towards, axis=1)
+        texel = np.flatnonzero(cosine > MIN_COSINE)
+        pixels, depth = camera.project(position[texel].astype(np.float64))
+        kept = camera.in_picture(pixels, depth)
+        texel, depth = texel[kept], torch.from_numpy(depth[kept]).float()
+        place = torch.from_numpy(pixels[kept]).float()
+        size = torch.tensor([camera.width, camera.height])
+        seen = grid_sample(
+            self._depth, (2.0 * place / size - 1.0)[None, None], align_corners=False
+        )[0, :, 0]
+        near = (seen[1] > 0.99) & ((1.0 / depth - seen[0]).abs() * depth**2 < NEAR)
+        scale = 0.5 * (camera.fx + camera.fy) / depth[near]
+        facing = torch.from_numpy(cosine[texel[near.numpy()]])
+        return texel[near.numpy()], place[near], scale, facing * scale**2

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many texels the photographs fill: one for each pixel of the view that sees a spot best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from robir.appearance.config import AppearanceConfig
+from robir.capture.camera import Camera
+from robir.geometry.mesh.triangles import Mesh
+from robir.transport.baked import Transport
+
+
+def solved_side(config: AppearanceConfig) -> int:
+    """Texels along a side of the atlas that is solved: no more than the textures may have."""
+    return min(config.shading_size, config.texture_size)
+
+
+def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:
+    """Width on the surface of a pixel of the view that shows a spot best, the median spot's.
+
+    Args:
+        transport: Samples, and which views show them under what cosine.
+        cameras: Of the photographs at the size they are read at, unit frame, by name.
+
+    Returns:
+        Unit frame; infinite if no view shows anything.
+    """
+    seen = transport.observations
+    best = np.full(len(seen.weight), np.inf)
+    for column, name in enumerate(seen.views):
+        camera = cameras[name]
+        depth = (transport.surfels.position - camera.position) @ camera.forward
+        cosine = seen.weight[:, column]
+        shown = cosine > 0
+        area = depth[shown] ** 2 / (camera.fx * camera.fy * cosine[shown])
+        best[shown] = np.minimum(best[shown], area)
+    known = best[np.isfinite(best)]
+    return math.sqrt(float(np.median(known))) if len(known) else math.inf
+
+
+def texture_side(mesh: Mesh, width: float, sizes: tuple[int, int]) -> int:
+    """Side of a square texture whose texels are no wider than some width on the surface.
+
+    Args:
+        mesh: Unwrapped, unit frame.
+        width: Unit frame, > 0.
+        sizes: Least and most texels of a side.
+
+    Returns:
+        The least size doubled as often as it takes, and at most the most.
+    """
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    u, v, w = (mesh.uvs[mesh.uv_faces[:, k]].astype(np.float64) for k in range(3))
+    (ax, ay), (bx, by) = (v - u).T, (w - u).T
+    filled = 0.5 * np.abs(ax * by - ay * bx).sum()
+    wanted = math.sqrt(area / max(filled, 1e-9)) / width
+    least, most = sizes
+    side = min(least, most)
+    while side < wanted and 2 * side <= most:
+        side *= 2
+    return side

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a capture before a pixel is read: its counts, files, poses and lenses."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+
+from robir.capture.capture import Finding
+from robir.capture.frames import Frame, FrameSet, pose_fault
+from robir.capture.readers.files import children
+from robir.capture.refusal import error, note, warning
+
+MIN_VIEWS = 3
+"""Fewer views cannot fix a surface."""
+
+MAX_VIEWS = 2000
+"""More than this are refused: ten times as many as any object needs, and each takes time."""
+
+FEW_VIEWS = 12
+"""Below this many views, hidden sides stay guesses."""
+
+_SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
+
+
+def check_frames(frames: FrameSet) -> list[Finding]:
+    """Counts, missing files, poses and focal lengths, before a pixel is read.
+
+    Args:
+        frames: What the format says.
+
+    Returns:
+        Findings; errors among them mean that reading on is useless.
+    """
+    everything = frames.frames
+    tests = sum(frame.split == "test" for frame in everything)
+    found = [
+        note(
+            "counts",
+            f"{frames.format} capture with {len(everything)} posed photographs, "
+            f"{tests} of them test views",
+        )
+    ]
+    if len(everything) - tests < MIN_VIEWS:
+        found.append(
+            error(
+                "too-few-views",
+                f"{frames.root} has {len(everything) - tests} posed photographs to learn from; "
+                f"at least {MIN_VIEWS} are needed, 30 or more are good",
+                "Add photographs from other directions.",
+            )
+        )
+    elif len(everything) - tests < FEW_VIEWS:
+        found.append(
+            warning(
+                "few-views",
+                f"Only {len(everything) - tests} views to learn from",
+                "Expect guesses on sides that few views see; 30 or more views are good.",
+            )
+        )
+    found += check_count(len(everything))
+    missing = [frame.relative for frame in everything if not frame.image.is_file()]
+    if missing:
+        found.append(
+            error(
+                "missing-images",
+                f"{len(missing)} of {len(everything)} posed photographs are missing "
+                f"below {frames.root}",
+                "Put the photographs there under the names the poses use, or do without them with "
+                "--skip-missing.",
+                *missing,
+            )
+        )
+    unposed = [] if missing else _check_unposed(frames)
+    return found + unposed + _check_poses(everything) + _check_lenses(everything)
+
+
+def check_count(photographs: int) -> list[Finding]:
+    """Whether there are more photographs than can be read in a sane time."""
+    if photographs <= MAX_VIEWS:
+        return []
+    return [
+        error(
+            "too-many-views",
+            f"There are {photographs} photographs; at most {MAX_VIEWS} are read",
+            "Keep every n-th of them: 200 show an object from all sides.",
+        )
+    ]
+
+
+def _check_unposed(frames: FrameSet) -> list[Finding]:
+    """Photographs beside posed ones that have no pose themselves."""
+    images = [frame.image for frame in frames.frames]
+    masks = [frame.mask for frame in frames.frames if frame.mask is not None]
+    used = {os.path.normpath(path) for path in (*images, *masks)}
+    suffixes = {path.suffix.lower() for path in images}
+    beside = [
+        path.name
+        for folder in sorted({path.parent for path in images})
+        for path in children(folder)
+        if path.suffix.lower() in suffixes and os.path.normpath(path) not in used
+    ]
+    # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
+    # estimated here, what has none was named then.
+    if not beside or frames.format in ("nerf-synthetic", "photos"):
+        return []
+    return [
+        warning(
+            "unposed-images",
+            f"{len(beside)} photographs have no pose and are left out",
+            "If they show sides that no other does, estimate poses that include them.",
+            *beside,
+        )
+    ]
+
+
+def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
+    faults: dict[str, list[str]] = defaultdict(list)
+    places: dict[bytes, list[str]] = defaultdict(list)
+    for frame in frames:
+        fault = pose_fault(frame.camera_to_world)
+        if fault is not None:
+            faults[fault].append(frame.relative)
+        else:
+            places[np.round(frame.camera_to_world, 9).tobytes()].append(frame.relative)
+    found = [
+        error(
+            "bad-pose",
+            f"The pose of {len(names)} of {len(frames)} photographs {fault}",
+            "Estimate the poses again, or remove these photographs.",
+            *names,
+        )
+        for fault, names in faults.items()
+    ]
+    twins = [name for names in places.values() if len(names) > 1 for name in names]
+    if twins:
+        found.append(
+            warning(
+                "duplicate-poses",
+                f"{len(twins)} of {len(frames)} photographs share their pose with another",
+                "Remove repeated photographs; if they differ, their poses are wrong.",
+                *twins,
+            )
+        )
+    return found
+
+
+def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
+    absurd = [frame.relative for frame in frames if not frame.lens.is_sane]
+    if absurd:
+        return [
+            error(
+                "bad-intrinsics",
+                f"{len(absurd)} of {len(frames)} photographs have a focal length or field of view "
+                "that no camera has",
+                _SIDES_CURE,
+                *absurd,
+            )
+        ]
+    stated = [(f.lens.fx, f.relative) for f in frames if f.lens.fx is not None]
+    stated += [
+        (1 / f.lens.angle_x, f.relative)
+        for f in frames
+        if f.lens.fx is None and f.lens.angle_x is not None
+    ]
+    if not stated:
+        return []
+    middle = float(np.median([value for value, _ in stated]))
+    odd = [name for value, name in stated if not 0.5 <= value / middle <= 2]
+    if not odd:
+        return []
+    return [
+        warning(
+            "focal-lengths",
+            f"{len(odd)} of {len(frames)} photographs have a focal length less than half "
+            "or more than twice that of the others",
+            _SIDES_CURE,
+            *odd,
+        )
+    ]

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one door for photographs and masks: which files are opened, how large, and by what.
+
+A file counts only if it is a regular one and holds one of a few formats, told by content: PNG,
+JPEG, TIFF, BMP, WebP, or, under its own suffix, HEIC or RAW, which optional packages decode. Its
+size is looked at before a pixel is decoded. Nothing else of Pillow's is ever asked, for it knows
+formats that start other programs.
+
+Where a package is missing, the refusal says how to install it. EXIF data never stops a photograph:
+what is damaged there counts as absent.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from robir.capture.frames import HEIF_SUFFIXES, RAW_SUFFIXES
+from robir.capture.images.regular import regular
+from robir.capture.images.tiff import check_directories
+from robir.capture.refusal import CaptureRefusedError, refuse
+
+INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
+"""The cure for a missing optional package, in one place."""
+
+MAX_PIXELS = 100_000_000
+"""Largest photograph: decoding takes up to sixteen bytes a pixel."""
+
+MAX_SIDE = 65_535
+"""Longest side of a JPEG; other formats allow pictures that are a billion wide and one high."""
+
+MAX_FILE_BYTES = 1 << 30
+"""Largest file of a photograph."""
+
+MAX_DECODED = 2_000_000_000
+"""Pixels that a JPEG may make the decoder go over: each of its scans goes over all of them."""
+
+MAX_EXIF_BYTES = 1 << 20
+"""Largest EXIF data that is looked at; JPEG can have a sixteenth of it."""
+
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+_SCAN = b"\xff\xda"
+
+_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
+"""What Pillow raises for broken files."""
+
+_BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
+"""What Pillow raises for broken EXIF data."""
+
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What brings a photograph of each EXIF orientation upright."""
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image.Image]:
+    """A picture file, opened and decoded, or a refusal that names it.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Yields:
+        The picture as stored; RAW files come developed and upright.
+
+    Raises:
+        CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
+            not installed.
+    """
+    with header(path) as picture:
+        load(picture, path)
+        yield picture
+
+
+def load(picture: Image.Image, path: Path) -> None:
+    """Decode the pixels of an open picture.
+
+    Raises:
+        CaptureError: If they are damaged, or take too long.
+    """
+    whole = stored_size(path) if picture.format in ("JPEG", "MPO") else None
+    if whole is not None:
+        _check_scans(path, whole[0] * whole[1])
+    try:
+        picture.load()
+    except _DAMAGE as fault:
+        raise _damaged(path, fault) from None
+
+
+def reduce(picture: Image.Image, factor: int) -> int:
+    """Let an open picture be decoded at a fraction of its size, where its format allows it.
+
+    Args:
+        picture: Not yet decoded.
+        factor: 1, 2, 4 or 8, the reduction wanted.
+
+    Returns:
+        The reduction that decoding will apply, at most `factor`. Pixels past the right and lower
+        border fill the last ones where the size is no multiple of it.
+    """
+    before = picture.size
+    if factor > 1 and picture.format == "JPEG":
+        picture.draft(None, (max(1, before[0] // factor), max(1, before[1] // factor)))
+    return round(before[0] / picture.size[0])
+
+
+def stored_size(path: Path) -> tuple[int, int] | None:
+    """Width and height of a picture as `opened` yields it, without decoding what has a header.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Returns:
+        Pixels, or None if it cannot be opened.
+    """
+    try:
+        with header(path) as picture:
+            return picture.size
+    except CaptureRefusedError:
+        return None
+
+
+def may_hold_alpha(path: Path) -> bool:
+    """Whether a picture has transparency of any kind, without decoding it."""
+    if path.suffix.lower() in (*RAW_SUFFIXES, *HEIF_SUFFIXES):
+        return False
+    try:
+        with header(path) as picture:
+            return picture.has_transparency_data
+    except CaptureRefusedError:
+        return False
+
+
+@contextmanager
+def header(path: Path) -> Iterator[Image.Image]:
+    """A picture file whose pixels are read when they are asked for.
+
+    Args:
+        path: Any kind of `IMAGE_SUFFIXES`.
+
+    Yields:
+        The picture as stored, of a size that can be decoded.
+
+    Raises:
+        CaptureError: As `opened`, but for damage to the pixels.
+    """
+    suffix = path.suffix.lower()
+    formats = _FORMATS
+    if suffix in HEIF_SUFFIXES:
+        _register_heif(path)
+        formats = (*_FORMATS, "HEIF")
+    with ExitStack() as stack:
+        # Damaged EXIF data and pictures of 50 to 100 megapixels are no reason to stop.
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore")
+        try:
+            file = stack.enter_context(regular(path, MAX_FILE_BYTES))
+            if suffix in RAW_SUFFIXES:
+                picture = _developed(path, file)
+            else:
+                check_directories(file)
+                picture = Image.open(file, formats=formats)
+            _check_size(path, *picture.size)
+        except FileNotFoundError:
+            raise refuse(
+                "missing-images", f"{path} does not exist", "Put it there.", path.name
+            ) from None
+        except UnidentifiedImageError:
+            raise refuse(
+                "unreadable-images",
+                f"{path} is not a photograph that can be read",
+                "Save it as PNG, JPEG or TIFF.",
+                path.name,
+            ) from None
+        except _DAMAGE as fault:
+            raise _damaged(path, fault) from None
+        yield stack.enter_context(picture)
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS or max(width, height) > MAX_SIDE:
+        raise refuse(
+            "too-large",
+            f"{path} is {width}x{height} pixels; photographs of up to "
+            f"{MAX_PIXELS // 1_000_000} megapixels are read",
+            "Save it smaller.",
+            path.name,
+        )
+
+
+def _check_scans(path: Path, pixels: int) -> None:
+    """Refuse a JPEG that goes over its pixels again and again, as no camera's does."""
+    scans, last = 0, b""
+    with regular(path, MAX_FILE_BYTES) as file:
+        while block := file.read(1 << 20):
+            scans += (last + block).count(_SCAN)
+            last = block[-1:]
+    if scans > 1 and scans * pixels > MAX_DECODED:
+        raise refuse(
+            "too-large",
+            f"{path} stores its picture in {scans} passes, which takes too long to decode",
+            "Save it again.",
+            path.name,
+        )
+
+
+def exif_values(picture: Image.Image) -> dict[int, object] | None:
+    """EXIF tags of a picture, those of its sub-directory included.
+
+    Returns:
+        What can be read; None if there is EXIF data but nothing of it can be read.
+    """
+    if len(picture.info.get("exif", b"")) > MAX_EXIF_BYTES:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            exif = picture.getexif()
+            values = dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif))
+        except _BAD_EXIF:
+            return None
+    return values if values or not picture.info.get("exif") else None
+
+
+def orientation(picture: Image.Image) -> int:
+    """EXIF orientation, 1 to 8; 1, which is upright, where nothing sensible is stated."""
+    value = (exif_values(picture) or {}).get(ExifTags.Base.Orientation, 1)
+    return value if isinstance(value, int) and value in _TURNS else 1
+
+
+def upright(picture: Image.Image, orientation: int) -> Image.Image:
+    """The picture turned as an EXIF orientation says."""
+    return picture.transpose(_TURNS[orientation]) if orientation in _TURNS else picture
+
+
+def _register_heif(path: Path) -> None:
+    try:
+        import pillow_heif
+    except ImportError:
+        raise refuse(
+            "missing-reader",
+            f"{path} is a HEIC photograph, which needs the package pillow-heif",
+            f"{INSTALL_PHOTOS}; or save the photographs as JPEG.",
+            path.name,
+        ) from None
+    pillow_heif.register_heif_opener()
+
+
+def _developed(path: Path, file: BinaryIO) -> Image.Image:
+    """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
+
+    Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
+    """
+    try:
+        import rawpy
+    except ImportError:
+        raise refuse(
+            "missing-reader",
+            f"{path} is a RAW photograph, which needs the package rawpy",
+            f"{INSTALL_PHOTOS}; or develop the photographs, all with the same settings.",
+            path.name,
+        ) from None
+    try:
+        with rawpy.imread(file) as raw:
+            _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
+            pixels = raw.postprocess(
+                half_size=True, use_camera_wb=True, no_auto_bright=True, output_bps=8
+            )
+    except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
+        raise _damaged(path, fault) from None
+    picture = Image.fromarray(pixels)
+    # Most RAW files are TIFF as well, so the lens can be read; the picture is upright already.
+    file.seek(0)
+    with suppress(UnidentifiedImageError, *_BAD_EXIF), Image.open(file, formats=["TIFF"]) as stored:
+        exif = stored.getexif()
+        exif.get_ifd(ExifTags.IFD.Exif)
+        exif.pop(ExifTags.Base.Orientation, None)
+        picture.info["exif"] = exif.tobytes()
+    return picture
+
+
+def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
+    return refuse(
+        "unreadable-images",
+        f"{path} is truncated or damaged ({fault})",
+        "Copy it again from the camera, or remove it and its pose.",
+        path.name,
+    )

@@ -1,0 +1,395 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photographs and masks from disk: 8-bit, display-referred, one at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from robir.capture.camera import Camera
+from robir.capture.capture import View
+from robir.capture.frames import Distortion
+from robir.capture.images.decode import header, load, opened, orientation, reduce, upright
+from robir.capture.images.opencv import cv2
+from robir.capture.refusal import refuse
+
+Bytes = NDArray[np.uint8]
+
+_AT_ONCE = 1 << 24
+"""Largest picture, in pixels, that is shrunk as a whole."""
+
+_BAND = 64
+"""Rows of the result that are made at a time of larger ones."""
+
+MESH = 8
+"""Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photo:
+    """A photograph as stored.
+
+    Attributes:
+        image_display: (H, W, 3) uint8, display-referred, straight.
+        alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
+        orientation: EXIF orientation that was applied, 1 to 8; 1 if none was.
+        reduction: How many pixels of the file, along rows and columns, went into one of these.
+    """
+
+    image_display: Bytes
+    alpha: Bytes | None
+    orientation: int
+    reduction: int = 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.image_display.shape[1], self.image_display.shape[0]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPhoto:
+    """A photograph that is open and not yet decoded.
+
+    Attributes:
+        picture: As the file holds it.
+        path: Its file.
+        orientation: EXIF orientation to apply, 1 to 8.
+    """
+
+    picture: Image.Image
+    path: Path
+    orientation: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, turned upright, before it is decoded."""
+        width, height = self.picture.size
+        return (height, width) if self.orientation >= 5 else (width, height)
+
+    def read(self, reduction: int = 1) -> Photo:
+        """Decode it, once.
+
+        Args:
+            reduction: 1, 2, 4 or 8: by how much it may be reduced if that spares decoding.
+
+        Raises:
+            CaptureError: If the pixels are damaged or are no display values.
+        """
+        applied = reduce(self.picture, reduction)
+        load(self.picture, self.path)
+        turned = upright(self.picture, self.orientation)
+        return replace(pixels_of(turned, self.path, self.orientation), reduction=applied)
+
+
+@contextmanager
+def open_photo(
+    path: Path, declared: tuple[int, int] | None, is_upright: bool = False
+) -> Iterator[StoredPhoto]:
+    """Open a photograph.
+
+    Programs that write poses with an image size ignore the EXIF orientation, so it is applied
+    only if the pixels as stored do not have the declared size, or none is declared; or if the
+    poses are known to be for upright photographs.
+
+    Args:
+        path: PNG, JPEG, TIFF or whatever else can be decoded; 8 or 16 bits.
+        declared: (width, height) that belongs to the pose, or None.
+        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
+
+    Yields:
+        The photograph; its size may still differ from the declared one.
+
+    Raises:
+        CaptureError: If the file is missing or no photograph.
+    """
+    with header(path) as picture:
+        turn = orientation(picture) if is_upright or picture.size != declared else 1
+        yield StoredPhoto(picture, path, turn)
+
+
+def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
+    """Read a mask: alpha where it varies, else brightness; 255 is the object.
+
+    Masks of zeros and ones are stretched to 0 and 255. A mask that was drawn on the pixels as
+    stored, and fits the photograph only if turned with it, is turned.
+
+    Args:
+        path: Mask file.
+        size: Width and height of its photograph.
+        turn: EXIF orientation that was applied to the photograph.
+
+    Returns:
+        (H, W) uint8 coverage, of its own size.
+
+    Raises:
+        CaptureError: If the file is missing, truncated or no picture.
+    """
+    with opened(path) as picture:
+        picture = upright(picture, orientation(picture))
+        if turn != 1 and not same_shape(picture.size, size):
+            turned = upright(picture, turn)
+            picture = turned if same_shape(turned.size, size) else picture
+        photo = pixels_of(picture, path)
+    mask = photo.image_display.max(axis=2) if photo.alpha is None else photo.alpha
+    return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+
+
+def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes:
+    """A mask brought to the size of its photograph, whose shape it has.
+
+    Args:
+        mask: (h, w) uint8.
+        size: Width and height of the photograph.
+
+    Returns:
+        (H, W) uint8, resampled where it was smaller or larger.
+    """
+    if mask.shape[::-1] == size:
+        return mask
+    return np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two (width, height) differ by a scale and at most a pixel of rounding."""
+    return abs(one[0] * other[1] - one[1] * other[0]) <= max(*one, *other)
+
+
+def size_within(size: tuple[int, int], max_side: int) -> tuple[int, int]:
+    """Width and height of a picture brought down to a longer side of at most `max_side`."""
+    scale = min(1.0, max_side / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
+    """Area average of a photograph and its mask.
+
+    Colours are weighted by the mask, so that the background (or the black under a transparent
+    alpha) does not bleed into the object's edge. Averages display values: the tone curve is not
+    known yet.
+
+    Args:
+        image: (H, W, 3) uint8, straight.
+        mask: (H, W) uint8.
+        width: New width in pixels.
+        height: New height in pixels.
+
+    Returns:
+        Image (height, width, 3) uint8, straight, and mask (height, width) uint8.
+    """
+    if (width, height) == (image.shape[1], image.shape[0]):
+        return image, mask
+
+    if mask.size > _AT_ONCE:
+        return _shrink_in_bands(image, mask, width, height)
+    small = cv2.resize(_weighted(image, mask), (width, height), interpolation=cv2.INTER_AREA)
+    return _straight(small)
+
+
+def _weighted(image: Bytes, mask: Bytes) -> NDArray[np.float32]:
+    """Colours times the mask, and the mask, (H, W, 4)."""
+    layers = np.empty((*mask.shape, 4), np.float32)
+    # A grain of weight keeps the picture where there is no object at all.
+    np.add(mask, np.float32(1e-3), out=layers[:, :, 3])
+    np.multiply(image, layers[:, :, 3:], out=layers[:, :, :3])
+    return layers
+
+
+def _straight(layers: NDArray[np.float32]) -> tuple[Bytes, Bytes]:
+    """The picture and the mask of `_weighted`."""
+    layers[:, :, :3] /= layers[:, :, 3:]
+    codes = _bytes(layers)
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+
+
+def _shrink_in_bands(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
+    """As `shrink`, some rows at a time: all at once takes 20 bytes a pixel and more."""
+    small = np.empty((height, width, 3), np.uint8)
+    small_mask = np.empty((height, width), np.uint8)
+    step = len(mask) / height
+    for top in range(0, height, _BAND):
+        rows = np.arange(top, min(top + _BAND, height))
+        first, last = int(top * step), min(len(mask), math.ceil((rows[-1] + 1) * step))
+        part = np.s_[first:last]
+        size = (width, last - first)
+        layers = cv2.resize(_weighted(image[part], mask[part]), size, interpolation=cv2.INTER_AREA)
+        # what each row of the file has in common with each row that is wanted
+        at = np.arange(first, last)
+        start = np.maximum(at, (rows * step)[:, None])
+        end = np.minimum(at + 1, ((rows + 1) * step)[:, None])
+        share = (np.maximum(end - start, 0.0) / step).astype(np.float32)
+        band = (share @ layers.reshape(len(at), -1)).reshape(len(rows), width, 4)
+        small[rows], small_mask[rows] = _straight(band)
+    return small, small_mask
+
+
+def resize_view(view: View, max_side: int) -> View:
+    """The view at no more than `max_side` pixels; area averages of the object, camera included."""
+    size = size_within((view.camera.width, view.camera.height), max_side)
+    image, mask = shrink(view.image_display, view.mask, *size)
+    return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
+
+
+def straightened(camera: Camera, distortion: Distortion) -> Camera:
+    """The camera of the photograph without its lens distortion, of the same size.
+
+    The field of view shrinks just so much that no pixel lies outside the photograph.
+
+    Args:
+        camera: Camera of the photograph, distortion aside.
+        distortion: Lens distortion.
+
+    Raises:
+        CaptureError: If the distortion folds the picture over itself.
+    """
+    lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    zoom = _zoom_without_gaps(lens, distortion)
+    return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
+
+
+def undistort(
+    image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion, straight: Camera
+) -> tuple[Bytes, Bytes]:
+    """Take out the lens distortion by bilinear remapping.
+
+    Args:
+        image: (H, W, 3) uint8 as photographed.
+        mask: (H, W) uint8.
+        camera: Its camera, distortion aside.
+        distortion: Lens distortion.
+        straight: The camera of the picture that is wanted: as `straightened` has it, or of a
+            part of that.
+
+    Returns:
+        Image and mask of that camera's size.
+    """
+    # exact in the middle of every few pixels, and one such square beyond the border
+    columns, rows = (
+        MESH * (np.arange(-1, -(-side // MESH) + 1) + 0.5)
+        for side in (straight.width, straight.height)
+    )
+    middles = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
+    at = _distorted_pixels(middles, straight, camera, distortion) - 0.5
+    at = at.reshape(len(rows), len(columns), 2).astype(np.float32)
+    fine = cv2.resize(at, (MESH * len(columns), MESH * len(rows)), interpolation=cv2.INTER_LINEAR)
+    where = fine[MESH : MESH + straight.height, MESH : MESH + straight.width]
+    codes = cv2.remap(
+        np.dstack([image, mask]), where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+
+
+def _distorted_pixels(
+    pixels: NDArray[np.float64], straight: Camera, camera: Camera, distortion: Distortion
+) -> NDArray[np.float64]:
+    """Where points of the undistorted picture lie in the photograph, (N, 2) pixels."""
+    x = (pixels[:, 0] - straight.cx) / straight.fx
+    y = (pixels[:, 1] - straight.cy) / straight.fy
+    x, y = distortion.apply(x, y)
+    return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=1)
+
+
+@lru_cache
+def _zoom_without_gaps(
+    lens: tuple[int, int, float, float, float, float], distortion: Distortion
+) -> float:
+    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph.
+
+    Args:
+        lens: Width, height, fx, fy, cx and cy of a camera: many photographs share them.
+        distortion: Lens distortion.
+    """
+    width, height, fx, fy, cx, cy = lens
+    camera = Camera(
+        camera_to_world=np.eye(4), width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
+    )
+    u = np.linspace(0.0, camera.width, 65)
+    v = np.linspace(0.0, camera.height, 65)
+    border = np.concatenate(
+        [np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(camera.height))]
+        + [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(camera.width))]
+    )
+    size = np.array([camera.width, camera.height], dtype=np.float64)
+
+    def fits(zoom: float) -> bool:
+        straight = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
+        at = _distorted_pixels(border, straight, camera, distortion)
+        if not ((at >= -0.5) & (at <= size + 0.5)).all():
+            return False
+        # Along every ray from the middle the distorted radius has to grow.
+        middle = np.array([straight.cx, straight.cy])
+        steps = np.linspace(0.0, 1.0, 17)[:, None, None]
+        fan = _distorted_pixels(
+            (middle + steps * (border - middle)).reshape(-1, 2), straight, camera, distortion
+        ).reshape(17, len(border), 2)
+        radii = np.linalg.norm(fan - fan[0], axis=2)
+        return bool((np.diff(radii, axis=0) > 0).all())
+
+    for zoom in np.geomspace(1.0, 2.0, 141):
+        if fits(float(zoom)):
+            return float(zoom)
+    raise refuse(
+        "distortion",
+        "The lens distortion folds the picture over itself: "
+        f"radial {distortion.radial}, rational {distortion.rational}, "
+        f"tangential {distortion.tangential}, skew {distortion.skew:g}",
+        "Undistort the photographs (for example with `colmap image_undistorter`) "
+        "and give that folder.",
+    )
+
+
+def _bytes(values: NDArray[np.float32]) -> Bytes:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _array_of(picture: Image.Image, mode: str) -> Bytes:
+    """Pixels in a mode; Pillow would copy those that have it already once more."""
+    return np.array(picture if picture.mode == mode else picture.convert(mode))
+
+
+def pixels_of(picture: Image.Image, path: Path, turn: int = 1) -> Photo:
+    """Pixels of a decoded picture as 8-bit RGB and alpha.
+
+    Args:
+        picture: As `robir.capture.images.decode.opened` yields it, turned where it has to be.
+        path: Its file, for messages.
+        turn: EXIF orientation that was applied.
+
+    Raises:
+        CaptureError: If the pixels are no display values.
+    """
+    if picture.mode == "F":
+        raise refuse(
+            "unreadable-images",
+            f"{path} holds floating-point pixels, not display values",
+            "Save it as 8- or 16-bit PNG, JPEG or TIFF.",
+            path.name,
+        )
+    if picture.mode.startswith("I"):
+        # 16-bit grey; 65535 / 255 = 257.
+        grey = np.clip(np.asarray(picture), 0, 65535).astype(np.int32)
+        grey += 128  # so that whole numbers are rounded, not cut
+        grey //= 257
+        return Photo(
+            image_display=np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2),
+            alpha=None,
+            orientation=turn,
+        )
+    if not picture.has_transparency_data:
+        image = _array_of(picture, "RGB")
+        return Photo(image_display=image, alpha=None, orientation=turn)
+    pixels = _array_of(picture, "RGBA")
+    alpha = np.ascontiguousarray(pixels[:, :, 3])
+    return Photo(
+        image_display=np.ascontiguousarray(pixels[:, :, :3]),
+        alpha=None if alpha.min(initial=255) == 255 else alpha,
+        orientation=turn,
+    )

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One photograph from its file to a view: decoded once, cut to the object, undistorted, reduced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from PIL import Image
+
+from robir.capture.camera import Box, Camera
+from robir.capture.capture import Split, View
+from robir.capture.frames import Distortion, Frame, rigid
+from robir.capture.images.crop import NEVER_REDUCED, object_box, scaled_box
+from robir.capture.images.loading import (
+    Bytes,
+    Photo,
+    StoredPhoto,
+    fitted_mask,
+    open_photo,
+    read_mask,
+    same_shape,
+    shrink,
+    size_within,
+    straightened,
+    undistort,
+)
+from robir.capture.refusal import refuse
+
+OVERVIEW_SIDE = 192
+"""Longer side of the small copies that show what surrounds the object, pixels."""
+
+SPARE = 1.25
+"""Least pixels that are decoded, along a side, for one that is kept."""
+
+Size = tuple[int, int]
+
+
+class MaskSource(Protocol):
+    """Where the mask of a photograph comes from."""
+
+    def outline(self, size: Size) -> Bytes:
+        """The mask, as photographed, at any size; the photograph itself has the one given."""
+        ...
+
+    def of(self, photo: Photo, size: Size) -> Bytes:
+        """The mask of a photograph at the size it was decoded to, (H, W) uint8."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnMask:
+    """A mask that was given.
+
+    Attributes:
+        mask: (h, w) uint8, of the photograph's shape.
+    """
+
+    mask: Bytes
+
+    def outline(self, size: Size) -> Bytes:
+        """The mask as it was given."""
+        del size
+        return self.mask
+
+    def of(self, photo: Photo, size: Size) -> Bytes:
+        """The mask at the size the photograph was decoded to."""
+        del size
+        return fitted_mask(self.mask, photo.size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """What became of one photograph.
+
+    Attributes:
+        view: Cut to the object and reduced; its mask is full where there is none.
+        overview: The whole of it, small.
+        has_mask: Whether anything says which pixels are the object.
+        is_turned: Whether an EXIF orientation was applied.
+    """
+
+    view: View
+    overview: View
+    has_mask: bool
+    is_turned: bool
+
+
+def read_view(
+    frame: Frame, split: Split, given: Path | MaskSource | None, max_side: int
+) -> Reading:
+    """Read a photograph and its mask.
+
+    Args:
+        frame: The photograph with its pose, which is without fault.
+        split: What the view is for.
+        given: Its mask or the mask's file, which win over the format's own and over alpha; or None.
+        max_side: Longer side that is kept of what shows the object, pixels.
+
+    Raises:
+        CaptureError: If photograph or mask cannot be read, or do not fit the pose or each other.
+    """
+    with open_photo(frame.image, frame.lens.size, frame.is_upright) as stored:
+        size = stored.size
+        _check_size(size, frame)
+        given = given or frame.mask
+        source = _drawn(given, stored) if isinstance(given, Path) else given
+        photo = stored.read(_reduction(size, source, max_side))
+    camera = _reduced(frame.lens.camera(rigid(frame.camera_to_world), *size), photo)
+    mask = photo.alpha if source is None else source.of(photo, size)
+    image = photo.image_display
+    layer = np.full(image.shape[:2], 255, np.uint8) if mask is None else mask
+    picture = _Picture(image, layer, camera)
+    overview, box = picture.overview(frame.lens.distortion)
+    part = picture.part(frame.lens.distortion, box if max(size) > NEVER_REDUCED else None, max_side)
+    return Reading(
+        view=part.view(frame.name, split),
+        overview=overview.view(frame.name, split),
+        has_mask=mask is not None,
+        is_turned=photo.orientation != 1,
+    )
+
+
+def _check_size(size: Size, frame: Frame) -> None:
+    declared = frame.lens.size
+    if declared is None or size == declared:
+        return
+    if not (frame.lens.is_scalable and same_shape(size, declared)):
+        raise refuse(
+            "wrong-size",
+            f"{frame.image} is {size[0]}x{size[1]} pixels, but its pose is for "
+            f"{declared[0]}x{declared[1]}",
+            "Give the photographs the poses were made for, or correct the stated size.",
+            frame.image.name,
+        )
+
+
+def _drawn(path: Path, stored: StoredPhoto) -> DrawnMask:
+    """A mask from its file."""
+    width, height = stored.size
+    mask = read_mask(path, stored.size, stored.orientation)
+    if not same_shape((mask.shape[1], mask.shape[0]), stored.size):
+        raise refuse(
+            "wrong-size",
+            f"The mask {path} is {mask.shape[1]}x{mask.shape[0]} pixels, but its "
+            f"photograph {stored.path.name} is {width}x{height}",
+            "Draw the mask on the photograph itself, uncropped.",
+            path.name,
+        )
+    return DrawnMask(mask)
+
+
+def _reduction(size: Size, source: MaskSource | None, max_side: int) -> int:
+    """By how much a photograph of some size may be reduced while it is decoded."""
+    share = 1.0
+    if source is not None:
+        outline = source.outline(size)
+        box = object_box(outline)
+        if box is not None:
+            share = max(box[2] - box[0], box[3] - box[1]) / max(outline.shape)
+    side = share * max(size)
+    wanted = SPARE * min(side, max_side)
+    return next(factor for factor in (8, 4, 2, 1) if factor == 1 or side / factor >= wanted)
+
+
+def _reduced(camera: Camera, photo: Photo) -> Camera:
+    """The camera of a photograph that was reduced while it was decoded."""
+    width, height = photo.size
+    factor = photo.reduction
+    if factor == 1:
+        return camera
+    exact = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, width=width, height=height, **exact)
+
+
+@dataclass(frozen=True, slots=True)
+class _Picture:
+    """Pixels, their mask and their camera, lens distortion aside."""
+
+    image: Bytes
+    mask: Bytes
+    camera: Camera
+
+    @property
+    def size(self) -> Size:
+        return self.camera.width, self.camera.height
+
+    def view(self, name: str, split: Split) -> View:
+        return View(
+            name=name, image_display=self.image, mask=self.mask, camera=self.camera, split=split
+        )
+
+    def shrunk(self, size: Size) -> _Picture:
+        image, mask = shrink(self.image, self.mask, *size)
+        return _Picture(image, mask, self.camera.resized(*size))
+
+    def straight(self, distortion: Distortion, camera: Camera) -> _Picture:
+        """As another camera sees it, without the distortion."""
+        image, mask = undistort(self.image, self.mask, self.camera, distortion, camera)
+        return _Picture(image, mask, camera)
+
+    def overview(self, distortion: Distortion) -> tuple[_Picture, Box | None]:
+        """The whole of it, small and undistorted, and the part of the large one to keep."""
+        size = size_within(self.size, OVERVIEW_SIDE)
+        factor = max(1, min(self.size) // (2 * min(size)))
+        image, mask = (
+            np.asarray(Image.fromarray(layer).reduce(factor)) for layer in (self.image, self.mask)
+        )
+        image, mask = shrink(image, mask, *size)
+        small = _Picture(image, mask, self.camera.resized(*size))
+        if distortion.is_null:
+            return small, object_box(self.mask)
+        small = small.straight(distortion, straightened(small.camera, distortion))
+        box = object_box(small.mask)
+        return small, None if box is None else scaled_box(box, small.size, self.size)
+
+    def part(self, distortion: Distortion, box: Box | None, max_side: int) -> _Picture:
+        """A part of it, or the whole, undistorted and at most `max_side` pixels long."""
+        width, height = self.size if box is None else (box[2] - box[0], box[3] - box[1])
+        target = size_within((width, height), max_side)
+        if distortion.is_null:
+            return (self if box is None else self._cut(box)).shrunk(target)
+        # Remapping at twice the final size costs little and blurs nothing that will be kept.
+        between = (min(width, 2 * target[0]), min(height, 2 * target[1]))
+        if box is None:
+            picture = self.shrunk(between)
+            camera = straightened(picture.camera, distortion)
+        else:
+            scale = between[0] / width
+            picture = self.shrunk((round(self.size[0] * scale), round(self.size[1] * scale)))
+            camera = straightened(self.camera, distortion).part(box).resized(*between)
+        return picture.straight(distortion, camera).shrunk(target)
+
+    def _cut(self, box: Box) -> _Picture:
+        left, top, right, bottom = box
+        part = np.s_[top:bottom, left:right]
+        return _Picture(
+            np.ascontiguousarray(self.image[part]),
+            np.ascontiguousarray(self.mask[part]),
+            self.camera.part(box),
+        )

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks for a capture that brings none: guessed, written for the user to mend, accounted for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from PIL import Image
+
+from robir.capture.camera import Camera
+from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Finding, Split, View
+from robir.capture.config import CaptureConfig
+from robir.capture.frames import Array, Distortion, Frame, FrameSet, Lens, posed_otherwise
+from robir.capture.images.loading import Bytes, Photo
+from robir.capture.images.opencv import cv2
+from robir.capture.masks import matching
+from robir.capture.masks.finish import sharpened
+from robir.capture.masks.given import HOW_TO_SUPPLY
+from robir.capture.masks.guess import Guess, guess_masks
+from robir.capture.masks.region import find_region, region_of_box
+from robir.capture.masks.sight import Layer
+from robir.capture.masks.table_disc import disc_about, disc_picture
+from robir.capture.refusal import error, note, warning
+from robir.capture.views import Loaded, Progress, load_views, unheard
+from robir.jobs.paths import replacing
+
+_ENOUGH_POINTS = 200
+"""Sparse points of a format that make a search for more needless."""
+
+
+def with_guessed_masks(
+    frames: FrameSet,
+    chosen: Sequence[tuple[Frame, Split]],
+    loaded: Loaded,
+    how: tuple[CaptureConfig, Path | None],
+    progress: Progress = unheard,
+) -> tuple[Loaded, list[Finding]]:
+    """Guess the masks of photographs that have none, and read the photographs again with them.
+
+    Args:
+        frames: What the format says.
+        chosen: Frames that were read, with their split.
+        loaded: The photographs read from them, none with a mask.
+        how: Settings of the stage, and the folder where the masks are written, or None to keep no
+            files.
+        progress: Told the share of this work.
+
+    Returns:
+        Photographs with masks, and findings; an error among them where no masks could be made,
+        and the photographs are then as they came.
+    """
+    config, folder = how
+    progress(0.0, "looking for the object")
+    seen, guess, fault = _guess(frames, loaded.views, config, progress)
+    if guess is None:
+        return loaded, [
+            error(
+                "no-masks",
+                "The photographs have no masks: nothing says which pixels are the object, and "
+                f"they could not be guessed ({fault})",
+                f"{HOW_TO_SUPPLY} Or say where the object is with the setting "
+                "capture.box=[x, y, z, width, depth, height].",
+            )
+        ]
+    rim = None
+    plane = guess.region.plane
+    if config.ground == "keep" and plane is not None:
+        rim = disc_about(guess.volume, plane)
+    by_name = {frame.name: frame for frame, _ in chosen}
+    cuts: dict[str, GuessedMask] = {}
+    for view, belief in zip(seen, guess.masks, strict=True):
+        frame = by_name[view.name]
+        small = view.camera.resized(belief.shape[1], belief.shape[0])
+        cuts[view.name] = GuessedMask(
+            lens=frame.lens,
+            camera=small,
+            belief=belief,
+            disc=None if rim is None else disc_picture(rim, small),
+            path=None if folder is None else _mask_path(folder, frame.relative),
+        )
+    again = load_views(
+        chosen,
+        cuts,
+        config.max_side,
+        lambda share, text: progress(0.6 + 0.4 * share, text),
+    )
+    account = _account(guess, loaded.views, config, folder)
+    return replace(again, table=plane), account
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuessedMask:
+    """A guess that is finished once its photograph is decoded.
+
+    Attributes:
+        lens: Lens of the photograph.
+        camera: Camera of the layers, undistorted.
+        belief: (h, w) in [0, 1].
+        disc: (h, w), the ground that is kept, or None.
+        path: File the mask is written to, or None.
+    """
+
+    lens: Lens
+    camera: Camera
+    belief: Layer
+    disc: Layer | None
+    path: Path | None
+
+    def outline(self, size: tuple[int, int]) -> Bytes:
+        """The guess itself, as photographed."""
+        belief, disc = self._bent(size)
+        whole = belief if disc is None else np.maximum(belief, disc)
+        return np.where(whole > 0.5, np.uint8(255), np.uint8(0))
+
+    def of(self, photo: Photo, size: tuple[int, int]) -> Bytes:
+        """The mask at the size the photograph was decoded to; written where it shall be."""
+        belief, disc = self._bent(size)
+        mask = sharpened(photo.image_display, belief)
+        if disc is not None:
+            ground = cv2.resize(disc, photo.size, interpolation=cv2.INTER_LINEAR) > 0.5
+            mask = np.where(ground, np.uint8(255), mask)
+        if self.path is not None:
+            _write(self.path, mask)
+        return mask
+
+    def _bent(self, size: tuple[int, int]) -> tuple[Layer, Layer | None]:
+        """The layers with the distortion of the photograph."""
+        if self.lens.distortion.is_null:
+            return self.belief, self.disc
+        pinhole = self.lens.camera(self.camera.camera_to_world, *size)
+        pinhole = pinhole.resized(self.camera.width, self.camera.height)
+        x, y = _straight_pixels(pinhole, self.camera, self.lens.distortion)
+
+        def bent(layer: Layer) -> Layer:
+            return cv2.remap(
+                layer, x, y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+
+        return bent(self.belief), None if self.disc is None else bent(self.disc)
+
+
+def _guess(
+    frames: FrameSet,
+    views: tuple[View, ...],
+    config: CaptureConfig,
+    progress: Progress,
+) -> tuple[tuple[View, ...], Guess | None, str]:
+    """The views with the poses used, and their masks or why there are none."""
+    points = frames.points
+    if len(points) < _ENOUGH_POINTS:
+        views, points = _triangulated(frames, views)
+    cameras = [view.camera for view in views]
+    if config.box:
+        region = region_of_box(config.box, cameras, points)
+    else:
+        region = find_region(cameras, points)
+    if region is None:
+        return views, None, "the cameras do not aim at a common point"
+    guess = guess_masks(
+        views,
+        region,
+        lambda share: progress(0.1 + 0.5 * share, "telling object from background"),
+    )
+    fault = guess.fault()
+    return views, (guess if fault is None else None), fault or ""
+
+
+def _triangulated(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View, ...], Array]:
+    """Surface points; the views get the order of poses that yields more of them."""
+    every = np.linspace(0, len(views) - 1, min(len(views), matching.MAX_VIEWS))
+    features = matching.features([views[k] for k in np.unique(every.round().astype(int))])
+    points = matching.triangulated(features)
+    if not frames.other_order:
+        return views, points
+    others = {frame.name: frame for frame in frames.other_order}
+
+    turned = {view.name: posed_otherwise(view.camera, others[view.name]) for view in views}
+    moved = [
+        replace(each, camera=turned[each.name].resized(each.camera.width, each.camera.height))
+        for each in features
+    ]
+    other_points = matching.triangulated(moved)
+    if len(other_points) <= len(points):
+        return views, points
+    views = tuple(replace(view, camera=turned[view.name]) for view in views)
+    return views, other_points
+
+
+def _account(
+    guess: Guess, views: Sequence[View], config: CaptureConfig, folder: Path | None
+) -> list[Finding]:
+    """What the user is told about guessed masks."""
+    agreement = 100 * float(np.median(guess.agreement))
+    contrast = 100 * float(np.median(guess.contrast))
+    where = (
+        "robir reconstruct writes them into the folder masks of the result, to be looked at"
+        if folder is None
+        else f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
+    )
+    found = [
+        note(
+            GUESSED_MASKS,
+            "The photographs have no masks, so masks were guessed from "
+            f"{guess.region.origin}: they agree with each other to {agreement:.0f} %, colour "
+            f"alone decides {contrast:.0f} % of the pixels along the outlines; {where}",
+        )
+    ]
+    odd = [view.name for view, is_odd in zip(views, guess.odd, strict=True) if is_odd]
+    if odd:
+        found.append(
+            warning(
+                "odd-guesses",
+                f"{len(odd)} of {len(views)} guessed masks disagree with the others",
+                "Look at these masks first, and mend them or leave these photographs out.",
+                *odd,
+            )
+        )
+    code = "ground"
+    if guess.region.plane is None:
+        ground = "No table was found under the object"
+    elif config.ground == "keep":
+        code = KEPT_GROUND
+        ground = "A disc of the table is kept with the object (capture.ground)"
+    else:
+        ground = "The table under the object is cut away (capture.ground)"
+    return [*found, note(code, ground)]
+
+
+def _straight_pixels(
+    camera: Camera, straight: Camera, distortion: Distortion
+) -> tuple[Layer, Layer]:
+    """Array indices in the undistorted picture of each pixel of the photograph, (H, W) each."""
+    centres = camera.pixel_centres()
+    bent_x = (centres[:, 0] - camera.cx) / camera.fx
+    bent_y = (centres[:, 1] - camera.cy) / camera.fy
+    x, y = bent_x, bent_y
+    for _ in range(30):  # x = x' - (distortion of x), which contracts for every usable lens
+        there_x, there_y = distortion.apply(x, y)
+        step_x, step_y = bent_x - there_x, bent_y - there_y
+        x, y = x + step_x, y + step_y
+        if max(np.abs(step_x).max(), np.abs(step_y).max()) < 1e-6:
+            break
+    shape = (camera.height, camera.width)
+    columns = (x * straight.fx + straight.cx - 0.5).reshape(shape)
+    rows = (y * straight.fy + straight.cy - 0.5).reshape(shape)
+    return columns.astype(np.float32), rows.astype(np.float32)
+
+
+def _mask_path(folder: Path, relative: str) -> Path:
+    """File of a mask, so named that `--masks` finds its photograph."""
+    parts = PurePosixPath(relative.replace("\\", "/")).parts
+    kept = [part for part in parts if part not in ("..", ".", "/") and ":" not in part]
+    return folder.joinpath(*kept).with_suffix(".png")
+
+
+def _write(path: Path, mask: Bytes) -> None:
+    with replacing(path) as temporary:
+        Image.fromarray(mask).save(temporary, format="PNG", compress_level=3)

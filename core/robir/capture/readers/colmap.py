@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""COLMAP sparse models, binary and text: cameras, images and points3D.
+
+A pose there is the rotation (unit quaternion, w first) and translation from world to camera, with
+OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.rst of COLMAP.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from robir.capture.frames import (
+    MAX_NUMBER,
+    OPENGL_FROM_OPENCV,
+    Array,
+    Distortion,
+    Frame,
+    FrameSet,
+    Lens,
+    checked_lens,
+    unique_names,
+)
+from robir.capture.images.regular import regular
+from robir.capture.readers.files import IMAGE_FOLDERS, children
+from robir.capture.readers.values import Side, checked
+from robir.capture.refusal import CaptureRefusedError, note, refuse
+
+FORMAT = "colmap"
+
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
+}
+"""Camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)."""
+
+
+_MAX_BYTES = 1 << 29
+"""Largest file of a model: every photograph's observations stand in it."""
+
+_MAX_POINTS = 1_000_000
+"""Sparse points that are read; they only help to find the object."""
+
+_CURE = "Export the model again."
+_Parameters = Annotated[list[float], Meta(max_length=16)]
+_Sides = tuple[Side, Side]
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    folder: Path
+    suffix: str
+    lenses: dict[int, Lens]
+    images: list[tuple[str, int, Array]]
+    """Name, camera number and camera-to-world of each posed photograph."""
+
+
+def find_models(source: Path) -> list[Path]:
+    """Folders of sparse models at the usual places below a folder."""
+    places = [source, source / "sparse", source / "colmap" / "sparse"]
+    folders = places + [
+        child
+        for place in places[1:]
+        if place.is_dir()
+        for child in children(place)
+        if child.is_dir()
+    ]
+    return [folder for folder in folders if _suffix(folder)]
+
+
+def read(source: Path, images: Path | None = None) -> FrameSet:
+    """Read the largest sparse model.
+
+    Args:
+        source: Folder of the capture, or of the model itself.
+        images: Folder that the names of the photographs start from; None looks for it.
+
+    Returns:
+        Frames and sparse points in the model's own frame.
+
+    Raises:
+        CaptureError: If a file is damaged or a camera model is not supported.
+    """
+    models = [_read_model(folder) for folder in find_models(source)]
+    model = max(models, key=lambda candidate: len(candidate.images))
+    names = [name for name, _, _ in model.images]
+    shorts = unique_names(names)
+    images = images or _image_folder(source, model.folder, names)
+    frames = tuple(
+        Frame(
+            name=short,
+            image=images / relative,
+            relative=relative,
+            lens=_lens_of(model, number, relative),
+            camera_to_world=pose,
+        )
+        for short, (relative, number, pose) in zip(shorts, model.images, strict=True)
+    )
+    findings = []
+    if len(models) > 1:
+        counts = ", ".join(f"{m.folder.name} ({len(m.images)} photographs)" for m in models)
+        findings.append(
+            note("several-models", f"Of the sparse models {counts}, {model.folder.name} is used")
+        )
+    points = _read_points(model.folder / f"points3D{model.suffix}")
+    return FrameSet(
+        root=images if images.name == "." else images.parent,
+        format=FORMAT,
+        frames=frames,
+        points=points,
+        findings=tuple(findings),
+    )
+
+
+def _suffix(folder: Path) -> str | None:
+    for suffix in (".bin", ".txt"):
+        if all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
+            return suffix
+    return None
+
+
+def _image_folder(source: Path, model: Path, names: list[str]) -> Path:
+    """The folder that holds most of the photographs; `images` where none holds any."""
+    places = [source, *(parent for parent in list(model.parents)[:3] if parent != source)]
+    folders = [place / name for place in places for name in IMAGE_FOLDERS]
+    counts = [sum((folder / name).is_file() for name in names) for folder in folders]
+    return folders[int(np.argmax(counts))]
+
+
+def _lens_of(model: _Model, number: int, relative: str) -> Lens:
+    if number not in model.lenses:
+        raise refuse(
+            "bad-colmap",
+            f"{model.folder}: {relative} was taken with camera {number}, which is not listed",
+            _CURE,
+        )
+    return model.lenses[number]
+
+
+def _read_model(folder: Path) -> _Model:
+    suffix = _suffix(folder) or ""
+    cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    try:
+        if suffix == ".bin":
+            lenses = dict(_binary_cameras(cameras))
+            posed = list(_binary_images(images))
+        else:
+            lenses = dict(_text_cameras(cameras))
+            posed = list(_text_images(images))
+    except CaptureRefusedError:
+        raise
+    except (OSError, ValueError, OverflowError, struct.error) as fault:
+        raise refuse(
+            "bad-colmap",
+            f"The COLMAP model in {folder} is truncated or damaged ({fault})",
+            _CURE,
+            cameras.name,
+            images.name,
+        ) from None
+    return _Model(folder, suffix, lenses, sorted(posed, key=lambda entry: entry[0]))
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    with regular(path) as file:
+        (count,) = struct.unpack("<Q", file.read(8))
+        for _ in range(count):
+            number, model, width, height = struct.unpack("<iiQQ", file.read(24))
+            name, size = _MODELS.get(model, (f"number {model}", 0))
+            values = struct.unpack(f"<{size}d", file.read(8 * size))
+            yield number, _lens(path, name, width, height, values)
+
+
+def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+    content = _bytes(path)
+    (count,) = struct.unpack_from("<Q", content, 0)
+    at = 8
+    for _ in range(count):
+        numbers = struct.unpack_from("<i7di", content, at)
+        at += 64
+        end = content.index(b"\0", at)
+        name = content[at:end].decode("utf-8")
+        (observations,) = struct.unpack_from("<Q", content, end + 1)
+        at = end + 9 + 24 * observations
+        if at > len(content):
+            raise ValueError(f"{path.name} ends within {name}")
+        yield name, numbers[8], _pose(numbers[1:5], numbers[5:8])
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    for line in _lines(path):
+        if line:
+            number, name, width, height, *values = line.split()
+            values = checked(path, values, _Parameters, _CURE, where=name[:80], is_text=True)
+            sides = checked(path, [width, height], _Sides, _CURE, where=name[:80], is_text=True)
+            yield int(number), _lens(path, name, *sides, tuple(values))
+
+
+def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+    lines = _lines(path)
+    for line in lines:
+        if not line:
+            continue
+        _, qw, qx, qy, qz, tx, ty, tz, number, name = line.split(maxsplit=9)
+        next(lines, None)  # the observations, which may be an empty line
+        values = [qw, qx, qy, qz, tx, ty, tz]
+        numbers = checked(path, values, list[float], _CURE, where=name[:80], is_text=True)
+        yield name, int(number), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with regular(path, _MAX_BYTES) as file:
+        for line in file:
+            if not line.startswith(b"#"):
+                yield line.decode("utf-8").strip()
+
+
+def _bytes(path: Path) -> bytes:
+    with regular(path, _MAX_BYTES) as file:
+        return file.read()
+
+
+def _read_points(path: Path) -> Array:
+    """Sparse points, (N, 3); none if the file is missing or damaged, for they only help."""
+    points = []
+    try:
+        if path.suffix == ".txt":
+            lines = (line for line in _lines(path) if line)
+            points = [list(map(float, line.split()[1:4])) for line in islice(lines, _MAX_POINTS)]
+        else:
+            content = _bytes(path)
+            (count,) = struct.unpack_from("<Q", content, 0)
+            at = 8
+            for _ in range(min(count, _MAX_POINTS)):
+                points.append(struct.unpack_from("<3d", content, at + 8))
+                (track,) = struct.unpack_from("<Q", content, at + 43)
+                at += 51 + 8 * track
+        found = np.array(points, dtype=np.float64).reshape(-1, 3)
+    except (OSError, ValueError, OverflowError, struct.error):
+        return np.zeros((0, 3))
+    return found[(np.abs(found) < MAX_NUMBER).all(axis=1)]
+
+
+def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
+    """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
+    with np.errstate(all="ignore"):
+        w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T
+        pose[:3, 3] = -rotation.T @ np.array(translation)
+        return pose @ OPENGL_FROM_OPENCV
+
+
+def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
+    """Intrinsics from a camera model's parameters, or a refusal that names the model."""
+    match name, values:
+        case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", (fx, cx, cy, *rest):
+            fy = fx
+            k1, k2 = (*rest, 0.0, 0.0)[:2]
+            distortion = Distortion(radial=(k1, k2, 0.0, 0.0))
+        case "PINHOLE" | "OPENCV" | "FULL_OPENCV", (fx, fy, cx, cy, *rest):
+            k1, k2, p1, p2, k3, k4, k5, k6 = (*rest, *[0.0] * 8)[:8]
+            distortion = Distortion(
+                radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2)
+            )
+        case "SIMPLE_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE", (fx, cx, cy, *rest):
+            fy = fx
+            k1, k2 = (*rest, 0.0, 0.0)[:2]
+            distortion = Distortion(radial=(k1, k2, 0.0, 0.0), is_fisheye=True)
+        case "FISHEYE" | "OPENCV_FISHEYE", (fx, fy, cx, cy, *rest):
+            k1, k2, k3, k4 = (*rest, *[0.0] * 4)[:4]
+            distortion = Distortion(radial=(k1, k2, k3, k4), is_fisheye=True)
+        case _:
+            raise refuse(
+                "camera-model",
+                f"{path}: the camera model {name} is not supported",
+                "Undistort the photographs with `colmap image_undistorter` and give that folder.",
+                path.name,
+            )
+    lens = Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
+    return checked_lens(lens, path, f"a {name} camera")

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that poses come in: JSON, and photographs named without the folder they lie in."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from robir.capture.frames import IMAGE_SUFFIXES
+from robir.capture.images.regular import regular
+from robir.capture.refusal import refuse
+from robir.jobs.names import open_regular
+
+IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
+"""Where photographs usually lie, the likeliest first."""
+
+MAX_VALUES_BYTES = 1 << 30
+"""Memory that the values of a JSON file may come to."""
+
+_NO_PHOTOGRAPHS = ("mask", "matte", "alpha", "depth", "normal", "thumb", "confidence", "seg")
+"""How folders begin that hold other pictures of the same names."""
+
+_DEPTH = 3
+"""Folders below the capture's own that are searched for photographs."""
+
+
+def read_text(path: Path) -> str:
+    """Content of a text file of poses, UTF-8 with or without a mark at its beginning.
+
+    Raises:
+        OSError: If it cannot be read, see `regular`.
+        ValueError: If it is no UTF-8.
+    """
+    with regular(path) as file:
+        return file.read().decode("utf-8-sig")
+
+
+def load_json(path: Path) -> Any:
+    """Content of a JSON file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Whatever it holds; whole numbers of absurd size as floating-point ones.
+
+    Raises:
+        CaptureError: If it cannot be read as JSON.
+    """
+    try:
+        return json.loads(_bounded(read_text(path)), parse_int=_whole)
+    except (OSError, ValueError, RecursionError) as fault:
+        raise refuse(
+            "bad-json",
+            f"{path} is not readable as JSON ({fault})",
+            "Write the file again.",
+            path.name,
+        ) from None
+
+
+def _bounded(text: str) -> str:
+    """JSON whose values will fit into memory."""
+    # What Python needs for a table, a list and an entry of either.
+    if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
+        raise ValueError("it holds too many values")
+    return text
+
+
+def _whole(text: str) -> int | float:
+    return int(text) if len(text) < 18 else float(text)
+
+
+def head(path: Path, length: int = 65536) -> str:
+    """The beginning of a text file, empty if there is none; for telling formats apart."""
+    try:
+        with os.fdopen(open_regular(path), "rb") as file:
+            return file.read(length).decode("utf-8-sig", errors="replace")
+    except OSError:
+        return ""
+
+
+def children(folder: Path) -> list[Path]:
+    """What lies in a folder, sorted by name; nothing where it cannot be read.
+
+    Links to folders do not count, so that no search leaves the capture or goes in circles; but for
+    those named like folders of photographs.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            found = sorted(
+                entry.name
+                for entry in entries
+                if not (entry.is_symlink() and entry.is_dir() and entry.name not in IMAGE_FOLDERS)
+            )
+    except OSError:
+        return []
+    return [folder / name for name in found]
+
+
+def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
+    """Photographs that a file of poses names without saying where they are.
+
+    They are searched below the file's folder, then beside and directly below that folder. Among
+    several of a name, the one whose folders agree best with the name counts, then the one in the
+    folder that has most of the names.
+
+    Args:
+        poses: File of poses.
+        names: Names or paths as the file gives them, with or without suffix.
+
+    Returns:
+        Folder of the capture, and a path below it for each name; names that were not found stay
+        as they are, in the folder `images`.
+    """
+    tails = [_parts(name) for name in names]
+    best: tuple[int, Path, list[str | None]] | None = None
+    for root, depth in ((poses.parent, _DEPTH), (poses.parent.parent, 1)):
+        found = _matches(list(_pictures(root, "", depth)), tails)
+        count = sum(match is not None for match in found)
+        if best is None or count > best[0]:
+            best = (count, root, found)
+        if count == len(names):
+            break
+    assert best is not None
+    _, root, found = best
+    missing = [f"{IMAGE_FOLDERS[0]}/{tail[-1]}" for tail in tails]
+    return root, [match or lost for match, lost in zip(found, missing, strict=True)]
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..")] or [
+        "unnamed"
+    ]
+
+
+def _pictures(root: Path, below: str, depth: int) -> Iterator[str]:
+    """Paths of pictures below a folder, "/" between folders."""
+    for child in children(root / below):
+        relative = f"{below}{child.name}"
+        lower = child.name.lower()
+        if child.suffix.lower() in IMAGE_SUFFIXES:
+            yield relative
+        elif depth > 0 and not lower.startswith((*_NO_PHOTOGRAPHS, ".")) and child.is_dir():
+            yield from _pictures(root, f"{relative}/", depth - 1)
+
+
+def _matches(pictures: Sequence[str], tails: Sequence[Sequence[str]]) -> list[str | None]:
+    by_name: dict[str, list[str]] = defaultdict(list)
+    for picture in pictures:
+        name = picture.lower().rsplit("/", 1)[-1]
+        by_name[name].append(picture)
+        by_name[name.rsplit(".", 1)[0]].append(picture)
+    candidates = [by_name.get(tail[-1].lower(), []) for tail in tails]
+    # A name may also carry the suffix of what the photograph was before a conversion.
+    candidates = [
+        some or by_name.get(tail[-1].lower().rsplit(".", 1)[0], [])
+        for some, tail in zip(candidates, tails, strict=True)
+    ]
+    counts = Counter(picture.rpartition("/")[0] for some in candidates for picture in some)
+
+    def rank(picture: str, tail: Sequence[str]) -> tuple[int, int, int, str]:
+        folder = picture.rpartition("/")[0]
+        usual = (folder or ".").rsplit("/", 1)[-1].lower()
+        order = IMAGE_FOLDERS.index(usual) if usual in IMAGE_FOLDERS else len(IMAGE_FOLDERS)
+        return (-_agreement(picture, tail), -counts[folder], order, picture)
+
+    return [
+        min(some, key=lambda picture, tail=tail: rank(picture, tail)) if some else None
+        for some, tail in zip(candidates, tails, strict=True)
+    ]
+
+
+def _agreement(picture: str, tail: Sequence[str]) -> int:
+    """Folders that two paths have in common, counted from the name upwards."""
+    common = 0
+    for one, other in zip(picture.lower().split("/")[-2::-1], tail[-2::-1], strict=False):
+        if one != other.lower():
+            break
+        common += 1
+    return common

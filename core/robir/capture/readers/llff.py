@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LLFF captures: poses_bounds.npy with an images folder.
+
+Each row is a 3x5 matrix and two depths. Its first four columns are camera-to-world with axes
+(down, right, backwards), the fifth is (height, width, focal length). Rows follow the photographs
+sorted by name, but the file does not say how: "10.jpg" comes before "2.jpg" for some programs and
+after it for others. Both orders are handed on where they differ; the masks tell which is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from robir.capture.arrays import read_matrix
+from robir.capture.frames import (
+    IMAGE_SUFFIXES,
+    MAX_NUMBER,
+    Array,
+    Frame,
+    FrameSet,
+    Lens,
+    unique_names,
+)
+from robir.capture.images.regular import regular
+from robir.capture.masks.given import from_folder, natural_order
+from robir.capture.readers.files import children
+from robir.capture.refusal import DAMAGED_ARRAYS, refuse
+
+FORMAT = "llff"
+NAME = "poses_bounds.npy"
+
+_MATTED = "images_mask"
+_MAX_NUMBERS = 17 * 1_000_000
+
+
+def read(path: Path) -> FrameSet:
+    """Read poses and intrinsics.
+
+    Args:
+        path: The file of poses.
+
+    Returns:
+        Frames in the file's own frame, rows in order of the names as text; the numeric order is
+        in `other_order` where it differs.
+
+    Raises:
+        CaptureError: If the file is damaged or does not fit the photographs.
+    """
+    root = path.parent
+    rows = _rows(path)
+    folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)
+    photographs = [
+        path.relative_to(root).as_posix()
+        for path in children(folder)
+        if path.suffix.lower() in IMAGE_SUFFIXES
+    ]
+    if len(photographs) != len(rows):
+        raise refuse(
+            "missing-images",
+            f"{path} has {len(rows)} poses, but {folder} has {len(photographs)} photographs",
+            "Bring exactly the photographs the poses were made for.",
+            *photographs,
+        )
+    frames = [
+        Frame(
+            name=name,
+            image=root / relative,
+            relative=relative,
+            lens=_lens(path, row),
+            camera_to_world=_pose(row),
+        )
+        for name, relative, row in zip(unique_names(photographs), photographs, rows, strict=True)
+    ]
+    if folder.name != _MATTED and (root / _MATTED).is_dir():
+        masks = from_folder(root / _MATTED, frames)
+        frames = [replace(frame, mask=masks[frame.name]) for frame in frames]
+    numeric = sorted(range(len(rows)), key=lambda i: natural_order(photographs[i]))
+    other = list(frames)
+    for row, place in enumerate(numeric):
+        other[place] = replace(
+            frames[place], camera_to_world=_pose(rows[row]), lens=_lens(path, rows[row])
+        )
+    return FrameSet(
+        root=root,
+        format=FORMAT,
+        frames=tuple(frames),
+        other_order=() if numeric == sorted(numeric) else tuple(other),
+    )
+
+
+def _rows(path: Path) -> Array:
+    try:
+        with regular(path) as file:
+            rows = read_matrix(file, _MAX_NUMBERS)
+    except DAMAGED_ARRAYS as fault:
+        raise refuse(
+            "bad-poses", f"{path} is no readable array ({fault})", "Copy it again.", path.name
+        ) from None
+    if rows.shape[1] != 17:
+        raise refuse(
+            "bad-poses",
+            f"{path} has shape {rows.shape}; a row of 17 numbers for each photograph is needed",
+            "Write it as LLFF's imgs2poses does.",
+            path.name,
+        )
+    return rows
+
+
+def _pose(row: Array) -> Array:
+    down, right, back, position = row[:15].reshape(3, 5)[:, :4].T
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, -down, back, position], axis=1)
+    return pose
+
+
+def _lens(path: Path, row: Array) -> Lens:
+    height, width, focal = row[:15].reshape(3, 5)[:, 4]
+    if not (1 <= height < MAX_NUMBER and 1 <= width < MAX_NUMBER and 0 < focal < MAX_NUMBER):
+        raise refuse(
+            "bad-intrinsics",
+            f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}",
+            "Estimate the poses again.",
+            path.name,
+        )
+    return Lens(width=int(width), height=int(height), fx=float(focal), is_scalable=True)

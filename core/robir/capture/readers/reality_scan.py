@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RealityScan (RealityCapture): the CSV export "Internal/External camera parameters".
+
+A row is a photograph: name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2. The position is
+the camera's in the export's coordinate system, z up. Angles are degrees; all zero is a camera that
+looks straight down with y at the top of its picture, and camera-to-world with OpenGL axes is
+
+    Rz(-heading) Rx(pitch) Ry(roll)
+
+(nerfstudio, realitycapture_utils.py; it reproduces to 1e-4 the matrix that RealityCapture wrote as
+XMP beside a CSV row, Epic forum topic 710449). f is the focal length for a frame 36 wide, px and py
+the principal point's offset from the middle in lengths of the longer side: pixels are f L / 36 and
+px L with L = max(width, height) (Epic, "RealityCapture XMP Camera Math": "coordinates x and y
+are always in range -0.5, 0.5", FocalLength35mm, PrincipalPointU). k and t are Brown's polynomial
+and tangential part at focal length one, t1 and t2 being OpenCV's p1 and p2.
+
+The file names neither the image size, which is taken from the photographs as stored, nor the
+distortion model: the export must have been made with a Brown model, as it is by default.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from robir.capture.frames import (
+    Array,
+    Distortion,
+    Frame,
+    FrameSet,
+    Lens,
+    checked_lens,
+    unique_names,
+)
+from robir.capture.images.decode import stored_size
+from robir.capture.readers.files import head, locate_photographs, read_text
+from robir.capture.readers.values import checked
+from robir.capture.refusal import refuse
+
+FORMAT = "realityscan"
+
+_SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})
+_MAX_COLUMNS = 1000
+_POSE = ("x", "y", "alt", "heading", "pitch", "roll", "f")
+_FILM = 36.0
+_CURE = 'Export "Internal/External camera parameters" (CSV) again.'
+
+
+def looks_like(path: Path) -> bool:
+    """Whether a file is a table of names and headings."""
+    lines = head(path).splitlines()
+    return _header_line(lines) is not None
+
+
+def read(path: Path) -> FrameSet:
+    """Read poses and intrinsics.
+
+    Args:
+        path: The CSV file.
+
+    Returns:
+        Frames in the coordinate system of the export.
+
+    Raises:
+        CaptureError: If a column is missing or a value is no number.
+    """
+    rows = _rows(path)
+    root, relatives = locate_photographs(path, [row["name"] for row in rows])
+    frames = tuple(
+        _frame(path, row, name, root, relative)
+        for row, name, relative in zip(rows, unique_names(relatives), relatives, strict=True)
+    )
+    return FrameSet(root=root, format=FORMAT, frames=frames)
+
+
+def _columns(line: str) -> list[str]:
+    return [column.strip().lstrip("#").strip().lower() for column in line.split(",")]
+
+
+def _header_line(lines: list[str]) -> int | None:
+    """Which of the first lines names the columns; a count of the cameras may come before."""
+    for index, line in enumerate(lines[:3]):
+        if set(_columns(line)) >= _SIGNATURE:
+            return index
+    return None
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    try:
+        lines = read_text(path).splitlines()
+        start = _header_line(lines) or 0
+        columns = _columns(lines[start])
+        table = [row for row in csv.reader(lines[start + 1 :]) if row]
+    except (OSError, ValueError, IndexError, csv.Error) as fault:
+        raise refuse(
+            "bad-table", f"{path} is no readable table of cameras ({fault})", _CURE, path.name
+        ) from None
+    if len(columns) > _MAX_COLUMNS:
+        raise refuse("bad-table", f"{path} has {len(columns)} columns", _CURE, path.name)
+    absent = [column for column in _POSE if column not in columns]
+    if absent:
+        raise refuse("missing-key", f"{path} has no column {', '.join(absent)}", _CURE, path.name)
+    for number, row in enumerate(table):
+        if len(row) < len(columns):
+            raise refuse(
+                "bad-table",
+                f"{path}: row {number + 1} has {len(row)} of {len(columns)} values",
+                _CURE,
+                path.name,
+            )
+    return [dict(zip(columns, map(str.strip, row), strict=False)) for row in table]
+
+
+class _Row(msgspec.Struct):
+    """The numbers of a photograph."""
+
+    x: float
+    y: float
+    alt: float
+    heading: float
+    pitch: float
+    roll: float
+    f: float
+    px: float = 0.0
+    py: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    t1: float = 0.0
+    t2: float = 0.0
+
+
+def _frame(path: Path, texts: dict[str, str], name: str, root: Path, relative: str) -> Frame:
+    where = f"the row of {texts['name'][:80]}"
+    row: _Row = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(row.heading, row.pitch, row.roll)
+    pose[:3, 3] = row.x, row.y, row.alt
+    return Frame(
+        name=name,
+        image=root / relative,
+        relative=relative,
+        lens=checked_lens(_lens(row, _size(root / relative)), path, where),
+        camera_to_world=pose,
+    )
+
+
+def _size(path: Path) -> tuple[int, int] | None:
+    return stored_size(path) if path.is_file() else None
+
+
+def rotation(heading: float, pitch: float, roll: float) -> Array:
+    """Camera-to-world rotation with OpenGL axes from angles in degrees, (3, 3)."""
+    with np.errstate(invalid="ignore"):
+        angles = np.radians([-heading, pitch, roll])
+        cosine, sine = np.cos(angles), np.sin(angles)
+    about_z: Array = np.array([[cosine[0], -sine[0], 0], [sine[0], cosine[0], 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cosine[1], -sine[1]], [0, sine[1], cosine[1]]])
+    about_y = np.array([[cosine[2], 0, sine[2]], [0, 1, 0], [-sine[2], 0, cosine[2]]])
+    return about_z @ about_x @ about_y
+
+
+def _lens(row: _Row, size: tuple[int, int] | None) -> Lens:
+    """Intrinsics in pixels; of a photograph that cannot be opened, any will do."""
+    if size is None:
+        return Lens(angle_x=1.0)
+    longer = max(size)
+    return Lens(
+        width=size[0],
+        height=size[1],
+        fx=row.f * longer / _FILM,
+        cx=0.5 * size[0] + row.px * longer,
+        cy=0.5 * size[1] + row.py * longer,
+        distortion=Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t1, row.t2)),
+    )

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the fit changes: a distance field on a lattice, colour features near it, a small network.
+
+Batch letters: N nodes, A nodes with features, R rays, Q end points of intervals, C features.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from robir.geometry.fit.regularise import smoothed
+from robir.geometry.fit.sampling import Intervals
+from robir.geometry.lattice import Lattice, interpolate, resample, taken
+from robir.maths.volume import log_survival_between, weights
+
+OCTAVES = (2.0, 4.0, 8.0)
+"""Frequencies, radians, at which the mirrored direction is shown to the network as well."""
+
+
+SOFT_PASSES = 6
+"""Passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps."""
+
+
+class ColourNetwork(nn.Module):
+    """Display colour of a ray from its composited features.
+
+    The first three features are the colour itself (before the sigmoid); a small network adds what
+    depends on the view. It sees the mirrored viewing direction, so a highlight, which is a
+    function of that direction, need not be explained by a pit in the surface; sines and cosines
+    of it let the network follow what changes quickly (Tancik et al. 2020, "Fourier features let
+    networks learn high frequency functions in low dimensional domains").
+
+    Args:
+        features: Features C of a node, at least 3.
+        width: Units of a hidden layer.
+    """
+
+    def __init__(self, features: int, width: int = 64) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(features + 10 + 6 * len(OCTAVES), width),
+            nn.ReLU(inplace=True),
+            nn.Linear(width, width),
+            nn.ReLU(inplace=True),
+        )
+        self.last = nn.Linear(width, 3)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+
+    def forward(self, features: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
+        """Display colours.
+
+        Args:
+            features: (R, C) composited features.
+            normals: (R, 3) unit.
+            directions: (R, 3) unit, from the camera.
+
+        Returns:
+            (R, 3) display RGB in [0, 1].
+        """
+        cosine = (normals * directions).sum(1, keepdim=True)
+        mirrored = directions - 2.0 * cosine * normals
+        waves = [wave(octave * mirrored) for octave in OCTAVES for wave in (torch.sin, torch.cos)]
+        inputs = torch.cat([features, normals, directions, mirrored, cosine, *waves], dim=1)
+        return torch.sigmoid(features[:, :3] + self.last(self.layers(inputs)))
+
+
+class Field:
+    """Distance field and colour features of one level.
+
+    Attributes:
+        lattice: Nodes.
+        sdf: (N,) signed distances, unit frame, a leaf that requires gradients.
+        features: (A, C) colour features, a leaf that requires gradients; row 0 stands for nodes
+            without features.
+        row: (N,) int32, row of each node's features.
+    """
+
+    def __init__(self, lattice: Lattice, sdf: Tensor, features: int) -> None:
+        self.lattice = lattice
+        self.sdf = sdf.clone().requires_grad_()
+        self.features = torch.zeros(1, features, device=sdf.device).requires_grad_()
+        self.row = torch.zeros(lattice.count, dtype=torch.int32, device=sdf.device)
+        self.soften()
+
+    def soften(self) -> None:
+        """Take the present surface, freed of its small lumps, as what the network is told of it.
+
+        A lump turns the mirrored direction, so that the network cannot tell what is mirrored,
+        and what it cannot tell digs the lump further.
+        """
+        # beyond the border the filter finds 0, which shortens gradients but does not turn them
+        self._soft = smoothed(self.sdf.detach(), self.lattice, SOFT_PASSES)
+
+    def place_features(self, wanted: Tensor) -> Tensor:
+        """Give the wanted nodes features, keep those that have some, drop the others.
+
+        New rows start at the mean of the kept ones.
+
+        Args:
+            wanted: (N,) bool.
+
+        Returns:
+            (A,) int32, old row of each new row, 0 where it had none.
+        """
+        nodes = wanted.nonzero()[:, 0]
+        old = torch.cat([self.row.new_zeros(1), self.row[nodes]])
+        values = self.features.detach()[old.long()]
+        kept = old > 0
+        values[~kept] = values[kept].mean(0) if bool(kept.any()) else 0.0
+        self.features = values.requires_grad_()
+        self.row.zero_()
+        count = torch.arange(1, len(nodes) + 1, dtype=torch.int32, device=nodes.device)
+        self.row[nodes] = count
+        return old
+
+    def refined(self, lattice: Lattice) -> Field:
+        """The field on a finer lattice."""
+        finer = Field(lattice, resample(self.sdf.detach(), self.lattice, lattice), 1)
+        nodes = lattice.nodes(str(self.sdf.device))
+        row = self.row[self.lattice.nearest(nodes)]
+        wanted = (row > 0).nonzero()[:, 0]
+        index, weight = self.lattice.corners(nodes[wanted])
+        index = self.row[index.long()]
+        # nodes without features must not pull the mean
+        weight = torch.where(index > 0, weight, 0.0)
+        weight = weight / weight.sum(1, keepdim=True).clamp(min=1e-6)
+        values = interpolate(self.features.detach(), index, weight)
+        finer.features = torch.cat([self.features.detach()[:1], values]).requires_grad_()
+        finer.row[wanted] = torch.arange(1, len(wanted) + 1, dtype=torch.int32, device=nodes.device)
+        return finer
+
+    def gradient(self, points: Tensor) -> Tensor:
+        """Gradient of the softened distance at points (P, 3), differences over two cells."""
+        cell = self.lattice.cell
+        offsets = cell * torch.eye(3, device=points.device)
+        stacked = (points[None] + torch.cat([offsets, -offsets])[:, None]).reshape(-1, 3)
+        value = self.lattice.trilinear(self._soft, stacked).view(6, -1)
+        return ((value[:3] - value[3:]) / (2.0 * cell)).T
+
+    def render(
+        self,
+        intervals: Intervals,
+        network: ColourNetwork,
+        rays: tuple[Tensor, Tensor],
+        inv_std: float,
+    ) -> tuple[Tensor, Tensor]:
+        """Composite rays.
+
+        Args:
+            intervals: Packed intervals of the rays.
+            network: Colour network.
+            rays: Origins (R, 3) and unit directions (R, 3).
+            inv_std: NeuS steepness.
+
+        Returns:
+            Display RGB of what the ray meets (R, 3), and its coverage (R,), in [0, 1].
+        """
+        origins, directions = rays
+        ray = intervals.ray
+        value = interpolate(self.sdf[:, None], intervals.index, intervals.weight)[:, 0]
+        log_step = log_survival_between(value, inv_std) * intervals.joined
+        weight = weights(log_step, intervals.first[:-1])
+        coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray[:-1], weight)
+        # half of an interval's light comes from either end
+        share = 0.5 * (nn.functional.pad(weight, (0, 1)) + nn.functional.pad(weight, (1, 0)))
+        with torch.no_grad():
+            reached = torch.zeros_like(coverage).index_add(0, ray, share * intervals.distance)
+            depth = reached / coverage.clamp(min=1e-4)
+            points = origins + depth[:, None] * directions
+            normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
+        row = taken(self.row, intervals.index)
+        local = interpolate(self.features, row, intervals.weight) * share[:, None]
+        mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
+        mixed = mixed / coverage.clamp(min=1e-4)[:, None]
+        rgb = network(mixed, normals, directions)
+        return rgb, coverage

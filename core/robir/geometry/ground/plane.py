@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The support plane: flat ground that the masks show by its rim.
+
+Seen from above only, flat ground has a visual hull that bulges like a lens: no mask can tell. Its
+rim can: every ray through a mask's outline touches the surface, and where the rest of the hull
+leaves little of such a ray, the touching point is known. The rim of a flat ground puts many of
+these points into one plane, all around the object. What the hull of that plane's outline alone
+would bulge to is then no evidence of anything standing there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial import ConvexHull, QhullError
+from skimage.draw import polygon2mask
+from skimage.measure import find_contours
+from torch import Tensor
+
+from robir.capture.camera import Camera
+from robir.geometry.ground.far_edge import OutlineRays, level
+from robir.geometry.lattice import Lattice
+from robir.geometry.rays import Photo
+from robir.maths.vectors import tangents
+
+Array = NDArray[np.float64]
+
+CONTOUR_POINTS = 120
+"""Outline points used of a photograph."""
+
+RAY_STEPS = 240
+"""Steps along an outline point's ray through the bounding sphere."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupportPlane:
+    """Flat ground, unit frame.
+
+    Attributes:
+        origin: (3,) point on the plane, the middle of the outline.
+        axes: (3, 3) rows: two directions within the plane, then the normal towards the cameras.
+        outline: (K, 2) convex outline, counter-clockwise, coordinates along the first two axes.
+    """
+
+    origin: Array
+    axes: Array
+    outline: Array
+
+    def local(self, points: Array) -> Array:
+        """Coordinates of points (..., 3): two within the plane and the height above it."""
+        return (points - self.origin) @ self.axes.T
+
+    def world(self, local: Array) -> Array:
+        """Inverse of `local`."""
+        return local @ self.axes + self.origin
+
+
+def _outline_rays(photo: Photo) -> OutlineRays:
+    """Rays through a mask's outline, unit frame."""
+    padded = np.pad(photo.coverage, 1)
+    curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
+    if not curves:
+        return OutlineRays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+    points, tangents = [], []
+    for curve in curves:
+        tangent = np.roll(curve, -3, axis=0) - np.roll(curve, 3, axis=0)
+        points.append(curve[:, ::-1] - 0.5)
+        tangents.append(tangent[:, ::-1])
+    image, tangent = np.concatenate(points), np.concatenate(tangents)
+    height, width = photo.coverage.shape
+    border = (image < 1.5).any(1) | (image > [width - 1.5, height - 1.5]).any(1)
+    image, tangent = image[~border], tangent[~border]
+    every = max(1, len(image) // CONTOUR_POINTS)
+    image, tangent = image[::every], tangent[::every]
+    # outwards is across the tangent, to the side where the coverage falls
+    across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    probe = (image + 1.5 * across)[:, ::-1] - 0.5
+    falls = map_coordinates(photo.coverage, probe.T, order=1, mode="constant") < 0.5
+    across = np.where(falls[:, None], across, -across)
+    origins, directions = photo.camera.rays(image)
+    _, aside = photo.camera.rays(np.asarray(image + across, np.float64))
+    outward = aside - directions * (aside * directions).sum(1, keepdims=True)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    return OutlineRays(np.broadcast_to(origins, directions.shape), directions, outward)
+
+
+def outlines(photos: list[Photo]) -> OutlineRays:
+    """Rays through the outlines of all masks, unit frame."""
+    rays = [_outline_rays(photo) for photo in photos]
+    return OutlineRays(
+        np.concatenate([r.origins for r in rays]),
+        np.concatenate([r.directions for r in rays]),
+        np.concatenate([r.outward for r in rays]),
+    )
+
+
+def touching_points(
+    rays: OutlineRays, lattice: Lattice, hull: Tensor
+) -> tuple[Array, NDArray[np.int64]]:
+    """Surface points that the outlines of the masks pin down.
+
+    Args:
+        rays: Rays through the outlines.
+        lattice: Lattice of the hull.
+        hull: (N,) signed distance of the visual hull.
+
+    Returns:
+        Points (P, 3), unit frame, and the rays (P,) that they lie on.
+    """
+    origins, directions = rays.origins, rays.directions
+    if len(origins) == 0:
+        return origins, np.zeros(0, np.int64)
+    middle = -(origins * directions).sum(1)
+    steps = np.linspace(-1.1, 1.1, RAY_STEPS)
+    distance = middle[:, None] + steps
+    points = origins[:, None] + distance[..., None] * directions[:, None]
+    flat = torch.from_numpy(points.reshape(-1, 3)).float()
+    value = lattice.trilinear(hull, flat).numpy()
+    value = value.reshape(len(origins), RAY_STEPS)
+    best = value.argmin(axis=1)
+    lowest = value[np.arange(len(best)), best]
+    near = value < np.maximum(lowest, 0.0)[:, None] + 0.6 * lattice.cell
+    length = near.sum(axis=1) * (steps[1] - steps[0])
+    weight = near / np.maximum(near.sum(axis=1, keepdims=True), 1)
+    centre = (weight * distance).sum(axis=1)
+    sharp = (length < 0.12) & (lowest < lattice.cell)
+    found = origins + centre[:, None] * directions
+    return found[sharp], np.flatnonzero(sharp)
+
+
+def detect(
+    photos: list[Photo], lattice: Lattice, hull: Tensor, generator: torch.Generator
+) -> SupportPlane | None:
+    """Find the flat ground under the object, if the capture shows one.
+
+    Args:
+        photos: Reduced photographs.
+        lattice: Lattice of the hull.
+        hull: (N,) signed distance of the visual hull.
+        generator: Source of the random triples, on the CPU.
+
+    Returns:
+        The plane, or None where the masks show no flat ground.
+    """
+    rays = outlines(photos)
+    points, of_ray = touching_points(rays, lattice, hull)
+    if len(points) < 100:
+        return None
+    eyes = np.stack([photo.camera.position for photo in photos])
+    found = _consensus(points, eyes, 0.5 * lattice.cell, generator)
+    if found is None:
+        return None
+    normal, offset = found
+    # the upper edge is what bears things: outline points whose surface faces up
+    height = points @ normal - offset
+    upper = (np.abs(height) < 2.0 * lattice.cell) & (rays.outward[of_ray] @ normal > 0.5)
+    if upper.sum() >= 60:
+        normal, offset = _refit(points[upper], normal, 0.4 * lattice.cell)
+        middle = np.median(points[upper], axis=0)
+        middle += (offset - middle @ normal) * normal
+        offset += level(rays, of_ray[upper], middle, normal, 0.4 * lattice.cell)
+    height = points @ normal - offset
+    rim = points[np.abs(height) < 1.2 * lattice.cell]
+    plane = _outlined(rim, normal, offset)
+    if plane is None or not _is_ground(plane, rim, photos, lattice, hull):
+        return None
+    return plane
+
+
+def _consensus(
+    points: Array, eyes: Array, tolerance: float, generator: torch.Generator
+) -> tuple[Array, float] | None:
+    """Plane with most points near it and the cameras on one side (Fischler and Bolles 1981)."""
+    best, best_count = None, 0
+    triples = torch.randint(len(points), (600, 3), generator=generator).numpy()
+    for triple in points[triples]:
+        normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
+        length = np.linalg.norm(normal)
+        if length < 0.05:
+            continue
+        normal /= length
+        offset = float(normal @ triple[0])
+        side = eyes @ normal - offset
+        if side.mean() < 0:
+            normal, offset, side = -normal, -offset, -side
+        if (side > 0).mean() < 0.9:
+            continue
+        count = int((np.abs(points @ normal - offset) < tolerance).sum())
+        if count > best_count:
+            best, best_count = (normal, offset), count
+    if best is None or best_count < 60:
+        return None
+    near = np.abs(points @ best[0] - best[1]) < 2.0 * tolerance
+    return _refit(points[near], best[0], tolerance)
+
+
+def _refit(points: Array, normal: Array, width: float) -> tuple[Array, float]:
+    """Plane through points by reweighted least squares (Geman-McClure weights)."""
+    weight = np.ones(len(points))
+    offset = float(np.median(points @ normal))
+    for _ in range(10):
+        middle = (weight[:, None] * points).sum(0) / weight.sum()
+        spread = (points - middle) * weight[:, None]
+        _, _, axes = np.linalg.svd(spread.T @ (points - middle))
+        normal = axes[2] if axes[2] @ normal > 0 else -axes[2]
+        offset = float(middle @ normal)
+        weight = 1.0 / (1.0 + ((points @ normal - offset) / width) ** 2) ** 2
+    return normal, offset
+
+
+def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
+    """The plane with the convex outline of its rim points."""
+    axes = np.stack([*tangents(normal), normal])
+    flat = rim @ axes[:2].T
+    try:
+        outline = flat[ConvexHull(flat).vertices]
+    except (QhullError, ValueError):
+        return None
+    middle = 0.5 * (outline.min(0) + outline.max(0))
+    origin = middle @ axes[:2] + offset * normal
+    return SupportPlane(origin=origin, axes=axes, outline=outline - middle)
+
+
+def _is_ground(
+    plane: SupportPlane, rim: Array, photos: list[Photo], lattice: Lattice, hull: Tensor
+) -> bool:
+    """Whether a plane is ground: its rim runs all round, it carries all, and masks contain it."""
+    local = plane.local(rim)[:, :2]
+    turn = np.sort(np.arctan2(local[:, 1], local[:, 0]))
+    gap = np.diff(np.append(turn, turn[0] + 2.0 * np.pi)).max()
+    inside = lattice.nodes()[hull < 0].numpy().astype(np.float64)
+    spot = plane.local(inside)
+    carried = within(plane.outline * 1.04, spot[:, :2]).mean()
+    shares = []
+    for photo in photos:
+        area = project_outline(plane, photo.camera)
+        shares.append((photo.coverage[area] > 0.5).mean() if area.any() else 0.0)
+    return bool(gap < np.radians(60) and carried > 0.97 and np.mean(shares) > 0.97)
+
+
+def project_outline(plane: SupportPlane, camera: Camera) -> NDArray[np.bool_]:
+    """Pixels whose centre lies in the picture of the plane's outline, (H, W)."""
+    flat = np.concatenate([plane.outline, np.zeros((len(plane.outline), 1))], axis=1)
+    image, depth = camera.project(plane.world(flat))
+    if (depth <= 0).any():
+        return np.zeros((camera.height, camera.width), bool)
+    return polygon2mask((camera.height, camera.width), image[:, ::-1] - 0.5)
+
+
+def within(outline: Array, points: Array) -> NDArray[np.bool_]:
+    """Whether points (P, 2) lie in a convex, counter-clockwise outline (K, 2)."""
+    inside = np.ones(len(points), bool)
+    for one, two in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        edge = two - one
+        inside &= edge[0] * (points[:, 1] - one[1]) - edge[1] * (points[:, 0] - one[0]) >= 0
+    return inside

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flat parts of a surface, found and made flat, so that they meet in sharp edges.
+
+A fit to photographs leaves noise of a fraction of a cell everywhere, and marching cubes cuts every
+edge off. Where a large part of the surface lies within that noise of a plane, the plane is the
+likelier surface: its vertices move onto it, and those near two planes onto their common line.
+The search follows Schnabel et al. 2007, "Efficient RANSAC for point-cloud shape detection", with
+seeds at even steps of area instead of random ones. A curved surface also lies near its tangent
+plane, but it leaves that plane smoothly on all sides, by which it is told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.smoothing import face_geometry, neighbour_mean
+from robir.geometry.mesh.triangles import Mesh
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NEAR = 0.75
+"""Largest distance of a facet's own vertices from its plane, cells."""
+
+TILT = np.cos(np.radians(20.0))
+"""Cosine of the largest angle between their normals and the plane's."""
+
+LEAST_SIDE = 12.0
+"""A facet is at least as large as a square of this side, cells."""
+
+PIECE = 0.25
+"""Least area of a connected piece of a facet, in such squares."""
+
+MOST = 30
+"""Facets that are looked for."""
+
+FAILURES = 30
+"""Candidates that may fail before the search ends."""
+
+SEEDS, VOTERS = 150, 5000
+"""Vertices that propose a plane, and vertices that vote on each."""
+
+ROUGH = 0.33
+"""Largest root mean square distance of the facet's vertices from the plane, cells."""
+
+BOWED = 0.12
+"""Largest root mean square height of a paraboloid fitted to these distances, cells."""
+
+ESCAPE, ESCAPE_RINGS, ESCAPE_TILT = 0.5, 6, np.cos(np.radians(45.0))
+"""Most area, against the facet's, of what leaves its plane within so many rings of neighbours
+while its normal is still near the plane's: more of that means a curved surface."""
+
+REACH, REACH_RINGS, REACH_TILT = 1.7, 3, np.cos(np.radians(60.0))
+"""Vertices within so many cells of the plane, rings of the facet, and this angle's cosine are
+moved onto it: the cut-off edges."""
+
+LIMIT = 2.0
+"""Vertices that would move further than this stay, cells."""
+
+SAME_SIDE = 0.5
+"""Of planes whose normals have a larger cosine, only the nearest claims a vertex."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facet:
+    """A flat part of a mesh.
+
+    Attributes:
+        normal: (3,) unit, outward.
+        offset: Of the plane from the origin along the normal.
+        members: (Nv,) the vertices that make it up.
+    """
+
+    normal: Array
+    offset: float
+    members: Mask
+
+    def height(self, points: Array) -> Array:
+        """Signed distance of points (P, 3) from the plane."""
+        return points @ self.normal - self.offset
+
+
+class _Skin:
+    """A mesh prepared for the search.
+
+    Args:
+        mesh: Dense mesh without texture coordinates.
+        cell: Edge of a cell of the field it was extracted from.
+    """
+
+    def __init__(self, mesh: Mesh, cell: float) -> None:
+        self.cell = cell
+        self.vertices = mesh.vertices.astype(np.float64)
+        self._mean = neighbour_mean(mesh.faces, len(mesh.vertices))
+        self._own_normals = mesh.normals.astype(np.float64)
+        _, areas, _ = face_geometry(self.vertices, mesh.faces)
+        self.areas = np.bincount(
+            mesh.faces.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=len(mesh.vertices)
+        )
+        self._edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
+        self.least = (LEAST_SIDE * cell) ** 2
+        self.normals = self.smooth_normals(6)
+
+    def smooth_normals(self, passes: int) -> Array:
+        """Unit vertex normals (Nv, 3), averaged with the neighbours' so many times."""
+        normals = self._own_normals
+        for _ in range(passes):
+            normals = normals + self._mean @ normals
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+    def grown(self, members: Mask, rings: int) -> Mask:
+        """The vertices within so many edges of some."""
+        for _ in range(rings):
+            members = members | (self._mean @ members.astype(np.float64) > 0)
+        return members
+
+    def spread(self, wanted: Mask, count: int) -> NDArray[np.int64]:
+        """At most `count` of the wanted vertices at even steps of area."""
+        chosen = np.flatnonzero(wanted)
+        total = np.cumsum(self.areas[chosen])
+        steps = (np.arange(count) + 0.5) / count * total[-1]
+        return chosen[np.unique(np.searchsorted(total, steps).clip(max=len(chosen) - 1))]
+
+    def near(self, free: Mask, normal: Array, offset: float) -> Mask:
+        """The free vertices that belong to a plane, without its small pieces."""
+        inside = free & (np.abs(self.vertices @ normal - offset) < NEAR * self.cell)
+        inside &= self.normals @ normal > TILT
+        links = self._edges[inside[self._edges].all(axis=1)]
+        count = len(self.vertices)
+        graph = scipy.sparse.coo_matrix((np.ones(len(links)), links.T), shape=(count, count))
+        pieces, piece = connected_components(graph, directed=False)
+        size = np.bincount(piece, weights=self.areas * inside, minlength=pieces)
+        return inside & (size[piece] >= PIECE * self.least)
+
+
+def find_facets(mesh: Mesh, cell: float) -> list[Facet]:
+    """The large flat parts of a mesh, largest support first.
+
+    Args:
+        mesh: Dense mesh without texture coordinates.
+        cell: Edge of a cell of the field it was extracted from, the scale of its noise.
+
+    Returns:
+        The facets; their members do not overlap.
+    """
+    return _search(_Skin(mesh, cell))
+
+
+def _search(skin: _Skin) -> list[Facet]:
+    """See `find_facets`."""
+    free = np.ones(len(skin.vertices), bool)
+    found: list[Facet] = []
+    failures = 0
+    while len(found) < MOST and failures < FAILURES and skin.areas[free].sum() >= skin.least:
+        seed = _best_seed(skin, free)
+        facet = _settled(skin, free, seed)
+        free &= ~facet.members
+        if skin.areas[facet.members].sum() >= skin.least and _is_flat(skin, facet):
+            found.append(facet)
+        else:
+            free[seed] = False
+            failures += 1
+    return found
+
+
+def _best_seed(skin: _Skin, free: Mask) -> int:
+    """The free vertex whose tangent plane most of the free surface lies near to."""
+    voters = skin.spread(free, VOTERS)
+    seeds = skin.spread(free, SEEDS)
+    normals, points = skin.normals[seeds], skin.vertices[seeds]
+    height = skin.vertices[voters] @ normals.T - (points * normals).sum(axis=1)
+    agrees = (np.abs(height) < NEAR * skin.cell) & (skin.normals[voters] @ normals.T > TILT)
+    return int(seeds[agrees.sum(axis=0).argmax()])
+
+
+def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
+    """The facet about a seed, its plane fitted to its members again and again."""
+    normal = skin.normals[seed]
+    offset = float(skin.vertices[seed] @ normal)
+    members = skin.near(free, normal, offset)
+    for _ in range(4):
+        if skin.areas[members].sum() < skin.least:
+            break
+        weight = skin.areas[members, None]
+        middle = (weight * skin.vertices[members]).sum(axis=0) / weight.sum()
+        apart = skin.vertices[members] - middle
+        _, _, axes = np.linalg.svd((weight * apart).T @ apart)
+        fitted = axes[2] * np.sign(axes[2] @ normal)
+        if fitted @ normal < TILT:
+            break
+        normal, offset = fitted, float(middle @ fitted)
+        members = skin.near(free, normal, offset)
+    return Facet(normal=normal, offset=offset, members=members)
+
+
+def _is_flat(skin: _Skin, facet: Facet) -> bool:
+    """Whether a facet is flat up to noise and ends at edges: not a piece of something curved."""
+    weight = skin.areas[facet.members]
+    height = facet.height(skin.vertices[facet.members])
+    variance = (weight * height**2).sum() / weight.sum()
+    if np.sqrt(variance) > ROUGH * skin.cell:
+        return False
+    apart = skin.vertices[facet.members] - skin.vertices[facet.members].mean(axis=0)
+    _, _, axes = np.linalg.svd(facet.normal[None])
+    u, v = (apart @ axes[1:].T).T / np.abs(apart).max()
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+    root = np.sqrt(weight)
+    bow, *_ = np.linalg.lstsq(terms * root[:, None], height * root, rcond=None)
+    bowed = (weight * (terms @ bow) ** 2).sum() / weight.sum()
+    if np.sqrt(bowed) > BOWED * skin.cell:
+        return False
+    about = skin.grown(facet.members, ESCAPE_RINGS) & ~facet.members
+    about &= np.abs(facet.height(skin.vertices)) > NEAR * skin.cell
+    about &= skin.normals @ facet.normal > ESCAPE_TILT
+    return bool(skin.areas[about].sum() < ESCAPE * weight.sum())
+
+
+def flattened(mesh: Mesh, cell: float) -> Mesh:
+    """The mesh with its facets made flat, and sharp where two of them meet.
+
+    Args:
+        mesh: Dense mesh without texture coordinates.
+        cell: Edge of a cell of the field it was extracted from.
+
+    Returns:
+        A mesh with the same faces.
+    """
+    skin = _Skin(mesh, cell)
+    facets = _search(skin)
+    if not facets:
+        return mesh
+    normals = skin.smooth_normals(2)
+    distance = np.abs(np.stack([facet.height(skin.vertices) for facet in facets]))
+    near = np.stack([skin.grown(f.members, REACH_RINGS) for f in facets])
+    near &= distance < REACH * cell
+    near &= np.stack([normals @ facet.normal > REACH_TILT for facet in facets])
+    claims = near.copy()
+    for one, facet in enumerate(facets):
+        for two, other in enumerate(facets):
+            if one != two and facet.normal @ other.normal > SAME_SIDE:
+                claims[one] &= ~(near[two] & (distance[two] < distance[one]))
+    placed = skin.vertices.copy()
+    for _ in range(12):  # alternating projections end on the planes' intersection
+        for facet, claimed in zip(facets, claims, strict=True):
+            placed[claimed] -= facet.height(placed[claimed])[:, None] * facet.normal
+    far = np.linalg.norm(placed - skin.vertices, axis=1) > LIMIT * cell
+    placed[far] = skin.vertices[far]
+    return plain_mesh(placed, mesh.faces)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fewer triangles, closed holes, and normals with creases."""
+
+from __future__ import annotations
+
+import fast_simplification
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from robir.geometry.mesh.isosurface import compacted, plain_mesh
+from robir.geometry.mesh.smoothing import face_geometry
+from robir.geometry.mesh.triangles import Mesh
+
+CREASE_DEGREES = 40.0
+"""Faces that meet at a sharper angle do not share a normal."""
+
+HALVING = 0.5
+"""Share of the faces that one pass of decimation leaves."""
+
+AGGRESSION = 3.0
+"""How steeply the library raises its threshold; low keeps edges, and stalls far from the aim."""
+
+
+def decimate(mesh: Mesh, face_budget: int) -> Mesh:
+    """Collapse edges by quadric error until the face budget is met.
+
+    Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The library
+    collapses what lies below a threshold that rises from sweep to sweep, not the cheapest edge
+    first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh
+    start over with a low threshold each.
+
+    Args:
+        mesh: Mesh without texture coordinates.
+        face_budget: Most triangles of the result.
+
+    Returns:
+        The mesh without degenerate triangles and unused vertices.
+    """
+    while len(mesh.faces) > face_budget:
+        target = max(face_budget, int(HALVING * len(mesh.faces)))
+        vertices, faces = fast_simplification.simplify(
+            mesh.vertices, mesh.faces, target_count=target, agg=AGGRESSION
+        )
+        corners = vertices[faces]
+        area = np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
+        before, mesh = mesh, compacted(vertices, faces[area > 1e-12])
+        if len(mesh.faces) >= len(before.faces):  # nothing more can be collapsed
+            break
+    return mesh
+
+
+def fill_holes(mesh: Mesh) -> Mesh:
+    """Close small holes that decimation may tear."""
+    if is_closed(mesh.faces):
+        return mesh
+    # Not above: it takes a second to load, and hardly any mesh is torn.
+    import trimesh
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    trimesh.repair.fill_holes(solid)
+    return plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
+
+
+def is_closed(faces: NDArray[np.int32]) -> bool:
+    """Whether no edge of some faces (Nf, 3) has one alone; where sheets touch, it has four."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
+
+
+def with_creases(mesh: Mesh, degrees: float = CREASE_DEGREES) -> Mesh:
+    """Split vertices where faces meet at a crease, so that each side has its own normal.
+
+    Faces round a vertex belong together if a chain of faces leads from one to the other over
+    angles below the limit; every such group gets its own copy of the vertex. Texture coordinates
+    stay as they are.
+
+    Args:
+        mesh: Mesh whose vertices are shared by neighbouring faces.
+        degrees: Largest angle between faces that share a normal.
+
+    Returns:
+        The mesh with more vertices, the same faces and the same surface.
+    """
+    faces = mesh.faces
+    normals, areas, _ = face_geometry(mesh.vertices.astype(np.float64), faces)
+    one, two, shared = _edge_neighbours(faces)
+    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(degrees))
+    one, two, shared = one[smooth], two[smooth], shared[smooth]
+    # corner c of face f is node 3 f + c of a graph; corners at one vertex are joined over edges
+    links_one, links_two = [], []
+    for end in (0, 1):
+        vertex = shared[:, end]
+        links_one.append(3 * one + (faces[one] == vertex[:, None]).argmax(axis=1))
+        links_two.append(3 * two + (faces[two] == vertex[:, None]).argmax(axis=1))
+    link = np.concatenate(links_one), np.concatenate(links_two)
+    graph = scipy.sparse.coo_matrix((np.ones(len(link[0])), link), shape=(3 * len(faces),) * 2)
+    count, group = connected_components(graph, directed=False)
+    vertices = np.zeros((count, 3), np.float32)
+    vertices[group] = mesh.vertices[faces.ravel()]
+    total = np.zeros((count, 3))
+    np.add.at(total, group, np.repeat(normals * areas[:, None], 3, axis=0))
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+    return Mesh(
+        vertices=vertices,
+        faces=group.reshape(-1, 3).astype(np.int32),
+        normals=total.astype(np.float32),
+        uvs=mesh.uvs,
+        uv_faces=mesh.uv_faces,
+    )
+
+
+def _edge_neighbours(
+    faces: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """Pairs of faces that share an edge, and that edge's two vertices (K, 2)."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    edges, owner = edges[order], owner[order]
+    same = (edges[1:] == edges[:-1]).all(axis=1)
+    return owner[:-1][same], owner[1:][same], edges[:-1][same]

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well photographs agree on a patch of surface that is shifted along its normal.
+
+Patches about the vertices, tilted as the surface is, are read from every photograph that sees
+them and compared by normalised cross-correlation (Furukawa and Ponce 2010, "Accurate, dense, and
+robust multi-view stereopsis"), which is indifferent to exposure. Only the photographs that agree
+best count, so that a highlight or what hides the patch in a few does no harm.
+
+Batch letters: B vertices, V views, D shifts, P points of a patch, K views a vertex.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from robir.capture.camera import Camera
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.refine.config import RefineConfig
+from robir.geometry.stereo.sweep import Picture
+from robir.maths.vectors import orthonormal_frame
+
+Floats = NDArray[np.float32]
+
+CHUNK = 2048
+"""Vertices that are judged at a time: their patches then take 100 MB."""
+
+LEAST_COSINE = 0.25
+"""Cosine between normal and view from which a photograph judges a vertex."""
+
+EDGE = 3.0
+"""Distance from a picture's border below which it judges nothing, pixels."""
+
+
+def projection(camera: Camera) -> Tensor:
+    """(3, 4) matrix from homogeneous points to pixels, with depths above 0 before the camera."""
+    lens = np.array(
+        [[camera.fx, 0, -camera.cx], [0, -camera.fy, -camera.cy], [0, 0, -1.0]], np.float64
+    )
+    rotation = camera.camera_to_world[:3, :3].T
+    whole = lens @ np.concatenate([rotation, -(rotation @ camera.position)[:, None]], axis=1)
+    return torch.from_numpy(whole).float()
+
+
+def seen_by(mesh: Mesh, tracer: AbstractTracer, pictures: list[Picture], offset: float) -> Floats:
+    """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
+
+    Args:
+        mesh: Unit frame.
+        tracer: Tracer of it.
+        pictures: Photographs.
+        offset: Distance that rays start above the surface.
+    """
+    table = np.zeros((len(mesh.vertices), len(pictures)), np.float32)
+    for index, picture in enumerate(pictures):
+        camera = picture.camera
+        towards = camera.position - mesh.vertices
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        cosine = np.einsum("nd,nd->n", towards, mesh.normals)
+        rows = np.flatnonzero(cosine > LEAST_COSINE)
+        places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
+        size = np.array([camera.width, camera.height])
+        held = (depth > 0) & (places > EDGE).all(1) & (places < size - EDGE).all(1)
+        rows, pixel = rows[held], places[held].astype(int)
+        rows = rows[picture.whole[pixel[:, 1], pixel[:, 0]]]
+        start = mesh.vertices[rows] + offset * mesh.normals[rows]
+        free = ~tracer.is_blocked(start, towards[rows].astype(np.float32))
+        table[rows[free], index] = cosine[rows[free]]
+    return table
+
+
+def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
+    """Mean correlation of the photographs of a patch that agree best.
+
+    Args:
+        patches: (B, K, D, P) zero-mean patches of about unit length.
+        valid: (B, K) 1 where there is a photograph, else 0.
+        share: Of the photographs that count.
+
+    Returns:
+        (B, D), each photograph's mean correlation with all others, over the best `share` of them;
+        0 where fewer than two show the patch.
+    """
+    total = (patches * valid[..., None, None]).sum(1, keepdim=True)
+    count = valid.sum(1)
+    own = patches.square().sum(-1)
+    with_others = ((patches * total).sum(-1) - own) / (count - 1).clamp(min=1)[:, None, None]
+    ranked = with_others.masked_fill(valid[..., None] == 0, -2.0).sort(1, descending=True).values
+    kept = (share * count).ceil().clamp(min=2)
+    rank = torch.arange(patches.shape[1])
+    use = (rank < kept[:, None]) & (rank < count[:, None])
+    mean = (ranked * use[..., None]).sum(1) / use.sum(1).clamp(min=1)[:, None]
+    return torch.where(count[:, None] >= 2, mean, 0.0)
+
+
+class Patches:
+    """Square patches tangent to a mesh's vertices, as photographs show them.
+
+    Args:
+        mesh: Its vertices and normals, unit frame.
+        spacing: Distance between a patch's points, unit frame.
+        half: Points on either side of the middle.
+    """
+
+    def __init__(self, mesh: Mesh, spacing: float, half: int) -> None:
+        self._middle = torch.from_numpy(mesh.vertices)
+        self._normal = torch.from_numpy(mesh.normals)
+        steps = spacing * torch.arange(-half, half + 1).float()
+        first, second = (
+            part.reshape(-1, 1) for part in torch.meshgrid(steps, steps, indexing="ij")
+        )
+        self._first, self._second = first, second
+
+    def read(self, picture: Picture, rows: Tensor, shifts: Tensor, noise: float) -> Tensor:
+        """Patches (B, D, P), their mean taken out, divided by their length and that of noise.
+
+        Args:
+            picture: The photograph.
+            rows: (B,) vertices.
+            shifts: (D,) along the normals.
+            noise: Standard deviation of what is no texture.
+        """
+        normal = self._normal[rows]
+        one, two = orthonormal_frame(normal)
+        across = self._first * one[:, None] + self._second * two[:, None]
+        matrix = projection(picture.camera)
+        middle = self._middle[rows, None] + shifts[:, None] * normal[:, None]
+        centre = middle @ matrix[:, :3].T + matrix[:, 3]
+        around = across @ matrix[:, :3].T
+        right, down, depth = (
+            centre[:, :, None, axis] + around[:, None, :, axis] for axis in range(3)
+        )
+        height, width = picture.grey.shape
+        places = torch.stack(
+            [right / depth * (2 / width) - 1, down / depth * (2 / height) - 1], dim=-1
+        )
+        values = grid_sample(
+            picture.grey[None, None],
+            places.view(1, len(rows), -1, 2),
+            padding_mode="border",
+            align_corners=False,
+        ).view(right.shape)
+        values = values - values.mean(-1, keepdim=True)
+        return values / (values.square().sum(-1, keepdim=True) + right.shape[2] * noise**2).sqrt()
+
+
+def correlations(
+    mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats, config: RefineConfig
+) -> Floats:
+    """Agreement of the photographs about every vertex at every shift.
+
+    Args:
+        mesh: Unit frame.
+        pictures: Photographs.
+        cosine: (Nv, V) from `seen_by`.
+        shifts: (D,) along the normals, unit frame.
+        config: Patches and views.
+
+    Returns:
+        (Nv, D), 0 where fewer than two photographs judge.
+    """
+    patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), config.window)
+    count = min(config.views, len(pictures))
+    order = np.argsort(-cosine, axis=1, kind="stable")[:, :count]
+    judged = np.take_along_axis(cosine, order, axis=1) > 0
+    tried, points = torch.from_numpy(shifts), (2 * config.window + 1) ** 2
+    result = np.zeros((len(cosine), len(shifts)), np.float32)
+    for begin in range(0, len(cosine), CHUNK):
+        chosen, valid = order[begin : begin + CHUNK], judged[begin : begin + CHUNK]
+        held = torch.zeros(len(chosen), count, len(shifts), points)
+        for view in np.unique(chosen[valid]):
+            row, slot = np.nonzero((chosen == view) & valid)
+            rows = torch.from_numpy(row + begin)
+            held[row, slot] = patches.read(pictures[view], rows, tried, config.noise)
+        told = torch.from_numpy(valid.astype(np.float32))
+        result[begin : begin + CHUNK] = agreement(held, told, config.agreeing).numpy()
+    return result
+
+
+def pixel_size(cameras: list[Camera]) -> float:
+    """Width of a pixel at the middle of the scene, unit frame, median over cameras."""
+    return float(np.median([np.linalg.norm(one.position) / one.fx for one in cameras]))

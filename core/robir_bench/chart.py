@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The speed-accuracy chart: what each second buys, one panel a score, the Pareto front marked."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from statistics import median
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
+
+from robir.evaluation.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
+from robir_bench.table import Record, value
+
+PANELS = (ALBEDO, SHADOW, RERENDER)
+
+_MARKERS = "osD^vP*X<>hp"
+_PALETTE = (
+    "#c8502d", "#2f6db0", "#3f9a5f", "#8a56a8", "#b8892b",
+    "#4aa3a8", "#d0699a", "#6b7480", "#20262d", "#95b53c",
+)  # fmt: skip
+SVG_STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "robir", "font.size": 9.0}
+"""Text stays text, and equal figures are equal files."""
+
+
+def speed_accuracy(records: Sequence[Record]) -> str:
+    """The chart as SVG text.
+
+    Large markers are medians over captures and seeds, joined over presets; small ones are runs.
+
+    Args:
+        records: Runs that were scored.
+    """
+    methods = list(dict.fromkeys(record["method"] for record in records))
+    with rc_context(SVG_STYLE):
+        figure = Figure(figsize=(12.0, 4.3), layout="constrained")
+        panels = figure.subplots(1, len(PANELS))
+        for axes, score in zip(panels, PANELS, strict=True):
+            _draw_panel(axes, score, records, methods)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+        return svg(figure)
+
+
+def medians(score: Score, records: Sequence[Record]) -> dict[tuple[str, str], tuple[float, float]]:
+    """Median seconds and score of each method and preset that has any."""
+    found: dict[tuple[str, str], tuple[float, float]] = {}
+    for key in dict.fromkeys((record["method"], record["preset"]) for record in records):
+        members = [r for r in records if (r["method"], r["preset"]) == key]
+        points = [_point(score, record) for record in members]
+        known = [point for point in points if point is not None]
+        if known:
+            found[key] = (median(p[0] for p in known), median(p[1] for p in known))
+    return found
+
+
+def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the points that no other point beats, cheapest first.
+
+    Args:
+        points: Cost and badness; smaller is better for both.
+    """
+    order = sorted(range(len(points)), key=lambda index: points[index])
+    front: list[int] = []
+    for index in order:
+        if not front or points[index][1] < points[front[-1]][1]:
+            front.append(index)
+    return front
+
+
+def svg(figure: Figure) -> str:
+    """A figure as SVG text that is the same every time."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _draw_panel(
+    axes: Axes, score: Score, records: Sequence[Record], methods: Sequence[str]
+) -> None:
+    found = medians(score, records)
+    for index, method in enumerate(methods):
+        style: dict[str, Any] = {
+            "color": _PALETTE[index % len(_PALETTE)],
+            "marker": _MARKERS[index % len(_MARKERS)],
+        }
+        points = [_point(score, record) for record in records if record["method"] == method]
+        known = [point for point in points if point is not None]
+        axes.plot(*_columns(known), linestyle="", markersize=3.5, alpha=0.35, **style)
+        curve = sorted(point for key, point in found.items() if key[0] == method)
+        axes.plot(*_columns(curve), label=method, markersize=8, linewidth=1.2, **style)
+    middle = list(found.values())
+    sign = -1.0 if score.best == "high" else 1.0
+    front = [middle[i] for i in pareto_front([(s, sign * v) for s, v in middle])]
+    axes.plot(
+        *_columns(front),
+        linestyle="--",
+        linewidth=1.0,
+        marker="o",
+        markersize=14,
+        markerfacecolor="none",
+        color="#20262d",
+        label="Pareto front",
+        zorder=0,
+    )
+    axes.set_xscale("log")
+    for setter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        setter(StrMethodFormatter("{x:.0f}"))
+    axes.set_xlabel("CPU seconds")
+    wanted = "higher is better" if score.best == "high" else "lower is better"
+    axes.set_title(wanted, fontsize=8, loc="right")
+    axes.set_ylabel(f"{score.title}, distance from 1" if score.best == "one" else score.title)
+    tidy(axes)
+
+
+def tidy(axes: Axes) -> None:
+    """Faint grid, and no frame but the two axes."""
+    axes.grid(visible=True, which="both", color="#e3e7eb", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _point(score: Score, record: Record) -> tuple[float, float] | None:
+    """Seconds and score; of a ratio how far it is from 1, since medians of ratios cancel."""
+    seconds, found = value(SECONDS, record), value(score, record)
+    if seconds is None or found is None:
+        return None
+    return seconds, score.badness(found) if score.best == "one" else found
+
+
+def _columns(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+    return [point[0] for point in points], [point[1] for point in points]

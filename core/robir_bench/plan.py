@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bench or a stability sweep runs, from a small TOML file.
+
+captures = ["captures/truck-filmic", "captures/hotdog-standard"]   # relative to the file
+presets = ["draft"]
+methods = ["ours", "no visibility", "photo"]
+seeds = [0]
+settings = ["export.renders=false"]
+
+[factors]                  # `robir stability` only: values of each factor, see perturb.py
+views = [10, 5]
+"pose noise" = [0.3, 1.0]
+mask = ["dilate 2", "holes 6"]
+
+[[rendered]]               # what only another render can change: a capture beside one of the above
+of = "captures/truck-filmic"
+factor = "ground"
+value = "none"
+capture = "captures/truck-noground"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from robir.errors import ConfigError
+from robir.presets import PRESETS
+from robir.settings import read_toml, settings_from_table
+from robir_bench.paper.config import VARIANTS
+from robir_bench.stability.perturb import Perturbation
+
+OURS = "ours"
+PHOTO = "photo"
+MITSUBA = "mitsuba"
+MITSUBA_TOLD = "mitsuba, true curve and sun"
+
+BORROWERS = (PHOTO, MITSUBA, MITSUBA_TOLD)
+"""Methods that share nothing but capture and geometry, see photo.py and prb.py."""
+
+METHODS: dict[str, tuple[str, ...]] = {
+    OURS: (),
+    "no visibility": ("transport.use_visibility=false",),
+    "no indirect light": ("transport.use_indirect=false",),
+    "srgb": ('appearance.families=["standard"]',),
+    "log": ('appearance.families=["log"]',),
+    "no parsimony prior": ("appearance.parsimony_weight=0",),
+    "one sharp lobe": ("appearance.num_sharp_lobes=1",),
+    "hull geometry": ("geometry.level_cells=[64]", "geometry.level_steps=[1]"),
+    **dict.fromkeys((*BORROWERS, *VARIANTS), ()),
+}
+"""Each method as settings put over the preset. Those of BORROWERS have none; neither have the
+published ones (see published.py), which share the capture alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A bench as written by the user.
+
+    Attributes:
+        captures: Folders of captures, relative to the plan's folder; those without truth are
+            scored by their held-out photographs alone.
+        presets: Names of presets.
+        methods: Names in METHODS.
+        seeds: Seeds of the reconstruction and of what spoils a capture.
+        settings: Items as for `--set`, for every run.
+    """
+
+    captures: tuple[str, ...]
+    presets: tuple[str, ...] = ("draft",)
+    methods: tuple[str, ...] = (OURS,)
+    seeds: tuple[int, ...] = (0,)
+    settings: tuple[str, ...] = ("export.renders=false",)
+
+    def __post_init__(self) -> None:
+        """Refuse names nobody knows, and methods that miss what they start from."""
+        for given, known, what in (
+            (self.presets, PRESETS, "presets"),
+            (self.methods, METHODS, "methods"),
+        ):
+            unknown = sorted(set(given) - set(known))
+            if unknown:
+                raise ConfigError(f"{what}: {unknown[0]!r} is unknown; known: {', '.join(known)}")
+        for method in (*BORROWERS, *VARIANTS):
+            if method in self.methods and OURS not in self.methods:
+                what = f"methods: {method!r} starts from stages of 'ours'; list that too"
+                raise ConfigError(what)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderedEntry:
+    """One entry `[[rendered]]` of a sweep's plan.
+
+    Attributes:
+        of: Capture of the plan that it is compared with.
+        factor: What differs.
+        value: How.
+        capture: Folder of the other capture with truth, relative to the plan's folder.
+    """
+
+    of: str
+    factor: str
+    value: str
+    capture: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendered:
+    """A value of a factor that needed a render of its own.
+
+    Attributes:
+        source: Capture it is compared with.
+        factor: Name for people.
+        label: Value for people.
+    """
+
+    source: Path
+    factor: str
+    label: str
+
+    def make(self, out: Path, seed: int) -> None:
+        """Nothing: the capture is there, or the run says that it is not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchRun:
+    """One result of a bench.
+
+    Attributes:
+        capture: Folder of the capture.
+        preset: Preset.
+        method: Name in METHODS.
+        seed: Seed.
+        settings: Items for `--set`, those of the method last.
+        perturbation: What sets the capture apart where it is one made worse, else None.
+    """
+
+    capture: Path
+    preset: str
+    method: str
+    seed: int
+    settings: tuple[str, ...]
+    perturbation: Perturbation | Rendered | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the run's folder, unique within a plan whose captures have unique names."""
+        method = self.method.replace(",", "").replace(" ", "-")
+        words = (self.capture.name, self.preset, method, str(self.seed))
+        return "_".join(words)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What tells the run from others, for its record."""
+        spoilt = self.perturbation
+        scene = self.capture if spoilt is None else spoilt.source
+        return {
+            "name": self.name,
+            "capture": scene.name,
+            "preset": self.preset,
+            "method": self.method,
+            "seed": self.seed,
+            "factor": "" if spoilt is None else spoilt.factor,
+            "value": "" if spoilt is None else spoilt.label,
+        }
+
+
+def read_plan(path: Path) -> list[BenchRun]:
+    """All runs of a bench; the whole method comes before its ablations.
+
+    Raises:
+        ConfigError: If the file, a name or a type is wrong, or two captures share a name.
+    """
+    return list(_runs(path, dict(read_toml(path))))
+
+
+def read_sweep(path: Path, out: Path) -> list[BenchRun]:
+    """All runs of a stability sweep, unperturbed ones first, then factor by factor.
+
+    Args:
+        path: The plan.
+        out: Result folder; spoilt captures are made in its folder `captures`.
+
+    Raises:
+        ConfigError: As `read_plan`, or if there are no factors or their values are wrong.
+    """
+    table = dict(read_toml(path))
+    factors, rendered = table.pop("factors", {}), table.pop("rendered", [])
+    if not isinstance(factors, Mapping) or not (factors or rendered):
+        raise ConfigError(f"{path}: factors is missing; give a table [factors] of lists of values")
+    whole = list(_runs(path, table))
+    spoilt = [
+        _spoilt(run, factor, value, out / "captures")
+        for factor, values in factors.items()
+        for value in (values if isinstance(values, list) else [values])
+        for run in whole
+    ]
+    entries = [_entry(path, entry) for entry in rendered]
+    return whole + spoilt + [run for entry in entries for run in _rendered(path, entry, whole)]
+
+
+def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
+    if not table.get("captures"):
+        raise ConfigError(f"{path}: captures is missing; list the folders of captures")
+    plan = settings_from_table(Plan, table, str(path))
+    captures = [(path.parent / capture).resolve() for capture in plan.captures]
+    names = [capture.name for capture in captures]
+    twins = sorted({name for name in names if names.count(name) > 1})
+    if twins:
+        raise ConfigError(f"{path}: two captures are called {twins[0]!r}; rename one")
+    methods = sorted(plan.methods, key=list(METHODS).index)
+    for capture, preset, seed, method in product(captures, plan.presets, plan.seeds, methods):
+        yield BenchRun(
+            capture=capture,
+            preset=preset,
+            method=method,
+            seed=seed,
+            settings=plan.settings + METHODS[method],
+        )
+
+
+def _spoilt(run: BenchRun, factor: str, value: Any, captures: Path) -> BenchRun:
+    number = float(value) if type(value) is int else value
+    perturbation = Perturbation(source=run.capture, factor=factor, value=number)
+    words = (run.capture.name, factor, perturbation.label, f"s{run.seed}")
+    folder = captures / "_".join(words).replace(" ", "-")
+    return replace(run, capture=folder.resolve(), perturbation=perturbation)
+
+
+def _entry(path: Path, table: Mapping[str, Any]) -> RenderedEntry:
+    missing = [field.name for field in fields(RenderedEntry) if field.name not in table]
+    if missing:
+        raise ConfigError(f"{path}: an entry [[rendered]] lacks {missing[0]}")
+    return settings_from_table(RenderedEntry, table, f"{path}: rendered")
+
+
+def _rendered(path: Path, entry: RenderedEntry, whole: list[BenchRun]) -> list[BenchRun]:
+    source = (path.parent / entry.of).resolve()
+    runs = [run for run in whole if run.capture == source]
+    if not runs:
+        raise ConfigError(f"{path}: rendered: {entry.of!r} is none of the captures; list it there")
+    mark = Rendered(source=source, factor=entry.factor, label=entry.value)
+    capture = (path.parent / entry.capture).resolve()
+    return [replace(run, capture=capture, perturbation=mark) for run in runs]

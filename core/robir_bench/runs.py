@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Carries out the runs of a bench, each in a process of its own, and records their scores."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+from robir.config import resolve
+from robir.errors import QualityError, RobirError
+from robir.evaluation.relighting import second_light
+from robir.evaluation.truth import has_truth
+from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
+from robir.pipeline.usage import Usage
+from robir.presets import PRESETS
+from robir_bench.paper.config import VARIANTS, shrunken
+from robir_bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
+
+Record = dict[str, Any]
+
+RELIT_SAMPLES = "32"
+"""Cycles samples a pixel of relit pictures, denoised; as many as the truth about has."""
+
+_BORROWED = ("capture", "geometry")
+"""Stages that the methods of BORROWERS share with the whole method and are charged for."""
+
+
+def scores_file(folder: Path) -> Path:
+    """One JSON line a run."""
+    return folder / "scores.jsonl"
+
+
+def result_folder(run: BenchRun, folder: Path) -> Path:
+    """Where a run's result lies."""
+    return folder / "runs" / run.name
+
+
+def picture_file(run: BenchRun, folder: Path) -> Path:
+    """The pictures of a run beside the truth; see `robir_bench.pictures`."""
+    return folder / "pictures" / f"{run.name}.png"
+
+
+def read_scores(folder: Path) -> dict[str, Record]:
+    """Record of each run that was tried, by name."""
+    file = scores_file(folder)
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return {record["name"]: record for record in map(json.loads, lines)}
+
+
+def carry_out(
+    runs: Sequence[BenchRun],
+    folder: Path,
+    budget: float | None,
+    say: Callable[[str], None],
+    *,
+    is_truth_needed: bool = False,
+) -> None:
+    """Do every run that has no score yet; one that fails is recorded and stops nothing.
+
+    Args:
+        runs: What to do, in order.
+        folder: Of the results and `scores.jsonl`.
+        budget: CPU seconds that this call may take, or None. A run that would probably exceed
+            it, by the mean of those before, is left for the next call.
+        say: Takes a line about each run.
+        is_truth_needed: Whether a capture without truth counts as failed.
+    """
+    records = read_scores(folder)
+    begin, spent = Usage.now(), []
+    for number, run in enumerate(runs, 1):
+        if "scores" in records.get(run.name, {}):
+            say(f"{number}/{len(runs)} {run.name}: done before")
+            continue
+        used = Usage.now().seconds_since(begin)["cpu"]
+        if budget is not None and used + (mean(spent) if spent else 0.0) >= budget:
+            left = sum("scores" not in records.get(run.name, {}) for run in runs)
+            say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
+            return
+        records[run.name] = _record(run, folder, is_truth_needed)
+        spent.append(Usage.now().seconds_since(begin)["cpu"] - used)
+        with replacing(scores_file(folder)) as temporary:
+            lines = (json.dumps(record) + "\n" for record in records.values())
+            temporary.write_text("".join(lines), encoding="utf-8")
+        say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
+
+
+def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
+    out = result_folder(run, folder)
+    try:
+        if run.perturbation is not None:
+            run.perturbation.make(run.capture, run.seed)
+        _borrow_stages(run, folder, out)
+        held_out = _made(run, out)
+        _relight(run, out)
+    except RobirError as error:
+        return run.facts | {"error": str(error), "exit_code": error.exit_code}
+    truth = ["--truth", str(run.capture)] if is_truth_needed or has_truth(run.capture) else []
+    judged = _robir("evaluate", str(out), *truth, "--json")
+    if judged.returncode != 0:
+        return run.facts | {"error": _last_line(judged.stderr), "exit_code": judged.returncode}
+    scores = json.loads(judged.stdout)
+    _draw(run, folder, scores)
+    about = read_json(JobPaths(out).run)
+    report = JobPaths(out).report_json
+    told = read_json(report).get("trust") if report.exists() else None
+    return run.facts | {
+        "seconds": about["seconds"],
+        "cpu_seconds": sum(stage["cpu"] for stage in about["seconds"].values()),
+        "peak_gigabytes": max(about["peak_memory_bytes"].values()) / 1e9,
+        "warnings": [warning["message"] for warning in about.get("warnings", [])],
+        "trust": told,
+        "held_out": held_out,
+        "scores": scores,
+    }
+
+
+class _RunError(RobirError):
+    """A run ended without a result."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def _made(run: BenchRun, out: Path) -> Record:
+    """Bring a result about; scores of its re-rendered held-out views."""
+    if run.method in VARIANTS:
+        return _published(run, out)
+    return _textured(run, out) if run.method in BORROWERS else _reconstructed(run, out)
+
+
+def _reconstructed(run: BenchRun, out: Path) -> Record:
+    """Run the pipeline; scores of its re-rendered held-out views."""
+    changes = [word for setting in run.settings for word in ("--set", setting)]
+    fitted = _robir(
+        "reconstruct", str(run.capture), "-o", str(out), "--preset", run.preset,
+        "--seed", str(run.seed), "--resume", "--progress", "plain", *changes,
+    )  # fmt: skip
+    is_doubtful = fitted.returncode == QualityError.exit_code
+    # a result that failed its own quality check is whole, which a fit that broke off is not
+    if fitted.returncode != 0 and not (is_doubtful and _is_whole(JobPaths(out))):
+        raise _RunError(_last_line(fitted.stderr), fitted.returncode)
+    return read_json(JobPaths(out).report_json)["held_out"]
+
+
+def _relight(run: BenchRun, out: Path) -> None:
+    """Show a result under the second light that its capture has the truth of, if it has one."""
+    light = second_light(run.capture)
+    if light is not None:
+        command = ("relight", str(out), "--environment", str(light), "--samples", RELIT_SAMPLES)
+        relit = _robir(*command, "--progress", "plain")
+        if relit.returncode != 0:
+            raise _RunError(_last_line(relit.stderr), relit.returncode)
+
+
+def _is_whole(paths: JobPaths) -> bool:
+    return paths.run.exists() and read_json(paths.run).get("state") == "done"
+
+
+def _textured(run: BenchRun, out: Path) -> Record:
+    """Texture the borrowed surface in another way; scores of its held-out views."""
+    paths = JobPaths(out)
+    missing = [stage for stage in _BORROWED if not paths.manifest(stage).exists()]
+    if missing:
+        raise _RunError(f"the whole method left no {missing[0]} to start from", 1)
+    before, about = Usage.now(), read_json(paths.run)
+    if run.method == PHOTO:
+        from robir_bench.peers.photo import texture_photographs
+
+        scores = texture_photographs(paths, resolve(PRESETS[run.preset](), None, run.settings))
+    else:
+        from robir_bench.peers.prb import traced_appearance
+
+        truth = run.capture if run.method == MITSUBA_TOLD else None
+        made = traced_appearance(paths, run.seed, truth)
+        scores = made["held_out"]
+        about["peak_memory_bytes"] |= {"appearance": made["peak_memory_bytes"]}
+    for entry in ("seconds", "peak_memory_bytes"):
+        kept = (*_BORROWED, "appearance")
+        about[entry] = {name: value for name, value in about[entry].items() if name in kept}
+    about["seconds"]["appearance"] = Usage.now().seconds_since(before)
+    about["warnings"] = []
+    for stage in STAGES[STAGES.index("appearance") :]:
+        write_json(paths.manifest(stage), {"stage": stage, "method": run.method})
+    write_json(paths.run, about)
+    return scores
+
+
+def _published(run: BenchRun, out: Path) -> Record:
+    """What is not borrowed of a published method; scores of its held-out views."""
+    from robir_bench.paper.method import reconstruct_published
+
+    paths = JobPaths(out)
+    if not paths.manifest("capture").exists():
+        raise _RunError("the whole method left no capture to start from", 1)
+    settings = (*run.settings, f"seed={run.seed}")
+    config = resolve(PRESETS[run.preset](), None, settings)
+    return reconstruct_published(paths, config, run.method, shrunken())
+
+
+def _draw(run: BenchRun, folder: Path, scores: Record) -> None:
+    """Keep a picture for the page; a result that cannot be drawn still has its scores."""
+    from robir_bench.pictures import draw_photographed, draw_result
+
+    picture = picture_file(run, folder)
+    if "albedo" not in scores:
+        draw_photographed(JobPaths(result_folder(run, folder)), picture)
+        return
+    scale = scores["albedo"]["scale"]["per_channel_lsq"]
+    draw_result(JobPaths(result_folder(run, folder)), run.capture, scale, picture)
+
+
+def _loans(method: str) -> dict[str, tuple[str, ...]]:
+    """Which stages a method takes from which others, if they have them."""
+    if method in BORROWERS:
+        return {OURS: (*_BORROWED, "transport")}
+    if method not in VARIANTS:
+        return {OURS: STAGES[:-1]}
+    loans: dict[str, tuple[str, ...]] = {OURS: ("capture",)}
+    for other, variant in VARIANTS.items():
+        # Indirect light is learnt under the tone curve; all before it knows none.
+        is_alike = variant.has_aces == VARIANTS[method].has_aces
+        loans[other] = ("geometry", "transport") if is_alike else ("geometry",)
+    return loans
+
+
+def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
+    """Start a method from folders of others: what it shares is then done before.
+
+    The borrowed stages keep their seconds, so every method is charged for all it needs.
+    """
+    whole = JobPaths(result_folder(replace(run, method=OURS), folder))
+    if run.method == OURS or out.exists() or not whole.run.exists():
+        return
+    part = JobPaths(out.with_name(f".{out.name}"))
+    shutil.rmtree(part.root, ignore_errors=True)
+    about = read_json(whole.run)
+    if run.method in VARIANTS:
+        about |= {"seconds": {}, "peak_memory_bytes": {}, "warnings": []}
+    for method, stages in _loans(run.method).items():
+        lender = JobPaths(result_folder(replace(run, method=method), folder))
+        for stage in stages:
+            if lender.manifest(stage).exists() and not part.manifest(stage).exists():
+                shutil.copytree(lender.stage(stage), part.stage(stage))
+                lent = read_json(lender.run)
+                for cost in ("seconds", "peak_memory_bytes"):
+                    if stage in lent[cost]:
+                        about[cost][stage] = lent[cost][stage]
+    write_json(part.run, about)
+    shutil.copy(whole.config, part.config)
+    part.root.replace(out)
+
+
+def _robir(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "robir", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def _last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1] if lines else "ended without a message"

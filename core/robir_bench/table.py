@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scores of a bench as tables: median and worst of each method, then a row a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from robir.evaluation.scores import COSTS, LEVEL_SCORES, SCORES, SECONDS, Score
+
+Record = dict[str, Any]
+
+_CLIPPING = "standard"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table for Markdown and HTML alike.
+
+    Attributes:
+        title: Heading.
+        head: Titles of the columns.
+        rows: Cells as shown.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table with its heading."""
+        lines = [self.head, ["---"] * len(self.head), *self.rows]
+        return "\n".join([f"## {self.title}", "", *("| " + " | ".join(x) + " |" for x in lines)])
+
+
+def bench_tables(records: Iterable[Record]) -> list[Table]:
+    """Summary of each preset and method, all runs, and those that failed."""
+    done, failed = split(records)
+    rendered = [record for record in done if is_rendered(record)]
+    shown = [record for record in done if "levels" in record["scores"]]
+    tables = _truth_tables(rendered) if rendered or not shown else []
+    tables += [_level_table(shown)] if shown else []
+    return tables + ([failures(failed)] if failed else [])
+
+
+def is_rendered(record: Record) -> bool:
+    """Whether a run that was scored could be compared with the truth."""
+    return "albedo" in record["scores"]
+
+
+def _truth_tables(records: Sequence[Record]) -> list[Table]:
+    titles = [column.title for column in (*SCORES, *COSTS)]
+    return [
+        Table(
+            title="Over all runs",
+            head=["preset, method", *titles, "clipping told right"],
+            rows=_summary(records),
+        ),
+        Table(
+            title="Runs",
+            head=["capture", "preset", "method", "seed", *titles, "tone curve"],
+            rows=[_run_row(record) for record in records],
+        ),
+    ]
+
+
+def _level_table(records: Sequence[Record]) -> Table:
+    """How well each level of the chain shows held-out photographs, and medians over all runs."""
+    columns = (*LEVEL_SCORES, SECONDS)
+    rows = [
+        [
+            *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+            *(column.text(value(column, record)) for column in columns),
+            _trusted(record),
+            record["scores"]["levels"]["verdict"].partition(":")[0].rstrip("."),
+        ]
+        for record in records
+    ]
+    for preset, method in dict.fromkeys((r["preset"], r["method"]) for r in records):
+        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
+        trusted = sum(_trusted(record) == "yes" for record in members)
+        for name in ("median", "worst"):
+            cells = [_summarised(column, members, name) for column in columns]
+            rows.append([name, preset, method, "", *cells, f"{trusted}/{len(members)}", ""])
+    titles = [column.title for column in columns]
+    return Table(
+        title="Held-out photographs, level by level",
+        head=["capture", "preset", "method", "seed", *titles, "trusted", "most is lost"],
+        rows=rows,
+    )
+
+
+def _trusted(record: Record) -> str:
+    """Whether the program says that the result is to be trusted; some methods say nothing."""
+    trust = record["trust"]
+    return "-" if trust is None else "yes" if trust["is_trusted"] else "no"
+
+
+def failures(failed: Sequence[Record]) -> Table:
+    """Runs without a result and what they said."""
+    return Table(
+        title="Failed",
+        head=["run", "exit code", "said"],
+        rows=[[r["name"], str(r["exit_code"]), r["error"].replace("|", "/")] for r in failed],
+    )
+
+
+def split(records: Iterable[Record]) -> tuple[list[Record], list[Record]]:
+    """Records with scores, and those of runs that failed."""
+    done: list[Record] = []
+    failed: list[Record] = []
+    for record in records:
+        (failed if "error" in record else done).append(record)
+    return done, failed
+
+
+def value(score: Score, record: Record) -> float | None:
+    """A score or a cost of a run that was scored."""
+    return score.value(record if score in COSTS else record["scores"])
+
+
+def _run_row(record: Record) -> list[str]:
+    tone = record["scores"]["tone_curve"]
+    return [
+        *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+        *(score.text(value(score, record)) for score in (*SCORES, *COSTS)),
+        f"{tone['family']} / {tone['true_view_transform']}",
+    ]
+
+
+def _summary(records: Sequence[Record]) -> list[list[str]]:
+    groups = dict.fromkeys((record["preset"], record["method"]) for record in records)
+    rows = []
+    for preset, method in groups:
+        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
+        right = sum(_is_clipping_told_right(record) for record in members)
+        for name in ("median", "worst"):
+            cells = [_summarised(score, members, name) for score in (*SCORES, *COSTS)]
+            rows.append([f"{preset}, {method}: {name}", *cells, f"{right}/{len(members)}"])
+    return rows
+
+
+def _summarised(score: Score, members: Sequence[Record], name: str) -> str:
+    values = [found for r in members if (found := value(score, r)) is not None]
+    if not values:
+        return "-"
+    return score.text(median(values) if name == "median" else max(values, key=score.badness))
+
+
+def _is_clipping_told_right(record: Record) -> bool:
+    """Whether a curve that clips is told from one that rolls off."""
+    tone = record["scores"]["tone_curve"]
+    return (tone["family"] == _CLIPPING) == (tone["true_view_transform"].lower() == _CLIPPING)
