@@ -15,8 +15,7 @@ from robir.appearance.light.lobes import lobes_of, soft_lobes
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import specular_towards
 from robir.appearance.material.roughness import DULL, EACH, GLOSSY, MATTE, ONE
-from robir.appearance.model_size import smallest_model
-from robir.appearance.stage import solve
+from robir.appearance.solution import solve
 from robir.appearance.tone.choose import choose_tone_curve
 from robir.maths.tone import curve_from_name
 
@@ -31,10 +30,10 @@ def chosen(scene, config=CONFIG):
     """The model of a scene, its rows by name, its light, and its gloss."""
     tone = choose_tone_curve(scene, config, 0)
     first = tone.candidates[0]
-    sized = smallest_model(first.problem, first.light, config)
-    _, light, gloss = solve(sized, config, 0)
-    rows = {row.choice: row.chosen for row in (*sized.choices, *gloss.choices)}
-    return first.curve.name, rows, light, gloss
+    found = solve(first.problem, first.light, config, 0)
+    gloss = found.material
+    rows = {row.choice: row.chosen for row in (*found.choices, *gloss.choices)}
+    return first.curve.name, rows, found.light, gloss
 
 
 def seen_samples(scene):

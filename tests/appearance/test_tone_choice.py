@@ -12,14 +12,9 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import fit
-from robir.appearance.tone.choose import (
-    Judged,
-    best_shoulder,
-    choose_tone_curve,
-    chosen_number,
-    clipping_evidence,
-    pair_likeness,
-)
+from robir.appearance.tone.choose import choose_tone_curve
+from robir.appearance.tone.clipping import clipping_evidence
+from robir.appearance.tone.ranking import Judged, best_shoulder, chosen_number, pair_likeness
 from robir.appearance.tone.shoulder import Lead, PlainLead
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations

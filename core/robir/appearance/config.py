@@ -31,6 +31,7 @@ class AppearanceConfig:
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.
         texture_size: Largest side of the textures, texels: they are as fine as the photographs
             resolve, a multiple of `shading_size` by a power of two.
+        without: Names of steps that are left out, to see what they are worth.
     """
 
     families: tuple[str, ...] = FAMILIES
@@ -43,6 +44,7 @@ class AppearanceConfig:
     num_materials: int = 40
     shading_size: int = 512
     texture_size: int = 2048
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse unknown families and sizes that cannot work."""

@@ -13,7 +13,7 @@ error can be lowered by leaving it out; it is left out where there is none.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import soft_transfer
 from robir.appearance.light.problem import Problem, blocks_of
 from robir.appearance.light.solver import Light, fit
-from robir.appearance.tone.choose import pair_errors
+from robir.appearance.tone.ranking import pair_errors
 from robir.jobs.choice import Choice
 
 BOUNCED_QUANTILE = 0.99
@@ -33,39 +33,8 @@ LEAST_BOUNCED = 0.02
 samples it is lower, there is none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SizedModel:
-    """A problem whose light model is no larger than it needs.
-
-    Attributes:
-        problem: The scene, its sky perhaps one lobe and its bounced light perhaps zero.
-        light: The light under it.
-        choices: What was chosen, for the report.
-    """
-
-    problem: Problem
-    light: Light
-    choices: tuple[Choice, ...]
-
-
-def smallest_model(problem: Problem, light: Light, config: AppearanceConfig) -> SizedModel:
-    """Leave out what the scene does not need.
-
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Its light with all lobes.
-        config: Sizes.
-
-    Returns:
-        The problem, its light, and each choice, for the report.
-    """
-    problem, bounced = _without_bounces(problem, light)
-    problem, light, sky = _with_even_sky(problem, light, config)
-    return SizedModel(problem=problem, light=light, choices=(sky, bounced))
-
-
-def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
-    """Drop the light from the object itself if there is none."""
+def without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
+    """The problem without the light from the object itself if there is none, and why."""
     rows = problem.scene.rows
     whole = light.irradiance(problem, rows).mean(1)
     shares = problem.indirect[rows].mean(1) / whole.clamp(min=1e-9)
@@ -84,10 +53,14 @@ def _without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
     )
 
 
-def _with_even_sky(
+def with_even_sky(
     problem: Problem, light: Light, config: AppearanceConfig
 ) -> tuple[Problem, Light, Choice]:
-    """Take one even sky for all soft lobes if the scene has no sun and shows no difference."""
+    """One even sky for all soft lobes if the scene has no sun and shows no difference.
+
+    Returns:
+        The problem, the light under it, and why.
+    """
     num_soft = len(light.amplitudes.soft)
     many, one = f"{num_soft} lobes", "even: one lobe"
     if len(light.axes):

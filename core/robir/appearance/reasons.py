@@ -9,8 +9,9 @@ from robir.appearance.light.solver import Light
 from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
-from robir.appearance.tone.choose import PLAIN, SIMPLER_MARGIN, Candidate, ToneChoice
+from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.display_power import POWERS, PowerChoice
+from robir.appearance.tone.ranking import PLAIN, SIMPLER_MARGIN, Candidate
 from robir.jobs.choice import Choice
 
 GREY, BY_MEAN, BY_HIGHLIGHTS = (

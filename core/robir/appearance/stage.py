@@ -12,23 +12,20 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.hue import hue_by_highlights
-from robir.appearance.evidence.level import level_by_highlights
-from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, make_scene
-from robir.appearance.light.solver import Light, polish, refit
-from robir.appearance.material.gloss import Gloss, estimate_gloss
-from robir.appearance.model_size import SizedModel, smallest_model
-from robir.appearance.photometry.exposure import Gains, compare_photographs
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.photometry.exposure import COMPARISON, Comparison, Gains
 from robir.appearance.proof import EVERY, Proof
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, render_views, view_errors
+from robir.appearance.solution import SOLUTION, solve
 from robir.appearance.texture.albedo import TexelAlbedo, Texels, texel_albedo
 from robir.appearance.texture.detail import finer
 from robir.appearance.texture.shading_normals import shading_normals
 from robir.appearance.texture.texel_size import pixel_width, solved_side, texture_side
-from robir.appearance.tone.choose import ToneChoice, choose_tone_curve
+from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
@@ -42,6 +39,7 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
+from robir.steps import Step, carry_out, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
@@ -56,10 +54,9 @@ DETAIL_VIEWS = 96
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
 
-MOST_PAINT = 0.95
-"""Share of paint above which sides turned from a sun are compared. Where there is more metal some
-passes for paint, and its shade asks for a wrong light: a bottle on its ground, 23 % of both metal,
-fell from 24.7 to 15.7 dB. Of a truck and of chessmen 2 % are metal."""
+
+STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SEARCH, *SOLUTION)
+"""All steps of the stage before textures are read, in their order."""
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
@@ -85,12 +82,15 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
+    check_left_out(STEPS, config.without, "appearance.without")
     capture = load_settled(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
     tracer = make_tracer(mesh.vertices, mesh.faces, context.device)
     started = time.process_time()
-    compared = compare_photographs(transport, tracer, capture, context.seed)
+    photographs = Comparison.of(transport, tracer, capture, context.seed)
+    compared = carry_out(COMPARISON, photographs, config.without)
+    exposures = compared.exposures
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
@@ -102,15 +102,15 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         np.random.default_rng(context.seed),
     )
     by_camera = is_by_camera(capture)
-    scene = replace(scene, exposures=compared.exposures, by_camera=by_camera)
+    scene = replace(scene, exposures=exposures, by_camera=by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed)
     candidates = tone.candidates
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
-    sized = smallest_model(candidates[0].problem, candidates[0].light, config)
-    problem, light, gloss = solve(sized, config, context.seed)
+    solution = solve(candidates[0].problem, candidates[0].light, config, context.seed)
+    problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     inside, values, normals = _textures(
@@ -129,7 +129,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     choices = (
         *light_choices(tone, light, seconds),
         *gloss.choices,
-        *sized.choices,
+        *solution.choices,
         *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
@@ -153,46 +153,6 @@ def _told(other: frozenset[str], capture: Capture) -> str:
             *names,
         )
     )
-
-
-def solve(sized: SizedModel, config: AppearanceConfig, seed: int) -> tuple[Problem, Light, Gloss]:
-    """Light, then gloss, then its strengths once more without the highlights, and gloss again.
-
-    Under the first light a highlight too sharp for any view to show may fit best; the second light
-    is nearer to the truth.
-
-    Args:
-        sized: The scene under the chosen curve, with its first light.
-        config: Sizes.
-        seed: Of sub-samples and clusters.
-
-    Returns:
-        The scene without its highlights, its light, and its gloss.
-    """
-    light = polish(sized.problem, sized.light, config, seed)
-    whole = sized.problem.by_every_sample(np.random.default_rng(seed))
-    # a sky that only few samples face takes its time: an avocado's before its flesh won 2 dB by it
-    thorough = replace(config, iterations=2 * config.iterations)
-    light = refit(whole, light, thorough)
-    # only to be judged anew under the next light: half of the samples will do
-    gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed, step=2)
-    problem = whole.without_highlights(diffuse)
-    light = replace(
-        light,
-        told=hue_by_highlights(whole, light, gloss),
-        level=level_by_highlights(whole, light, gloss, seed),
-    )
-    compared = gloss.is_paint if gloss.is_paint.mean() > MOST_PAINT else None
-    light = refit(problem, light, thorough, compared)
-    if compared is not None:
-        # pairs that look alike are other ones once most of the missing light is there
-        light = refit(problem, light, thorough, compared)
-    gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed)
-    mirrored = sky_by_metal(whole, light, gloss)
-    if mirrored is not None:
-        light = mirrored
-        gloss, diffuse = estimate_gloss(whole, light, config.num_materials, seed)
-    return whole.without_highlights(diffuse), light, gloss
 
 
 def _textures(

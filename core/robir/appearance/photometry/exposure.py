@@ -19,8 +19,8 @@ by.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -36,8 +36,10 @@ from robir.capture.images.loading import resize_view
 from robir.geometry.mesh.tracing import AbstractTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
+from robir.steps import Step
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations, observe
+from robir.transport.surfels import Surfels
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -143,72 +145,126 @@ class Exposures:
         return Gains(by_view, falloff)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """What photographs of the same points tell about how these were lit and exposed.
+    """Photographs of the same points, and what these tell about how they were lit and exposed.
 
     Attributes:
+        capture: All views, the held-out ones included: those need a gain to be compared with.
+        points: Surface points that are compared.
+        observations: Of them in the training views under the common light.
+        observed: Reads the points in any views.
         other_light: Names of the photographs taken under another light than most, held-out ones
             included.
-        exposures: Where the others were not exposed alike, what tells how; else None.
+        falloff: Of all photographs towards their corners, under a plain tone curve.
+        are_apart: Whether photographs have gains of their own.
     """
 
+    capture: Capture
+    points: Surfels
+    observations: Observations
+    observed: Callable[[Sequence[View]], Observations]
     other_light: frozenset[str] = frozenset()
-    exposures: Exposures | None = None
+    falloff: Falloff = NO_FALLOFF
+    are_apart: bool = False
+
+    @classmethod
+    def of(
+        cls, transport: Transport, tracer: AbstractTracer, capture: Capture, seed: int
+    ) -> Comparison:
+        """Some points that enough views show, as these show them.
+
+        Args:
+            transport: Baked transport with the samples' observations.
+            tracer: Tracer of the mesh.
+            capture: All views.
+            seed: Of the choice of points.
+        """
+        surfels, seen = transport.surfels, transport.observations
+        usable = np.flatnonzero((seen.weight > FRONTAL).sum(1) >= FEWEST_VIEWS)
+        rng = np.random.default_rng(seed)
+        chosen = np.sort(rng.choice(usable, min(POINTS, len(usable)), replace=False))
+        keep = np.zeros(len(surfels), bool)
+        keep[chosen] = True
+        points = surfels.subset(keep)
+
+        def observed(views: Sequence[View]) -> Observations:
+            small = tuple(resize_view(view, SIDE) for view in views)
+            offset = transport.visibility.offset
+            return observe(tracer, points.position, points.normal, small, offset)
+
+        few = seen.subset(keep)
+        return cls(capture=capture, points=points, observations=few, observed=observed)
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """What tells how photographs were exposed; None where they were exposed alike."""
+        if not self.are_apart and not self.falloff.strength:
+            return None
+        return Exposures(
+            observations=self.observed(self.capture.without(self.other_light).views),
+            normals=self.points.normal,
+            are_apart=self.are_apart,
+            has_falloff=self.falloff.strength > 0,
+        )
+
+    def shown(self) -> tuple[Array, NDArray[np.bool_]]:
+        """As `comparable`, under a plain tone curve: the true one is not known yet."""
+        return comparable(self.observations, curve_from_name("standard"))
 
 
-def compare_photographs(
-    transport: Transport, tracer: AbstractTracer, capture: Capture, seed: int
-) -> Comparison:
-    """Look whether photographs were lit and exposed alike, and gather what tells how if not.
-
-    Args:
-        transport: Baked transport with the samples' observations.
-        tracer: Tracer of the mesh.
-        capture: All views, the held-out ones included: those need a gain to be compared with.
-        seed: Of the choice of points.
-
-    Returns:
-        What was found; nothing where too little is seen in common.
-    """
-    surfels, seen = transport.surfels, transport.observations
-    usable = np.flatnonzero((seen.weight > FRONTAL).sum(1) >= FEWEST_VIEWS)
-    rng = np.random.default_rng(seed)
-    chosen = np.sort(rng.choice(usable, min(POINTS, len(usable)), replace=False))
-    keep = np.zeros(len(surfels), bool)
-    keep[chosen] = True
-    points = surfels.subset(keep)
-    few = seen.subset(keep)
-
-    def observed(views: Sequence[View]) -> Observations:
-        small = tuple(resize_view(view, SIDE) for view in views)
-        offset = transport.visibility.offset
-        return observe(tracer, points.position, points.normal, small, offset)
-
-    plain = curve_from_name("standard")
-    log, kept = comparable(few, plain)
+def _leave_out_other_light(state: Comparison) -> Comparison:
+    log, kept = state.shown()
     if len(log) < FEWEST_POINTS:
-        return Comparison()
-    odd, common = find_unlike(log, solve_gains(log, points.normal[kept]))
+        return state
+    few = state.observations
+    odd, common = find_unlike(log, solve_gains(log, state.points.normal[kept]))
     other = {few.views[index] for index in np.flatnonzero(odd)}
-    if other:
-        if aside := capture.held_out:
-            found = unlike(log_radiance(observed(aside), plain)[kept], common)
-            other |= {aside[index].name for index in np.flatnonzero(found)}
-        few = few.of_views(~odd)
-        log, kept = comparable(few, plain)
-    normals, off_axis = points.normal[kept], few.off_axis[kept]
-    falloff = find_falloff(log, normals, off_axis)
-    are_apart = are_uneven(log - falloff.log(off_axis)[..., None], normals)
-    if not are_apart and not falloff.strength:
-        return Comparison(frozenset(other))
-    exposures = Exposures(
-        observations=observed(capture.without(other).views),
-        normals=points.normal,
-        are_apart=are_apart,
-        has_falloff=falloff.strength > 0,
-    )
-    return Comparison(frozenset(other), exposures)
+    if not other:
+        return state
+    if aside := state.capture.held_out:
+        apart = log_radiance(state.observed(aside), curve_from_name("standard"))
+        other |= {aside[index].name for index in np.flatnonzero(unlike(apart[kept], common))}
+    return replace(state, other_light=frozenset(other), observations=few.of_views(~odd))
+
+
+def _find_falloff(state: Comparison) -> Comparison:
+    log, kept = state.shown()
+    if len(log) < FEWEST_POINTS:
+        return state
+    off_axis = state.observations.off_axis[kept]
+    return replace(state, falloff=find_falloff(log, state.points.normal[kept], off_axis))
+
+
+def _find_gains(state: Comparison) -> Comparison:
+    log, kept = state.shown()
+    if len(log) < FEWEST_POINTS:
+        return state
+    dimming = state.falloff.log(state.observations.off_axis[kept])[..., None]
+    return replace(state, are_apart=are_uneven(log - dimming, state.points.normal[kept]))
+
+
+COMPARISON: tuple[Step[Comparison], ...] = (
+    Step(
+        name="other-light",
+        purpose="leaves out photographs taken under another light than most",
+        source="ours: outliers that no gain explains",
+        run=_leave_out_other_light,
+    ),
+    Step(
+        name="vignetting",
+        purpose="finds how much darker the corners of all photographs are",
+        source="cos^4 law to first order, proven by photographs that had no part",
+        run=_find_falloff,
+    ),
+    Step(
+        name="exposure",
+        purpose="finds whether photographs were exposed or balanced apart",
+        source="log-linear gains by robust least squares, proven by points of other orientations",
+        run=_find_gains,
+    ),
+)
+"""What is asked of photographs of the same points, in this order."""
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:

@@ -1,174 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which tone curve the photographs went through.
 
-The fit's own loss cannot choose: a compressive curve shrinks every contrast it is judged by. What
-can is prediction in display space: take a sample's albedo to a neighbour that receives another
-irradiance, and compare the predicted display colour with the photographed one. Only under the true
-curve does a shadow darken bright and dark materials by the same factor. Pairs count by how much
-their irradiances differ and by how alike their albedos are, on average over all curves: a border
-of two materials says nothing, and all curves must be judged by the same pairs.
-
-So curves with a shoulder are told from each other. Whether it is the plain one instead, the most
-that a choice can cost, is weighed apart, see plain_lead.py.
-
-Two kinds of evidence come before any fit: a curve that clips piles pixels up at code 255, one that
-rolls off does not; and a curve that mixes channels does not reach all colours, see reach.py.
+Two kinds of evidence come before any fit: what is clipped, see clipping.py, and which colours a
+curve cannot reach, see gamut.py. What is left is ranked under the suns of one of them, see
+ranking.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
-from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
-from robir.appearance.light.lobes import log_ratio
-from robir.appearance.light.problem import Problem, Scene, blocks_of, make_problem
-from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
-from robir.appearance.light.solver import Light, find_suns, fit
+from robir.appearance.light.problem import Scene, make_problem
+from robir.appearance.light.solver import Light, find_suns
+from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.display_power import PowerChoice, choose_power
 from robir.appearance.tone.gamut import unable
-from robir.appearance.tone.highlight_evidence import highlight_tables
-from robir.appearance.tone.shoulder import CAMERA_MARGIN, PlainLead, mismatch_table
+from robir.appearance.tone.ranking import NEUTRAL, PLAIN, Candidate, ranked
+from robir.appearance.tone.shoulder import PlainLead
 from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
-from robir.transport.observe import Observations
-
-ERROR_CAP = 0.08
-"""Display error beyond which a pair is of two materials and says nothing more."""
-
-CLIPPED_SHARE = 0.004
-"""Share of observations at code 255 from which clipping is plain."""
-
-SPIKE_RATIO = 0.75
-"""Pixels at 255 for each at 245 to 254 from which they are a spike."""
-
-BRIGHT_SHARE, ROLLED_RATIO = 0.016, 0.5
-"""Share of observations at 245 to 254 that rolls off if no more than so many for each lie at 255.
-In photographs of three cameras it is .06 to .37; a white plate that just clips comes to .72."""
-
-FEW_CLIPPED = 3e-4
-"""Share of observations at code 255 that is no glint any more, if next to none lie just below."""
-
-LONE_RATIO = 10.0
-"""How many times those must outnumber the pixels just below."""
-
-PLAIN = "standard"
-"""Name of the one curve without a shoulder."""
-
-NEUTRAL = "khronos_pbr_neutral"
-"""Name of the curve that only the brightest tell from the plain one."""
-
-HEDGE = "robir_aces"
-"""Name of a curve that no common renderer has. It lies between the others and is nearest to what
-cameras do; where it does not lead all others, one of those is the likelier."""
-
-SIMPLER_MARGIN = 1.0
-"""Standard errors within which the simpler one of two curves of a kind is taken."""
-
-SETTLED_FROM = -1.0
-"""Lead in standard errors, of the plain curve over a shoulder, below which their lights need not be
-settled: that moved it by .2 to .4 on four captures between -2.9 and -7.4, and the plain curve must
-lead by PLAIN_MARGIN."""
-
-LEAST_LEAD = 0.1
-"""Codes by which mean display errors differ for no reason; adds to their standard error. The
-photographs hold whole codes, and where highlights are faint the errors of all curves agree so well
-from block to block that a twentieth of a code passed for five standard errors."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClippingEvidence:
-    """What the histogram says about white.
-
-    Attributes:
-        clipped_share: Observations with a channel at code 255.
-        bright_share: Observations with their brightest channel at 245 to 254.
-        by_camera: Whether cameras took the photographs: these roll off a little whatever their
-            curve, so that this tells nothing.
-    """
-
-    clipped_share: float
-    bright_share: float
-    by_camera: bool = False
-
-    @property
-    def verdict(self) -> bool | None:
-        """True for a clipping curve, False for one that rolls off, None if white does not tell."""
-        if self.clipped_share > max(CLIPPED_SHARE, SPIKE_RATIO * self.bright_share):
-            return True
-        if not self.by_camera and self.bright_share > max(
-            BRIGHT_SHARE, self.clipped_share / ROLLED_RATIO
-        ):
-            return False
-        if self.clipped_share > max(FEW_CLIPPED, LONE_RATIO * self.bright_share):
-            return True
-        return None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A tone curve with its score.
-
-    Attributes:
-        curve: The tone curve.
-        score: Mean display error of cross-predicted pairs, in 8-bit codes.
-        standard_error: Of the difference to the chosen candidate, over blocks of the surface.
-        light: The light that was found under it.
-        problem: The scene under it.
-    """
-
-    curve: AbstractToneCurve
-    score: float
-    standard_error: float
-    light: Light
-    problem: Problem
-
-
-def _lead_error(mine: Table, other: Table) -> float:
-    """Standard error, codes, of the difference of two mean display errors."""
-    return float(np.hypot(LEAST_LEAD, 255 * difference_error(mine, other)))
-
-
-def clipping_evidence(observations: Observations, power: float = 1.0) -> ClippingEvidence:
-    """Shares of clipped and of nearly white observations, a power of the codes undone."""
-    valid = observations.weight > 0
-    brightest = 255 * (observations.display.max(2) / 255) ** (1 / power)
-    clipped = observations.clipped.any(2)
-    total = max(1, int(valid.sum()))
-    return ClippingEvidence(
-        clipped_share=float((clipped & valid).sum() / total),
-        bright_share=float(((brightest >= 245) & ~clipped & valid).sum() / total),
-    )
-
-
-def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
-    """Display error and weight of every ordered pair, (2 P,) each."""
-    scene = problem.scene
-    irradiance = light.irradiance(problem, scene.rows)
-    radiance = problem.rows_radiance(scene.rows)
-    albedo = log_ratio(radiance.linear, irradiance).exp()
-    first = torch.cat([scene.pairs.first, scene.pairs.second])
-    second = torch.cat([scene.pairs.second, scene.pairs.first])
-    shown = problem.curve.display_from_linear(albedo * irradiance / np.pi)
-    carried = problem.curve.display_from_linear(albedo[second] * irradiance[first] / np.pi)
-    error = (carried - shown[first]).abs()
-    error = error.masked_fill(radiance.clipped[first] | radiance.clipped[second], 0)
-    contrast = (irradiance[first].log() - irradiance[second].log()).abs().mean(1)
-    weight = (contrast.clamp(max=1.5) - 0.3).clamp(min=0)
-    return error.clamp(max=ERROR_CAP).mean(1), weight
-
-
-def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
-    """How alike the albedos of every ordered pair are, 0..1, (2 P,)."""
-    scene = problem.scene
-    radiance = problem.rows_radiance(scene.rows)
-    log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
-    alike = scene.pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
-    return torch.cat([alike, alike])
+from robir.steps import Step, carry_out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,11 +45,127 @@ class ToneChoice:
     plain_lead: PlainLead | None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToneSearch:
+    """What is known while the tone curve is searched.
+
+    Attributes:
+        scene: Samples with their transport.
+        config: Families and sizes.
+        seed: Of the search.
+        allowed: Curves that may be chosen, simplest first.
+        evidence: Of the histogram.
+        beyond: As of `ToneChoice`.
+        suns: The light under the first curve: where shadows lie does not depend on it.
+        power: As of `ToneChoice`.
+        candidates: The chosen one first.
+        plain_lead: As of `ToneChoice`.
+    """
+
+    scene: Scene
+    config: AppearanceConfig
+    seed: int
+    allowed: list[AbstractToneCurve]
+    evidence: ClippingEvidence
+    beyond: dict[str, float]
+    suns: Light | None = None
+    power: PowerChoice | None = None
+    candidates: list[Candidate] = field(default_factory=list)
+    plain_lead: PlainLead | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneSearch:
+        """Curves that the configuration allows, and what white and colours say of them."""
+        allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
+        if scene.by_camera:
+            allowed = [curve for curve in allowed if curve.name != NEUTRAL] or allowed
+        observations = scene.transport.observations
+        return cls(
+            scene=scene,
+            config=config,
+            seed=seed,
+            allowed=allowed,
+            evidence=clipping_evidence(observations, by_camera=scene.by_camera),
+            beyond=unable(allowed, observations),
+        )
+
+    @property
+    def fitting(self) -> list[AbstractToneCurve]:
+        """The curves that no code and no colour rules out; all if that would rule out every one."""
+        verdict = self.evidence.verdict
+        return [
+            curve
+            for curve in self.allowed
+            if (verdict is None or (curve.name == PLAIN) == verdict)
+            and curve.name not in self.beyond
+        ] or self.allowed
+
+    @property
+    def first(self) -> AbstractToneCurve:
+        """The curve under which suns are searched: Filmic lies between the families."""
+        fitting = self.fitting
+        return next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
+
+    @property
+    def found(self) -> Light:
+        """The light under the first curve."""
+        if self.suns is None:
+            raise RuntimeError("no suns were searched")
+        return self.suns
+
+
+def _search_suns(state: ToneSearch) -> ToneSearch:
+    problem = make_problem(state.scene, state.first)
+    return replace(state, suns=find_suns(problem, state.config, state.seed))
+
+
+def _undo_power(state: ToneSearch) -> ToneSearch:
+    """A curve given by the user is taken as given, and cameras have a curve of their own."""
+    scene = state.scene
+    if len(state.allowed) == 1 or scene.by_camera:
+        return state
+    power = choose_power(scene, state.first, state.found, state.seed)
+    if power.power == 1.0:
+        return replace(state, power=power)
+    observations = scene.transport.observations
+    toned = [powered(curve, power.power) for curve in state.allowed]
+    evidence = clipping_evidence(observations, power.power)
+    beyond = unable(toned, observations)
+    return replace(state, power=power, allowed=toned, evidence=evidence, beyond=beyond)
+
+
+def _rank(state: ToneSearch) -> ToneSearch:
+    candidates, lead = ranked(state.scene, state.fitting, state.found, state.config, state.seed)
+    return replace(state, candidates=candidates, plain_lead=lead)
+
+
+SEARCH: tuple[Step[ToneSearch], ...] = (
+    Step(
+        name="suns",
+        purpose="finds sharp lights by the shadows they cast",
+        source="ours: dense scan, then a shrinking search with traced rays",
+        run=_search_suns,
+        is_on_trial=False,
+    ),
+    Step(
+        name="display-power",
+        purpose="finds a power that the display codes were re-toned by",
+        source="ours",
+        run=_undo_power,
+    ),
+    Step(
+        name="tone-curve",
+        purpose="ranks tone curves by albedo carried between neighbours in different light",
+        source="ours, over the families of RobIR's ACES (equation 13) and of Blender",
+        run=_rank,
+        is_on_trial=False,
+    ),
+)
+"""How the tone curve is found, in this order."""
+
+
 def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
     """Score every family that the histogram allows, as the photographs are and re-toned.
-
-    The suns are searched once, under the first curve: where shadows lie does not depend on it. It
-    also serves to ask for a power of the codes. A curve given by the user is taken as given.
 
     Args:
         scene: Samples with their transport.
@@ -207,185 +175,11 @@ def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> Tone
     Returns:
         Candidates and evidence.
     """
-    allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
-    if scene.by_camera:
-        allowed = [curve for curve in allowed if curve.name != NEUTRAL] or allowed
-    observations = scene.transport.observations
-    evidence = replace(clipping_evidence(observations), by_camera=scene.by_camera)
-    beyond = unable(allowed, observations)
-    fitting = _fitting(allowed, evidence, beyond)
-    # Filmic lies between the families, so its suns start all of them.
-    first = next((curve for curve in fitting if curve.name == "filmic"), fitting[0])
-    found = find_suns(make_problem(scene, first), config, seed)
-    is_asked = len(allowed) > 1 and not scene.by_camera
-    choice = choose_power(scene, first, found, seed) if is_asked else None
-    if choice is not None and choice.power != 1.0:
-        evidence = clipping_evidence(observations, choice.power)
-        toned = [powered(curve, choice.power) for curve in allowed]
-        beyond = unable(toned, observations)
-        fitting = _fitting(toned, evidence, beyond)
-    candidates, lead = _ranked(scene, fitting, found, config, seed)
+    found = carry_out(SEARCH, ToneSearch.of(scene, config, seed), config.without)
     return ToneChoice(
-        candidates=candidates, evidence=evidence, beyond=beyond, power=choice, plain_lead=lead
+        candidates=found.candidates,
+        evidence=found.evidence,
+        beyond=found.beyond,
+        power=found.power,
+        plain_lead=found.plain_lead,
     )
-
-
-def _fitting(
-    allowed: list[AbstractToneCurve], evidence: ClippingEvidence, beyond: dict[str, float]
-) -> list[AbstractToneCurve]:
-    """The curves that no code and no colour rules out; all if that would rule out every one."""
-    verdict = evidence.verdict
-    return [
-        curve
-        for curve in allowed
-        if (verdict is None or (curve.name == PLAIN) == verdict) and curve.name not in beyond
-    ] or allowed
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """Models of one scene under several curves, judged by the same pairs.
-
-    Attributes:
-        models: The scene under each curve, and its light.
-        blocks: (2 P,) of every ordered pair.
-        weight: (2 P,) by which pairs count: what the models say on average.
-        tables: Display errors of the pairs under each curve.
-        settled: The models, by number, whose lights were settled so far.
-    """
-
-    models: list[tuple[Problem, Light]]
-    blocks: NDArray[np.int64]
-    weight: NDArray[np.float64]
-    tables: list[Table]
-    settled: dict[int, tuple[Problem, Light]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, models: list[tuple[Problem, Light]]) -> Judged:
-        """From the models alone."""
-        judged = [pair_errors(*model) for model in models]
-        contrast = torch.stack([weight for _, weight in judged]).mean(0)
-        likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
-        weight = (contrast * likeness).double().numpy()
-        blocks = blocks_of(models[0][0].scene)
-        tables = [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
-        return cls(models=models, blocks=blocks, weight=weight, tables=tables)
-
-    def lead(self, index: int, shoulder: int, steps: int, seed: int) -> PlainLead:
-        """How far one curve leads another that has a shoulder.
-
-        Where that is close, their lights are settled first: a curve of more contrast starts farther
-        from its light, and after the steps that rank all curves it has up to a quarter of its
-        mismatch still to lose.
-
-        Args:
-            index: Number of the one.
-            shoulder: Number of the other.
-            steps: Further steps that settle their lights.
-            seed: Of what is looked at.
-        """
-        lead, unsettled = self._compared(index, shoulder, seed), {index, shoulder} - {*self.settled}
-        if lead.total < SETTLED_FROM or not unsettled:
-            return lead
-        for number in unsettled:
-            problem, light = self.models[number]
-            start = light.amplitudes
-            further = fit(problem, light.axes, light.sharpness, steps, start=start)
-            self.settled[number] = (problem, further)
-        return self._compared(index, shoulder, seed)
-
-    def _compared(self, index: int, shoulder: int, seed: int) -> PlainLead:
-        """The same with the lights as they are."""
-        two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
-        mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
-        highlights = highlight_tables((two[0], two[1]), seed)
-        lead = PlainLead.of(two[1][0].curve.name, (mine, other), highlights)
-        return replace(lead, margin=CAMERA_MARGIN) if two[0][0].scene.by_camera else lead
-
-
-def _ranked(
-    scene: Scene,
-    curves: list[AbstractToneCurve],
-    found: Light,
-    config: AppearanceConfig,
-    seed: int,
-) -> tuple[list[Candidate], PlainLead | None]:
-    """The curves with their scores under the suns found, the chosen one first."""
-    models: list[tuple[Problem, Light]] = []
-    for curve in curves:
-        problem = make_problem(scene, curve)
-        light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
-        models.append((problem, replace(light, history=found.history)))
-    judged = Judged.of(models)
-    chosen, lead = chosen_number(judged, [curve.name for curve in curves], config.iterations, seed)
-    tables = judged.tables
-    candidates = [
-        Candidate(
-            curve=curve,
-            score=255 * mean_of(table),
-            standard_error=0.0 if index == chosen else _lead_error(table, tables[chosen]),
-            light=light,
-            problem=problem,
-        )
-        for index, (curve, table, (problem, light)) in enumerate(
-            zip(curves, tables, models, strict=True)
-        )
-    ]
-    first = candidates.pop(chosen)
-    return [first, *sorted(candidates, key=lambda candidate: candidate.score)], lead
-
-
-def chosen_number(
-    judged: Judged, names: list[str], steps: int, seed: int
-) -> tuple[int, PlainLead | None]:
-    """Number of the curve to be taken, and the plain one's lead if it was compared.
-
-    Args:
-        judged: The scene under each curve.
-        names: Of the curves, simplest first.
-        steps: Further steps that settle the lights of two that are compared closely.
-        seed: Of what is looked at.
-    """
-    tables = judged.tables
-    shoulder, chosen, lead = best_shoulder(names, tables), 0, None
-    if shoulder is not None:
-        chosen = shoulder
-        if PLAIN in names:
-            lead = judged.lead(names.index(PLAIN), shoulder, steps, seed)
-            chosen = names.index(PLAIN) if lead.is_clear else shoulder
-    if NEUTRAL in names:
-        neutral = names.index(NEUTRAL)
-        leads = _lags(tables[chosen], tables[neutral], SIMPLER_MARGIN)
-        # but for the brightest it is the plain one, and must lead a shoulder as that must
-        if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
-            chosen = neutral
-    return chosen, lead
-
-
-def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
-    """Number of the curve with a shoulder that is taken if the plain one is not.
-
-    The simplest within SIMPLER_MARGIN of the lowest error; HEDGE only if it leads all others.
-    NEUTRAL is none of them: it would pass for the plain one.
-
-    Args:
-        names: Of the curves, simplest first.
-        tables: Of their errors.
-
-    Returns:
-        Its number; None where there is none.
-    """
-    shoulders = [i for i, name in enumerate(names) if name not in (PLAIN, NEUTRAL, HEDGE)]
-    if HEDGE in names:
-        hedge = names.index(HEDGE)
-        others = [table for index, table in enumerate(tables) if index != hedge]
-        if not shoulders or all(_lags(table, tables[hedge], SIMPLER_MARGIN) for table in others):
-            return hedge
-    best = min(shoulders, key=lambda index: mean_of(tables[index]), default=0)
-    near = [i for i in shoulders if not _lags(tables[i], tables[best], SIMPLER_MARGIN)]
-    return min(near, default=None)
-
-
-def _lags(table: Table, other: Table, margin: float) -> bool:
-    """Whether the first error is clearly the greater, by so many standard errors."""
-    return 255 * (mean_of(table) - mean_of(other)) > margin * _lead_error(table, other)
