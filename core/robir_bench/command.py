@@ -42,6 +42,12 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="instead of a plan: all captures that `python -m blender_scenes population` made, and "
         "the distribution of their scores",
     )
+    parser.add_argument(
+        "--ablate",
+        action="store_true",
+        help="run a population also without each step that can be left out, and say what each is "
+        "worth",
+    )
     _add_runs(parser)
 
 
@@ -74,15 +80,21 @@ def bench(options: Namespace) -> int:
     Of a plan the exit code is the largest of its runs'; of a population, where failures are counted
     among the scores, only a bug is a failure.
     """
-    from robir_bench.page import write_bench, write_population
+    from robir_bench.page import write_ablation, write_bench, write_population
     from robir_bench.plan import read_plan
     from robir_bench.population import read_population
 
     if (options.plan is None) == (options.population is None):
         raise UsageError("give either PLAN.toml or --population DIR")
+    if options.ablate and options.population is None:
+        raise UsageError("--ablate needs --population DIR")
     if options.population is not None:
-        runs = read_population(options.population)
-        tried = _carried_out(runs, write_population, options, is_truth_needed=True)
+        runs, write = read_population(options.population), write_population
+        if options.ablate:
+            from robir_bench.ablation import ablated
+
+            runs, write = ablated(runs), write_ablation
+        tried = _carried_out(runs, write, options, is_truth_needed=True)
         return 1 if 1 in tried else 0
     return max(_carried_out(read_plan(options.plan), write_bench, options, is_truth_needed=False))
 

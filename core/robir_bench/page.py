@@ -15,6 +15,7 @@ from robir.evaluation.level_table import level_notes
 from robir.evaluation.scores import ALBEDO
 from robir.export.report import page_template
 from robir.jobs.paths import replacing, write_json
+from robir_bench.ablation import ablation_chart, ablation_table, worths
 from robir_bench.chart import speed_accuracy
 from robir_bench.curves import calibration, tone_curves
 from robir_bench.distribution import CONFIDENCE
@@ -130,6 +131,26 @@ def write_population(folder: Path, runs: Sequence[BenchRun], records: Mapping[st
     )
     write_json(folder / "distribution.json", distribution(tried, classes))
     return _write(folder, "population.md", page)
+
+
+def write_ablation(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
+    """Write ablation.md, its chart and index.html of a population with steps left out."""
+    tried = [records[run.name] for run in runs if run.name in records]
+    done, failed = split(tried)
+    classes, kept = capture_classes(runs), verdicts(runs)
+    found = worths(tried, classes)
+    whole = sum(record["method"] == OURS for record in done)
+    page = Page(
+        title="What each step is worth",
+        lead=f"{whole} captures, {kept} of seeds for verdicts; {len(done)} of {len(runs)} runs are "
+        f"scored. Figures say how much better a run is with the step than without, over the "
+        f"captures where both were scored: mean and {100 * CONFIDENCE:.0f} % percentile bootstrap "
+        "interval.",
+        rows=[],
+        charts=[Chart(title="Albedo", file="ablation.svg", drawing=ablation_chart(found))],
+        tables=[ablation_table(found), *([failures(failed)] if failed else [])],
+    )
+    return _write(folder, "ablation.md", page)
 
 
 def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:

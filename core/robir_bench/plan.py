@@ -136,6 +136,7 @@ class BenchRun:
         seed: Seed.
         settings: Items for `--set`, those of the method last.
         perturbation: What sets the capture apart where it is one made worse, else None.
+        is_relit: Whether it is shown under the second light too, where its capture has one.
     """
 
     capture: Path
@@ -144,6 +145,7 @@ class BenchRun:
     seed: int
     settings: tuple[str, ...]
     perturbation: Perturbation | Rendered | None = None
+    is_relit: bool = True
 
     @property
     def name(self) -> str:

@@ -152,7 +152,7 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
 
 def _relight(run: BenchRun, out: Path) -> None:
     """Show a result under the second light that its capture has the truth of, if it has one."""
-    light = second_light(run.capture)
+    light = second_light(run.capture) if run.is_relit else None
     if light is not None:
         command = ("relight", str(out), "--environment", str(light), "--samples", RELIT_SAMPLES)
         relit = _robir(*command, "--progress", "plain")
