@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from masking import scene
+from capture.masks import scene
 from scipy.ndimage import binary_dilation
 
 from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Bounds, Capture, Finding, View

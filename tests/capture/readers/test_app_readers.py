@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from capture import app_writers
+from capture.readers.test_readers import assert_same, read
 from capture.scene import cameras, shoot
-from capture.test_readers import assert_same, read
 
 from robir.capture.capture import Capture
 from robir.capture.config import CaptureConfig

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import pytest
+from capture.poses.room import COUNT, Registered, Walk, photograph, ring
 from PIL import Image
-from poses.room import COUNT, Registered, Walk, photograph, ring
 
 from robir.capture.poses.register import register
 

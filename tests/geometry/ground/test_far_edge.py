@@ -55,7 +55,7 @@ def test_a_guess_is_raised_to_the_height_of_a_rounded_edge(guess: float) -> None
 
 
 def test_a_sharp_edge_is_found_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.geometry.test_edge.ROUNDING", 0.0)
+    monkeypatch.setattr("tests.geometry.ground.test_far_edge.ROUNDING", 0.0)
     rays = tangents(1200, np.random.default_rng(2))
     rise = level(rays, np.arange(300), np.array([0.0, 0.0, HEIGHT + 0.005]), UP, 0.009)
     assert rise == pytest.approx(-0.005, abs=2e-4)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture.poses.room import COUNT, TARGET, Registered, Walk, align, photograph, ring
 from PIL import Image
-from poses.room import COUNT, TARGET, Registered, Walk, align, photograph, ring
 
 from robir.capture.config import CaptureConfig
 from robir.capture.poses.register import register

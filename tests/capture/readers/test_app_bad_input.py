@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from capture import app_writers, writers
+from capture.readers.test_bad_input import edit, refusals_of_damage, refused
 from capture.scene import cameras, shoot
-from capture.test_bad_input import edit, refusals_of_damage, refused
 
 from robir.capture.checks.frame_checks import check_frames
 from robir.capture.recognise import read_frames

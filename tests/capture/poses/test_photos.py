@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture.poses.room import photograph, ring
 from PIL import Image
-from poses.room import photograph, ring
 from scipy import ndimage
 
 from robir.capture.images.decode import exif_values, opened, orientation, upright

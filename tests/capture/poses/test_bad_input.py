@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture.poses.room import TARGET, Walk, look_at, photograph, ring
 from PIL import Image
-from poses.room import TARGET, Walk, look_at, photograph, ring
 
 from robir import cli
 from robir.capture.camera import Camera

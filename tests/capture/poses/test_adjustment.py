@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from masking import scene
+from capture.masks import scene
 from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Bounds, Capture, View

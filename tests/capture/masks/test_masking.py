@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from masking import scene
+from capture.masks import scene
 from PIL import Image
 
 from robir.capture.capture import Finding

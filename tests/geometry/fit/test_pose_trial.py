@@ -30,8 +30,8 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.jobs.paths import JobPaths
+from tests.geometry.mesh.test_isosurface import Silent
 from tests.geometry.scenes import ball, camera_at, capture_of
-from tests.geometry.test_surface import Silent
 
 SIDE = 96
 
