@@ -16,6 +16,7 @@ _MODULES = (
     "recent",
     "operators.engine",
     "operators.capture",
+    "operators.sample",
     "operators.photographs",
     "operators.notice",
     "operators.reconstruct",

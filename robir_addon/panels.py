@@ -51,6 +51,7 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
                 "into the viewport",
                 "INFO",
             )
+            layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
             for capture in recent_captures():
                 recent = layout.operator(
                     "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False

@@ -109,6 +109,18 @@ def main(archive, site_packages):
 """
 
 
+def test_the_zip_is_small_and_holds_no_bench(extension_zip):
+    with zipfile.ZipFile(extension_zip) as archive:
+        names = archive.namelist()
+        sample = sum(i.file_size for i in archive.infolist() if i.filename.startswith("sample/"))
+        (wheel,) = (name for name in names if name.endswith(".whl"))
+        with archive.open(wheel) as stream, zipfile.ZipFile(stream) as inner:
+            rooms = {name.partition("/")[0] for name in inner.namelist()}
+    assert extension_zip.stat().st_size < 3_000_000
+    assert 0 < sample < 2_000_000
+    assert "robir" in rooms and "robir_bench" not in rooms
+
+
 def test_install_disable_enable_uninstall(blender, extension_zip, tmp_path):
     user = tmp_path / "user"
     answer = run(blender, COMMON + LIFE, str(extension_zip), str(blender.site_packages), user=user)
