@@ -26,8 +26,7 @@ from robir.steps import Step, carry_out
 
 MOST_PAINT = 0.95
 """Share of paint above which sides turned from a sun are compared. Where there is more metal some
-passes for paint, and its shade asks for a wrong light: a bottle on its ground, 23 % of both metal,
-fell from 24.7 to 15.7 dB. Of a truck and of chessmen 2 % are metal."""
+passes for paint, and what it mirrors, taken for shade, asks for a wrong light."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

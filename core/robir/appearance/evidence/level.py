@@ -44,9 +44,8 @@ LIMIT = 0.1
 """How far, in log units, the brightest paint may seem to return more than it receives."""
 
 MISREAD = 0.3
-"""Deviation of the log factor that is left of one told by many views alike. Where the mesh is more
-wrong than is tried, highlights are missed and the light is told too dim: .1 on five rendered
-captures of known assets, .4 to 1 on five of six drawn ones."""
+"""Deviation of the log factor that is left of one told by many views alike: where the mesh is more
+wrong than is tried, highlights are missed and the light is told too dim."""
 
 NUM_PATCHES = 16
 

@@ -25,8 +25,7 @@ from robir.appearance.material.observed import looked_at
 
 LEAST_SHARE = 0.08
 """Share of metal among the samples that is needed: the normals of little metal, mostly small and
-bent, displace all that it mirrors. Of bottles half of gold it is .16 to .2, of chessmen and a toy,
-whose lights were good without, .03 to .05."""
+bent, displace all that it mirrors."""
 
 SUN_SHARE = 0.3
 """Share of a sun in what metal shows from which a view says nothing about the sky beside it."""
@@ -39,8 +38,7 @@ ALIKE = 3.0
 
 KEPT_ERROR, KEPT_COUNT = 0.02, 30.0
 """Share by which the irradiance of paint may change, and samples that keep it, however many there
-are: on a bottle it changed by .026. With 200 the sky came out farther from the true one, for what
-was solved without the metal is not exact either."""
+are: what was solved without the metal is not exact either."""
 
 FREEDOM = 1.0
 """Usual change of the logarithm of a lobe."""

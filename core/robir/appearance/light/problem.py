@@ -178,9 +178,6 @@ class Problem:
     def by_every_sample(self, rng: np.random.Generator) -> Problem:
         """The problem in which every sample takes part that two views see.
 
-        By five thousand of twelve an avocado's light hung on which: its albedo came to 25.1 to
-        27.2 dB by three draws.
-
         Args:
             rng: Source of the neighbours.
         """

@@ -57,17 +57,15 @@ METAL_PRIOR = 30
 METAL_SPREAD = 0.25
 """How far base colours of metals differ within a scene, as logarithms. Of samples that metal does
 not explain better the reading may be off by a factor of e: where there are many, a part is taken to
-be of what the others are. Dented, a truck's bumper read as .26 to .43 by three seeds, its hubs as
-.7, and all are of one metal."""
+be of what the others are."""
 
 DARKEST_METAL = 0.55
 """Brightest channel that every metal reaches at least: titanium, iron and chromium do."""
 
 BRIGHT_METAL = 0.5
 """Brightest channel that metal must have at least where it explains a sample better: a tenth is
-left to what the light is misjudged. Of squares of a chessboard, glossy and dark, a dark metal
-explained 40 to 94 % better, one as bright as this at most 40 %; of a truck's dented tank and
-bumper, which read as .26 to .69 by three seeds, 38 to 82 %."""
+left to what the light is misjudged. No metal is dark, while a dark metal explains glossy dark paint
+well."""
 
 DARKEST_READING = 0.4
 """Brightest channel below which a part is no metal, whatever else explains its views badly: a
@@ -75,8 +73,7 @@ wrong mesh does, and is no brighter than paint."""
 
 CERTAIN_SHARE = 0.9
 """Share of a part of METAL_PRIOR samples or more that metal must explain better to be metal however
-dim it reads: a light that is judged too strong dims all readings. Of a bottle's gold, read as .42,
-96 % were certain; of dark parts of a truck, on a wrong mesh, 78 %."""
+dim it reads: a light that is judged too strong dims all readings."""
 
 DIM_ERROR = 0.05
 """Mean display error that such a dim part may leave as metal. On a torn mesh metal explains most of
@@ -84,13 +81,11 @@ a stone better than paint, and both explain it badly: it left .065, the gold of 
 
 LEAST_PART, LEAST_SHARE = 8, 1 / 3
 """Samples that metal must explain better, in number and as a share of a part. Where it is fewer,
-the mesh is too wrong to tell, and what it reflected would be worse than paint: the torn sides of a
-truck shone white."""
+the mesh is too wrong to tell, and what it reflected would be worse than paint."""
 
 OTHER_HUE = 0.7
 """Difference in log hue from all metal of the scene from which a part of less than METAL_PRIOR
-samples is paint: a bit of a bottle's glossy red cap, 1.1 from its gold, whose own bits are .4 from
-it at most."""
+samples is paint: bits of one metal lie near each other."""
 
 LIKELY_METAL = 0.6
 """Base colour towards which a part without any evidence tends."""

@@ -24,9 +24,8 @@ def proven_parts(
     it alone: where all parts together are proven, it is metal unless the contrary is proven.
 
     On renderings metal is taken as it is read. What it mirrors is displaced by normals that are a
-    few degrees off, and squared errors count that twice, so that true metal is hardly proven; with
-    proof the albedo of a bottle and a truck, which are in part of metal, lost 2 dB. Of eight
-    captures by cameras the reading alone finds metal on seven that have none.
+    few degrees off, and squared errors count that twice, so that true metal is hardly proven. Of
+    cameras' photographs the reading alone finds metal nearly everywhere.
 
     Args:
         parts: As read from the photographs.

@@ -16,8 +16,7 @@ Rows = NDArray[np.int64]
 
 CLEAR_GAP = 4.0
 """Ashman's distance of two halves' means, in their mean deviations, from which they are two hues.
-Hues spread evenly along a line have 3.5 when cut in the middle, a normal distribution 2.7; a gold
-bottle and its red cap have 8 and a truck's metal and red paint 8.5, other cuts of metal 1 to 4."""
+Hues spread evenly along a line have 3.5 when cut in the middle, a normal distribution 2.7."""
 
 
 def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:

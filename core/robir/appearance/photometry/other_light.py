@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LEAST_STEPS = 0.5
-"""How much brighter or darker than the rest a photograph must be. Gloss of rendered captures, a
-polished bottle's included, makes 0.3; a covered lamp on the scissors 0.5 to 2."""
+"""How much brighter or darker than the rest a photograph must be: more than gloss makes it."""
 
 LEAST_LEFT = 0.3
-"""How much of that its points must differ among each other; on photographs exposed otherwise, of a
-mouse, it was 0.05 to 0.25, on those of the covered lamp 0.3 to 0.55."""
+"""How much of that its points must differ among each other: more than in one exposed otherwise."""
 
 MOST_LEFT = 0.25
 """Median difference, log radiance, beyond which the rest do not agree themselves: metal, of which

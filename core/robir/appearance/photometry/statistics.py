@@ -22,7 +22,7 @@ darkened by an outline below."""
 
 SHADOW_REACH = 0.8
 """How far apart, unit frame, a sample in shadow and its lit partner may lie. Under a low sun
-shadows are longer than what casts them: half of a truck's lay out of a reach of .4."""
+shadows are longer than what casts them."""
 
 SHADOW_NORMAL = 0.6
 """What a difference of one unit of normal counts in that distance."""
@@ -32,9 +32,8 @@ MIN_SHADOW_SAMPLES = 20
 SHADOW_PARTNERS, SHADOW_PARTS, LARGEST_PART = 12, 4, 1250
 """Lit partners of a sample in shadow; of how many lit ones one may be its partner, at least; and of
 how many samples, lit or not, a part of these consists at most. The nearest all hug the shadow's
-edge, where photographs blur it and the mesh displaces it: under the true light of six rendered
-scenes of 5000 samples the shade was .12 brighter than they (log, mean), .10 brighter than every
-fourth. Of every twelfth, .08, more were of another paint: a truck's albedo lost .5 dB."""
+edge, where photographs blur it and the mesh displaces it; of those far away more are of another
+paint."""
 
 STEP_WIDTH = 0.15
 """Width of the kernel that finds the commonest step across shadows, log units: more than noise,

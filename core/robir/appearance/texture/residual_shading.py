@@ -47,8 +47,7 @@ def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats) -> Floa
 
     Were none of its light reflected, all of it would be the paint's; a dark polished part is not
     known well, but known to be darker than the bright stone about it. To that comes what mesh and
-    light may be wrong by: without ALIKE, what a wrong normal darkens stays dark, and the albedo of
-    `still_life` loses .3 dB.
+    light may be wrong by: without ALIKE, what a wrong normal darkens stays dark.
 
     Args:
         albedo: (N, 3) of the light that is not reflected.

@@ -19,8 +19,7 @@ FARTHEST = 5.0
 """Codes by which a colour may miss what a curve reaches: compression shifts colours by so much."""
 
 MOST_BEYOND = 1e-3
-"""Share of observations that may lie farther beyond. Of eight captures through AgX none does at
-all; of photographs by cameras 3 to 31 % do, of captures through Standard .2 to 2.6 %."""
+"""Share of observations that may lie farther beyond: of photographs through AgX none does at all."""
 
 ASKED = 20000
 """Observations that are asked."""

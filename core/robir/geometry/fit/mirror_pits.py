@@ -36,15 +36,12 @@ REGION_PASSES = 12
 
 DULL, MIRRORING = 0.042, 0.05
 """Mean change of display colour with the direction, over a region of the coarsest level, up to
-which nothing is filled and from which hollows are filled at full speed. Of three gold bottles the
-gold shows .03 to .07; of chessmen and hotdogs, both glossy, three spots in a thousand more than
-.033. From .023 on a tenth of these was filled, and chessmen lay a third farther off."""
+which nothing is filled and from which hollows are filled at full speed: more than glossy paint
+shows, less than metal."""
 
 MOST_MIRRORING = 0.25
 """Share of the surface above which not metal is the cause but another light in some photographs, or
-cameras that are off, and nothing is filled: of bottles on their ground .03 to .04, of scissors, a
-quarter of whose photographs show them in another light, .41; filled, these fell from 16.8 to 12.5
-dB."""
+cameras that are off, and nothing is filled."""
 
 REACH = 4
 """Cells of the coarsest level by which such a region is widened: a pit hides from the network what

@@ -36,7 +36,7 @@ SMOOTHING = 0.5
 """Share of the way towards its neighbours' mean that such a step moves a node at the start; it
 falls to 0. Early steps are large and noisy, and lumps that stay where the colour decides little, on
 metal and on plain surfaces, are dug further by the colours learnt on them. But smoothing shrinks
-what is round: at .15 to the end the chessmen's sides came out a quarter of a pixel too thin."""
+what is round."""
 
 FAIRING = 0.25
 """Share of the way that every such step moves a node there and back, which takes what is rough

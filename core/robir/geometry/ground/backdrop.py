@@ -68,13 +68,11 @@ DOUBT = 0.25
 """Share of the pixels that reach a spot and show another colour at which it is no ground."""
 
 HUE = 0.08
-"""Difference of hue from the colours of certain ground beyond which a spot is no shaded ground. Of
-the ground seven captures show from above next to nothing lies beyond, 3 % of that of `avocado`;
-of what was taken for ground on the brown border of the board of `chessboard` 71 % did."""
+"""Difference of hue from the colours of certain ground beyond which a spot is no shaded ground."""
 
 DIM = 0.35
-"""Display value against that of certain ground below which hue tells nothing: below `truck` most
-light comes from the truck and has its hue, four tenths of that ground lie beyond HUE."""
+"""Display value against that of certain ground below which hue tells nothing: most light that
+arrives below a thing comes from it and has its hue."""
 
 LEAST_HUE = 0.02
 """Share of certain ground that must have a hue: single columns may be certain wrongly."""

@@ -55,7 +55,7 @@ asked."""
 
 LESS, CERTAIN = 0.08, 2.0
 """By what share less, and by how many standard errors, the photographs must differ at another
-height than at the plane's. Of eight flat grounds none came to more than .03."""
+height than at the plane's: more than of a flat ground."""
 
 BLOCK = 8
 """Columns along the edge of the squares the standard error is taken of: neighbours err alike."""
