@@ -27,6 +27,7 @@ from robir.evaluation.scores import (
     SUN,
     Score,
 )
+from robir.geometry import stage as geometry
 from robir.steps import Step
 from robir_bench.chart import SVG_STYLE, svg, tidy
 from robir_bench.distribution import Estimate, estimate, mean
@@ -68,7 +69,7 @@ class Trial:
 
 def trials() -> list[Trial]:
     """All steps on trial, stage by stage."""
-    lists = {"appearance": appearance.STEPS}
+    lists = {"geometry": geometry.STEPS, "appearance": appearance.STEPS}
     return [
         Trial(stage=stage, step=step)
         for stage, steps in lists.items()

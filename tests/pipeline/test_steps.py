@@ -7,6 +7,7 @@ import pytest
 
 from robir.appearance.stage import STEPS as APPEARANCE
 from robir.errors import ConfigError
+from robir.geometry.stage import STEPS as GEOMETRY
 from robir.steps import Step, carry_out, check_left_out
 
 ADDING = (
@@ -27,8 +28,9 @@ def test_what_is_needed_or_unknown_cannot_be_left_out(name):
         check_left_out(ADDING, ["one", name], "appearance.without")
 
 
-def test_names_are_unique_and_every_step_says_what_it_is_for():
-    names = [step.name for step in APPEARANCE]
+@pytest.mark.parametrize("steps", [GEOMETRY, APPEARANCE], ids=["geometry", "appearance"])
+def test_names_are_unique_and_every_step_says_what_it_is_for(steps):
+    names = [step.name for step in steps]
     assert len(set(names)) == len(names)
-    assert all(step.purpose and step.source for step in APPEARANCE)
-    check_left_out(APPEARANCE, [step.name for step in APPEARANCE if step.is_on_trial], "-")
+    assert all(step.purpose and step.source for step in steps)
+    check_left_out(steps, [step.name for step in steps if step.is_on_trial], "-")

@@ -27,6 +27,7 @@ class GeometryConfig:
         refine_poses: Whether given cameras are turned where the photographs ask for it.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
+        without: Names of steps that are left out, to see what they are worth.
     """
 
     image_side: int = 200
@@ -41,6 +42,7 @@ class GeometryConfig:
     refine_poses: bool = True
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values the stage cannot work with."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,32 +13,24 @@ import torch
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_masks, save_turned
 from robir.errors import CaptureError
-from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.clean import restore_missing
-from robir.geometry.fit.field import ColourNetwork, Field
+from robir.geometry.fit.field import Field
 from robir.geometry.fit.field_preview import Preview, Renderer
 from robir.geometry.fit.held_out import save_field_views
-from robir.geometry.fit.mirror_pits import Mirroring
 from robir.geometry.fit.optimise import fit
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
-from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.flatten import Ground
-from robir.geometry.ground.plane import detect
-from robir.geometry.ground.undercut import undercut
-from robir.geometry.hull import object_hull
-from robir.geometry.lattice import resample
 from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, fill_holes, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
-from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.rays import RaySampler
 from robir.geometry.remask import remasked
-from robir.geometry.rival import Rival, smooth_surface
+from robir.geometry.rival import smooth_surface
+from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json
-from robir.maths.vectors import farthest_points
+from robir.steps import Step, carry_out, check_left_out
 
 REVISION = 29
 """Raised whenever the same input gives another result."""
@@ -45,8 +38,8 @@ REVISION = 29
 MASKING = 0.02
 """Share of the stage that cutting masks again takes."""
 
-GROUND_SIDE = 200
-"""Longer side of the photographs that tell the ground, pixels."""
+STEPS: tuple[Step[Any], ...] = (*EVENING, *GROUND, *LEVEL)
+"""All steps of the stage up to the surface, in their order; LEVEL's once a level of the fit."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -58,6 +51,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     Returns:
         Metrics for the stage's manifest.
     """
+    check_left_out(STEPS, context.config.without, "geometry.without")
     capture = load_capture(context.paths.stage("capture")).normalised()
     if capture.has_guessed_masks and context.config.stereo.image_side:
         capture = remasked(
@@ -159,18 +153,17 @@ def reconstruct(
             "at least 3, and about 20 for a good surface."
         )
     reporter.progress(0.0, "carving the visual hull")
-    capture = evened(capture)
-    photos = [reduce_view(view, config.image_side) for view in capture.train]
+    capture = carry_out(EVENING, capture, config.without)
     generator = torch.Generator().manual_seed(seed)
-    sampler = RaySampler(photos, device, generator)
-    settling = _Settling(capture, photos, config, sampler, generator)
+    settling = Settling(capture, config, device, generator)
+    sampler = settling.sampler
 
     def progress(share: float, render: Renderer) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
         if watch is not None:
             watch(share, render, sampler)
 
-    lattice, start = settling.lattice, settling.start
+    lattice, start = settling.begun
     field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settling)
     rival = settling.rival
     if rival.leads:
@@ -192,83 +185,7 @@ def reconstruct(
     return Surface(mesh=mesh, metrics=metrics, choices=rival.choices)
 
 
-class _Settling:
-    """What the fit starts from, and what is done to its field at the end of every level.
-
-    Args:
-        capture: Evened, unit frame.
-        photos: Its training photographs at the size of the fit.
-        config: The stage's configuration.
-        sampler: Source of rays.
-        generator: Source of random numbers.
-
-    Attributes:
-        lattice: Of the visual hull.
-        start: (N,) signed distances that the fit starts from.
-        backdrop: The ground and what lies behind it; None where there is none.
-        rival: The surface by stereo.
-    """
-
-    def __init__(
-        self,
-        capture: Capture,
-        photos: list[Photo],
-        config: GeometryConfig,
-        sampler: RaySampler,
-        generator: torch.Generator,
-    ) -> None:
-        self.lattice, hull = object_hull(capture, photos, config)
-        self.backdrop: Backdrop | None = None
-        plane = detect(photos, self.lattice, hull, generator)
-        if plane is not None:
-            judges = ground_photos(capture, config)
-            ground = Ground(plane, judges, self.lattice, hull)
-            backdrop = Backdrop(ground, judges)
-            hull = ground.flatten(self.lattice, hull, ground.start & ~backdrop.foreign)
-            self.backdrop = backdrop
-        self._hull, self._sampler = hull, sampler
-        self.start = hull if self.backdrop is None else self.backdrop.clear(self.lattice, hull)
-        begun = self.lattice, self.start
-        self._mirroring = Mirroring([photo.camera for photo in photos], begun)
-        self.rival = Rival(capture.train, photos, begun, config)
-
-    def __call__(self, field: Field, network: ColourNetwork) -> bool:
-        """Mend the field in place; whether the fit ends because the rival leads."""
-        sdf = field.sdf.detach()
-        allowed = resample(self._hull, self.lattice, field.lattice).to(sdf.device)
-        sdf.copy_(restore_missing(field, allowed, self._sampler))
-        sdf.copy_(self._mirroring.filled(field, network))
-        if self.backdrop is not None:
-            ground = self.backdrop.ground
-            top = ground.heights(field.lattice, sdf)
-            settled = ground.settled(top, self.backdrop.known)
-            ground.find_terraces(top, settled)
-            if ground.is_flat(field.lattice.cell, top, settled):
-                sdf.copy_(ground.flatten(field.lattice, sdf, settled))
-                sdf.copy_(undercut(self.backdrop, settled, field.lattice, sdf))
-            else:
-                self.backdrop = None
-        return self.rival.beats(field)
-
-
 def clean_mesh(field: Field, face_budget: int) -> Mesh:
     """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
     mesh = flattened(smooth_surface(field), field.lattice.cell)
     return fill_holes(decimate(mesh, face_budget))
-
-
-def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
-    """The training photographs by which ground is told from what stands on it.
-
-    A few that see through a point free it, and where they do is cleaned of specks by pixels: both
-    are right for so many photographs of such a size. Of more and finer ones a few always agree by
-    chance, and what mirrors the ground is cut away: of a vase and a bottle the lower halves.
-
-    Args:
-        capture: Capture in the unit frame.
-        config: The stage's configuration.
-    """
-    views = capture.train
-    positions = np.stack([view.camera.position for view in views])
-    side = min(config.image_side, GROUND_SIDE)
-    return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]

@@ -14,7 +14,8 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.stage import GROUND_SIDE, ground_photos, reconstruct
+from robir.geometry.settling import GROUND_SIDE, ground_photos
+from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import ball, capture_of, disc, drum
 
 

@@ -19,7 +19,7 @@ FARTHEST = 5.0
 """Codes by which a colour may miss what a curve reaches: compression shifts colours by so much."""
 
 MOST_BEYOND = 1e-3
-"""Share of observations that may lie farther beyond: of photographs through AgX none does at all."""
+"""Share of observations that may lie farther beyond; of photographs through AgX none does."""
 
 ASKED = 20000
 """Observations that are asked."""

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the fit starts from, and what is done to its field at the end of every level, as steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.capture.capture import Capture
+from robir.geometry.brightness import evened
+from robir.geometry.config import GeometryConfig
+from robir.geometry.fit.clean import restore_missing
+from robir.geometry.fit.field import ColourNetwork, Field
+from robir.geometry.fit.mirror_pits import Mirroring
+from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.plane import detect
+from robir.geometry.ground.undercut import undercut
+from robir.geometry.hull import object_hull
+from robir.geometry.lattice import Lattice, resample
+from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.rival import Rival
+from robir.maths.vectors import farthest_points
+from robir.steps import Step, carry_out
+
+GROUND_SIDE = 200
+"""Longer side of the photographs that tell the ground, pixels."""
+
+EVENING: tuple[Step[Capture], ...] = (
+    Step(
+        name="even-brightness",
+        purpose="brings photographs that were exposed apart to one brightness for the fit",
+        source="ours: a power stands for the tone curve",
+        run=evened,
+    ),
+)
+"""What is done to the photographs before the fit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """What the fit starts from.
+
+    Attributes:
+        capture: Evened, unit frame.
+        config: The stage's configuration.
+        generator: Source of random numbers.
+        photos: Training photographs at the size of the fit.
+        lattice: Of the visual hull.
+        hull: (N,) its signed distances, with ground once there is one.
+        backdrop: The ground and what lies behind it; None where there is none.
+    """
+
+    capture: Capture
+    config: GeometryConfig
+    generator: torch.Generator
+    photos: list[Photo]
+    lattice: Lattice
+    hull: Tensor
+    backdrop: Backdrop | None = None
+
+    @property
+    def distances(self) -> Tensor:
+        """(N,) signed distances that the fit starts from."""
+        return self.hull if self.backdrop is None else self.backdrop.clear(self.lattice, self.hull)
+
+
+def _find_ground(state: Start) -> Start:
+    plane = detect(state.photos, state.lattice, state.hull, state.generator)
+    if plane is None:
+        return state
+    judges = ground_photos(state.capture, state.config)
+    ground = Ground(plane, judges, state.lattice, state.hull)
+    backdrop = Backdrop(ground, judges)
+    hull = ground.flatten(state.lattice, state.hull, ground.start & ~backdrop.foreign)
+    return replace(state, hull=hull, backdrop=backdrop)
+
+
+GROUND: tuple[Step[Start], ...] = (
+    Step(
+        name="ground",
+        purpose="finds the flat ground that the object stands on, and takes it as a backdrop",
+        source="ours: plane by the masks' rim, columns by photo-consistency",
+        run=_find_ground,
+    ),
+)
+"""What is done to the visual hull before the fit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """A level of the fit that has ended; steps change its field's distances in place.
+
+    Attributes:
+        field: Field of the level.
+        network: Its colour network.
+        sampler: Source of rays.
+        hull: Lattice and signed distances of the visual hull.
+        mirroring: What was learnt of parts that mirror.
+        rival: The surface by depth maps.
+        backdrop: The ground; None where there is none, or none any more.
+        settled: Columns that are ground now; None before they were asked.
+        has_ended: Whether the fit goes no further.
+    """
+
+    field: Field
+    network: ColourNetwork
+    sampler: RaySampler
+    hull: tuple[Lattice, Tensor]
+    mirroring: Mirroring
+    rival: Rival
+    backdrop: Backdrop | None
+    settled: NDArray[np.bool_] | None = None
+    has_ended: bool = False
+
+    @property
+    def sdf(self) -> Tensor:
+        """(N,) signed distances, to be changed in place."""
+        return self.field.sdf.detach()
+
+
+def _restore_missing(state: Level) -> Level:
+    lattice, hull = state.hull
+    allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
+    state.sdf.copy_(restore_missing(state.field, allowed, state.sampler))
+    return state
+
+
+def _fill_mirror_pits(state: Level) -> Level:
+    state.sdf.copy_(state.mirroring.filled(state.field, state.network))
+    return state
+
+
+def _settle_ground(state: Level) -> Level:
+    if state.backdrop is None:
+        return state
+    ground = state.backdrop.ground
+    top = ground.heights(state.field.lattice, state.sdf)
+    settled = ground.settled(top, state.backdrop.known)
+    return replace(state, settled=settled)
+
+
+def _find_terraces(state: Level) -> Level:
+    if state.backdrop is not None and state.settled is not None:
+        ground = state.backdrop.ground
+        ground.find_terraces(ground.heights(state.field.lattice, state.sdf), state.settled)
+    return state
+
+
+def _flatten_ground(state: Level) -> Level:
+    """A ground that turns out to be a bowl is none."""
+    if state.backdrop is None or state.settled is None:
+        return state
+    ground, lattice = state.backdrop.ground, state.field.lattice
+    if not ground.is_flat(lattice.cell, ground.heights(lattice, state.sdf), state.settled):
+        return replace(state, backdrop=None)
+    state.sdf.copy_(ground.flatten(lattice, state.sdf, state.settled))
+    return state
+
+
+def _undercut(state: Level) -> Level:
+    if state.backdrop is not None and state.settled is not None:
+        lattice = state.field.lattice
+        state.sdf.copy_(undercut(state.backdrop, state.settled, lattice, state.sdf))
+    return state
+
+
+def _ask_rival(state: Level) -> Level:
+    return replace(state, has_ended=state.rival.beats(state.field))
+
+
+LEVEL: tuple[Step[Level], ...] = (
+    Step(
+        name="missing-parts",
+        purpose="brings back thin parts that the masks demand and the fit has lost",
+        source="ours",
+        run=_restore_missing,
+    ),
+    Step(
+        name="mirror-pits",
+        purpose="fills hollows that mirrored light has dug",
+        source="ours: one half of a mean curvature flow",
+        run=_fill_mirror_pits,
+    ),
+    Step(
+        name="ground-columns",
+        purpose="tells columns of ground from what stands on it",
+        source="ours: photo-consistency of columns' feet",
+        run=_settle_ground,
+        is_on_trial=False,
+    ),
+    Step(
+        name="terraces",
+        purpose="finds flat ground at another height: a mat, a tray, a turntable",
+        source="ours",
+        run=_find_terraces,
+    ),
+    Step(
+        name="flat-ground",
+        purpose="makes ground flat",
+        source="ours",
+        run=_flatten_ground,
+    ),
+    Step(
+        name="undercut",
+        purpose="frees the room below overhangs",
+        source="space carving (Kutulakos and Seitz 2000) from the ground's side",
+        run=_undercut,
+    ),
+    Step(
+        name="depth-maps",
+        purpose="ends the fit where depth maps let photographs predict each other better",
+        source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010)",
+        run=_ask_rival,
+    ),
+)
+"""What is done at the end of every level of the fit, in this order."""
+
+
+class Settling:
+    """What the fit starts from, and what it calls at the end of every level.
+
+    Args:
+        capture: Evened, unit frame.
+        config: The stage's configuration.
+        device: Torch device.
+        generator: Source of random numbers.
+
+    Attributes:
+        sampler: Source of rays.
+        begun: Lattice and signed distances that the fit starts from.
+        backdrop: The ground as far as the fit has got.
+        rival: The surface by depth maps.
+    """
+
+    def __init__(
+        self, capture: Capture, config: GeometryConfig, device: str, generator: torch.Generator
+    ) -> None:
+        photos = [reduce_view(view, config.image_side) for view in capture.train]
+        self.sampler = RaySampler(photos, device, generator)
+        lattice, hull = object_hull(capture, photos, config)
+        start = Start(
+            capture=capture,
+            config=config,
+            generator=generator,
+            photos=photos,
+            lattice=lattice,
+            hull=hull,
+        )
+        self._without = config.without
+        start = carry_out(GROUND, start, self._without)
+        self.backdrop, self._hull = start.backdrop, start.hull
+        self.begun = lattice, start.distances
+        self._mirroring = Mirroring([photo.camera for photo in photos], self.begun)
+        self.rival = Rival(capture.train, photos, self.begun, config)
+
+    def __call__(self, field: Field, network: ColourNetwork) -> bool:
+        """Mend the field in place; whether the fit ends because the rival leads."""
+        level = Level(
+            field=field,
+            network=network,
+            sampler=self.sampler,
+            hull=(self.begun[0], self._hull),
+            mirroring=self._mirroring,
+            rival=self.rival,
+            backdrop=self.backdrop,
+        )
+        ended = carry_out(LEVEL, level, self._without)
+        self.backdrop = ended.backdrop
+        return ended.has_ended
+
+
+def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
+    """The training photographs by which ground is told from what stands on it.
+
+    A few that see through a point free it, and where they do is cleaned of specks by pixels: both
+    are right for so many photographs of such a size. Of more and finer ones a few always agree by
+    chance, and what mirrors the ground is cut away.
+
+    Args:
+        capture: Capture in the unit frame.
+        config: The stage's configuration.
+    """
+    views = capture.train
+    positions = np.stack([view.camera.position for view in views])
+    side = min(config.image_side, GROUND_SIDE)
+    return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]
