@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from robir.geometry import stage
+from robir.geometry import settling
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
@@ -49,7 +49,7 @@ def test_the_stage_tells_the_ground_by_them(monkeypatch: pytest.MonkeyPatch) -> 
             asked.append(len(photos))
             super().__init__(ground, photos)
 
-    monkeypatch.setattr(stage, "Backdrop", Recorded)
+    monkeypatch.setattr(settling, "Backdrop", Recorded)
     config = GeometryConfig(
         level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, hull_views=16
     )
