@@ -67,6 +67,15 @@ def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     )
 
 
+def test_the_sample_is_one_click_away(window: BlenderWindow) -> None:
+    window.press("bpy.ops.robir.try_sample")
+    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 60.0)
+    assert Path(window.get(f"{SETTINGS}.capture")).name == "truck"
+    window.picture("sample")
+    window.press("bpy.ops.robir.clear_capture")
+    window.wait_until(f"not {SETTINGS}.capture", 5.0)
+
+
 def test_a_capture_is_chosen_in_the_file_browser_and_let_go(
     window: BlenderWindow, capture: Path
 ) -> None:
