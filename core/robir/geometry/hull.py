@@ -17,7 +17,7 @@ from robir.capture.capture import Capture
 from robir.capture.masks.guess import DISSENT
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
@@ -116,7 +116,7 @@ def hull_of(photos: list[Photo], views: int, *, guessed: bool = False) -> HullCa
     )
 
 
-def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
+def carve(carver: HullCarver, cells: int) -> Sampled:
     """Signed distance of the visual hull on a lattice that fits it closely.
 
     Args:
@@ -148,12 +148,12 @@ def carve(carver: HullCarver, cells: int) -> tuple[Lattice, Tensor]:
     for axis in range(3):  # the surface must not touch the border
         grid.select(axis, 0).clamp_(min=lattice.cell)
         grid.select(axis, -1).clamp_(min=lattice.cell)
-    return lattice, fine
+    return Sampled(lattice, fine)
 
 
 def object_hull(
     capture: Capture, photos: list[Photo], config: GeometryConfig, *, guessed: bool = False
-) -> tuple[Lattice, Tensor]:
+) -> Sampled:
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
     What a shadow falls on has other colours than the rest of the table, and depth maps see a
@@ -171,4 +171,4 @@ def object_hull(
     if capture.has_guessed_masks and capture.table is not None:
         height = capture.table.height(lattice.nodes().double().numpy())
         values = torch.maximum(values, torch.from_numpy(CLEARANCE - height).float())
-    return lattice, values
+    return Sampled(lattice, values)

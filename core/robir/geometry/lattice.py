@@ -7,7 +7,7 @@ Batch letters: P points, N nodes of the lattice, C channels.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -133,6 +133,18 @@ class Lattice:
         for column, (i, j, k) in enumerate(corners):
             torch.mul(xy[i, j], z[k], out=weight[:, column])
         return index, weight
+
+
+class Sampled(NamedTuple):
+    """A function sampled at the nodes of a lattice, mostly a signed distance, negative inside.
+
+    Attributes:
+        lattice: The nodes.
+        values: (N,) one each, unit frame.
+    """
+
+    lattice: Lattice
+    values: Tensor
 
 
 def taken(values: Tensor, index: Tensor) -> Tensor:

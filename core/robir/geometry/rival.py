@@ -14,13 +14,12 @@ import time
 from functools import cached_property
 
 import numpy as np
-from torch import Tensor
 
 from robir.capture.capture import View
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.clean import largest_pieces
 from robir.geometry.fit.field import Field
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.simplify import decimate, fill_holes
@@ -68,7 +67,7 @@ class Rival:
         self,
         views: tuple[View, ...],
         photos: list[Photo],
-        hull: tuple[Lattice, Tensor],
+        hull: Sampled,
         config: GeometryConfig,
     ) -> None:
         self._views, self._photos, self._hull, self._config = views, photos, hull, config

@@ -21,7 +21,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.ground.undercut import undercut
 from robir.geometry.hull import object_hull
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.rival import Rival
 from robir.maths.vectors import farthest_points
@@ -110,7 +110,7 @@ class Level:
     field: Field
     network: ColourNetwork
     sampler: RaySampler
-    hull: tuple[Lattice, Tensor]
+    hull: Sampled
     mirroring: Mirroring
     rival: Rival
     backdrop: Backdrop | None
@@ -254,7 +254,7 @@ class Settling:
         self._without = config.without
         start = carry_out(GROUND, start, self._without)
         self.backdrop, self._hull = start.backdrop, start.hull
-        self.begun = lattice, start.distances
+        self.begun = Sampled(lattice, start.distances)
         self._mirroring = Mirroring([photo.camera for photo in photos], self.begun)
         self.rival = Rival(capture.train, photos, self.begun, config)
 
@@ -264,7 +264,7 @@ class Settling:
             field=field,
             network=network,
             sampler=self.sampler,
-            hull=(self.begun[0], self._hull),
+            hull=Sampled(self.begun.lattice, self._hull),
             mirroring=self._mirroring,
             rival=self.rival,
             backdrop=self.backdrop,

@@ -163,8 +163,8 @@ def reconstruct(
         if watch is not None:
             watch(share, render, sampler)
 
-    lattice, start = settling.begun
-    field = fit(sampler, (lattice, start.to(device)), config, generator, progress, settling)
+    start = settling.begun._replace(values=settling.begun.values.to(device))
+    field = fit(sampler, start, config, generator, progress, settling)
     rival = settling.rival
     if rival.leads:
         reporter.progress(0.86, "moving the mesh to where photographs agree")

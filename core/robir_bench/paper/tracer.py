@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir_bench.paper.networks import SdfNetwork
 from robir_bench.paper.neus import SPHERE
 
@@ -27,13 +27,13 @@ _LEAST_SLOPE = 0.2
 
 
 @torch.no_grad()
-def on_lattice(sdf: SdfNetwork, cells: int) -> tuple[Lattice, Tensor]:
+def on_lattice(sdf: SdfNetwork, cells: int) -> Sampled:
     """Distances (N,) on a lattice over the unit sphere, outside of which all is empty."""
     corner = np.full(3, SPHERE)
     lattice = Lattice.around(-corner, corner, cells, margin=0)
     nodes = lattice.nodes()
     values = torch.cat([sdf(part)[:, 0] for part in nodes.split(_CHUNK)])
-    return lattice, torch.maximum(values, nodes.norm(dim=1) - SPHERE + lattice.cell)
+    return Sampled(lattice, torch.maximum(values, nodes.norm(dim=1) - SPHERE + lattice.cell))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

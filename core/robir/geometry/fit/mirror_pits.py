@@ -19,7 +19,7 @@ from torch.nn.functional import max_pool3d, normalize
 from robir.capture.camera import Camera
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.regularise import neighbour_mean, smoothed
-from robir.geometry.lattice import Lattice, interpolate, resample
+from robir.geometry.lattice import Lattice, Sampled, interpolate, resample
 from robir.maths.vectors import farthest_points
 
 NEAR = 0.7
@@ -96,11 +96,11 @@ class Mirroring:
         hull: What bounds the surface, signed distances on their lattice.
     """
 
-    def __init__(self, cameras: list[Camera], hull: tuple[Lattice, Tensor]) -> None:
+    def __init__(self, cameras: list[Camera], hull: Sampled) -> None:
         positions = np.stack([camera.position for camera in cameras])
         self._cameras = [cameras[k] for k in farthest_points(positions, MOST_VIEWS)]
         self._hull = hull
-        self._learnt: tuple[Lattice, Tensor] | None = None
+        self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
         """Fill hollows of what mirrors, by one half of a mean curvature flow.
@@ -114,7 +114,7 @@ class Mirroring:
         """
         lattice, before = field.lattice, field.sdf.detach()
         if self._learnt is None:
-            self._learnt = lattice, self._share(field, network)
+            self._learnt = Sampled(lattice, self._share(field, network))
         share = _at(self._learnt, lattice)
         where = share.nonzero()
         if not len(where):
@@ -142,6 +142,6 @@ class Mirroring:
         return max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
 
 
-def _at(values: tuple[Lattice, Tensor], lattice: Lattice) -> Tensor:
+def _at(values: Sampled, lattice: Lattice) -> Tensor:
     """Values of one lattice at the nodes of another, (X, Y, Z)."""
     return resample(values[1], values[0], lattice).view(lattice.shape)

@@ -16,7 +16,7 @@ from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.field_preview import Renderer
 from robir.geometry.fit.regularise import laplacian_step
 from robir.geometry.fit.sampling import Occupancy, march
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
 
@@ -148,7 +148,7 @@ def _renderer(
 
 def fit(
     sampler: RaySampler,
-    start: tuple[Lattice, Tensor],
+    start: Sampled,
     config: GeometryConfig,
     generator: torch.Generator,
     progress: Callable[[float, Renderer], None],

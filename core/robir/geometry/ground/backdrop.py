@@ -34,7 +34,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.photo_consistency import colours_at, hidden, hue_of
 from robir.geometry.ground.pixel_rays import PIXEL_STEP, PixelRays, Solid, pixels_of
 from robir.geometry.hull import HullCarver
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
@@ -223,7 +223,7 @@ def near_ground(ground: Ground, lattice: Lattice, sdf: Tensor) -> Tensor:
 
 
 def freed(
-    field: tuple[Lattice, Tensor],
+    field: Sampled,
     where: Tensor,
     ground: Ground,
     photos: list[Photo],
@@ -346,7 +346,7 @@ class Backdrop:
 
     def _cut(self, lattice: Lattice, sdf: Tensor, where: Tensor, masks: list[Mask]) -> Tensor:
         """The field (N,) freed at some nodes (N,) bool."""
-        return freed((lattice, sdf), where, self.ground, self.photos, masks)
+        return freed(Sampled(lattice, sdf), where, self.ground, self.photos, masks)
 
     def _doubted(
         self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]

@@ -37,7 +37,7 @@ from robir.geometry.ground.backdrop import (
 from robir.geometry.ground.columns import Columns
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.pixel_rays import Solid, pixels_of
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
 
 LAYER = 1.6
@@ -79,7 +79,7 @@ def undercut(backdrop: Backdrop, bare: Mask, lattice: Lattice, sdf: Tensor) -> T
         free[pixels] = True
         mask &= free.reshape(mask.shape)
     near = near_ground(ground, lattice, before)
-    return freed((lattice, before), near, ground, photos, masks).to(sdf.device)
+    return freed(Sampled(lattice, before), near, ground, photos, masks).to(sdf.device)
 
 
 def _topmost(ground: Ground, lattice: Lattice, sdf: Tensor, top: Array) -> Mask:

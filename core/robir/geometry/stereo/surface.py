@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from robir.geometry.lattice import Lattice, resample
+from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.config import StereoConfig
@@ -24,9 +23,7 @@ OUTSIDE = 1.0
 """Weight of the visual hull where it says that there is nothing."""
 
 
-def stereo_surface(
-    photos: list[Photo], hull: tuple[Lattice, Tensor], config: StereoConfig
-) -> tuple[Lattice, Tensor]:
+def stereo_surface(photos: list[Photo], hull: Sampled, config: StereoConfig) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
 
     What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
@@ -59,4 +56,4 @@ def stereo_surface(
     measured = (weight * told + prior * limit) / total
     shape = fine.shape
     found = smoothest(measured.view(shape), total.view(shape), config.smoothness)
-    return fine, found.reshape(-1)
+    return Sampled(fine, found.reshape(-1))
