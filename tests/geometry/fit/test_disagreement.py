@@ -17,7 +17,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Capture
 from robir.capture.checks.sightings import sight
 from robir.capture.checks.uneven_exposure import exposure_offsets
-from robir.geometry import stage
+from robir.geometry import settling
 from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop, pixel_noise
@@ -94,9 +94,11 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
     jittered: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spreads: list[float] = []
-    sampler = stage.RaySampler
+    sampler = settling.RaySampler
 
-    def recorded(photos: list[Photo], device: str, generator: torch.Generator) -> stage.RaySampler:
+    def recorded(
+        photos: list[Photo], device: str, generator: torch.Generator
+    ) -> settling.RaySampler:
         spreads.append(bottom_spread(photos))
         return sampler(photos, device, generator)
 
@@ -109,8 +111,8 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
         means = [p.premultiplied_display[p.coverage > 0.99].mean() for p in photos]
         return float(np.log2(means).std())
 
-    monkeypatch.setattr(stage, "RaySampler", recorded)
-    monkeypatch.setattr(stage, "Backdrop", Told)
+    monkeypatch.setattr(settling, "RaySampler", recorded)
+    monkeypatch.setattr(settling, "Backdrop", Told)
     config = GeometryConfig(level_cells=(32,), level_steps=(10,), rays=256, face_budget=800)
     reconstruct(jittered, config, 0, "cpu", Mock())
     assert len(spreads) == 2

@@ -10,7 +10,7 @@ import pytest
 import torch
 import trimesh
 
-from robir.geometry import stage
+from robir.geometry import settling
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.pixel_rays import pixels_of
@@ -109,7 +109,7 @@ def test_room_is_freed_at_the_end_of_every_level(monkeypatch: pytest.MonkeyPatch
         cells.append(lattice.cell)
         return sdf
 
-    monkeypatch.setattr(stage, "undercut", record)
+    monkeypatch.setattr(settling, "undercut", record)
     scene = trimesh.util.concatenate([disc(), drum(0.3, TOP, TOP + 0.2)])
     capture = capture_of(scene, views=24, side=64, low=0.12, paint=grey_below)
     config = GeometryConfig(
