@@ -24,7 +24,7 @@ from robir.geometry.ground.backdrop import Backdrop, pixel_noise
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, checker, disc, drum
 
@@ -98,7 +98,7 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
 
     def recorded(
         photos: list[Photo], device: str, generator: torch.Generator
-    ) -> settling.RaySampler:
+    ) -> RaySampler:
         spreads.append(bottom_spread(photos))
         return sampler(photos, device, generator)
 
