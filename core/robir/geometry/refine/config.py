@@ -30,7 +30,7 @@ class RefineConfig:
         face_budget: Most triangles of the result; up to that many photographs' pixels decide.
     """
 
-    image_sides: tuple[int, ...] = (400, 400)
+    image_sides: tuple[int, ...] = (400, 800)
     reach: float = 5.0
     offsets: int = 21
     views: int = 8
