@@ -44,7 +44,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE, spread_views
 from robir.transport.surfels import interpolate
 
-REVISION = 61
+REVISION = 62
 
 TEXTURE_VIEWS = 48
 
@@ -114,7 +114,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     inside, values, normals = _textures(
-        problem, light, gloss, (mesh, tracer), capture, (transport, config)
+        problem, light, gloss, (mesh, tracer), capture.without(other), (transport, config)
     )
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
@@ -165,8 +165,8 @@ def _textures(
 ) -> tuple[np.ndarray, TexelAlbedo, np.ndarray]:
     """Texels of the atlas at the side that photographs resolve, and normals of the vertices.
 
-    The texture repeats all photographs: their mean is nearest to them, and one of another light
-    changes it by no more than its share.
+    Photographs under another light than most take no part: by their shade the texture of all would
+    be darker than the others are.
     """
     mesh, tracer = surface
     transport, config = settings
