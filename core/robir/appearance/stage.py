@@ -94,8 +94,9 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
+    common = transport.without_views(other)
     scene = make_scene(
-        transport.without_views(other),
+        common,
         tracer if transport.visibility.is_traced else None,
         transport.visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
@@ -114,7 +115,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     inside, values, normals = _textures(
-        problem, light, gloss, (mesh, tracer), capture.without(other), (transport, config)
+        problem, light, gloss, (mesh, tracer), capture.without(other), (common, config)
     )
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)

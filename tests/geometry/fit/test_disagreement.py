@@ -96,9 +96,7 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
     spreads: list[float] = []
     sampler = settling.RaySampler
 
-    def recorded(
-        photos: list[Photo], device: str, generator: torch.Generator
-    ) -> RaySampler:
+    def recorded(photos: list[Photo], device: str, generator: torch.Generator) -> RaySampler:
         spreads.append(bottom_spread(photos))
         return sampler(photos, device, generator)
 

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole stage on a ball of which two photographs were taken in another light."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from robir.appearance import stage
+from robir.appearance.config import AppearanceConfig
+from robir.capture.capture import View
+from robir.capture.store import save_capture
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.unwrap import unwrap
+from robir.jobs.context import StageContext
+from robir.jobs.paths import JobPaths
+from robir.transport.baked import bake
+from robir.transport.config import TransportConfig
+from tests.geometry.scenes import ball, capture_of
+
+CONFIG = AppearanceConfig(
+    families=("standard",),
+    num_soft_lobes=8,
+    num_sharp_lobes=0,
+    num_solve_surfels=500,
+    iterations=20,
+    num_materials=1,
+    shading_size=64,
+    texture_size=64,
+)
+
+DARK = ("view_003", "view_004")
+
+
+def shaded(view: View) -> View:
+    """A photograph during which the lamp on the left is covered: it grows darker to that side."""
+    columns = np.flatnonzero((view.mask > 0).any(0))
+    light = np.interp(np.arange(view.camera.width), columns[[0, -1]], [0.1, 1.0])
+    dimmed = light[None, :, None] * view.image_display
+    return replace(view, image_display=dimmed.astype(np.uint8))
+
+
+@pytest.mark.slow
+def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path, monkeypatch):
+    solid = ball(0.7, (0.0, 0.0, 0.0))
+    whole = capture_of(solid, views=24)
+    views = tuple(shaded(view) if view.name in DARK else view for view in whole.views)
+    capture = replace(whole, views=(*views[:-1], replace(views[-1], split="held_out")))
+    paths = JobPaths(tmp_path)
+    save_capture(paths.stage("capture"), capture)
+    mesh = unwrap(plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces)), 20.0, print)
+    paths.stage("geometry").mkdir(parents=True)
+    mesh.save(paths.stage("geometry") / "mesh.npz")
+    paths.stage("transport").mkdir(parents=True)
+    sizes = TransportConfig(num_surfels=1500, num_directions=64)
+    bake(mesh, capture.train, sizes, seed=0, device="cpu").save(paths.stage("transport"))
+    paths.stage("appearance").mkdir(parents=True)
+    read: list[str] = []
+    texel_albedo = stage.texel_albedo
+
+    def recorded(problem, light, texels, views, gloss, tracer):
+        read.extend(view.name for view in views)
+        return texel_albedo(problem, light, texels, views, gloss, tracer)
+
+    monkeypatch.setattr(stage, "texel_albedo", recorded)
+    stage.run(
+        StageContext(
+            paths=paths,
+            config=CONFIG,
+            source=tmp_path,
+            masks=None,
+            seed=0,
+            device="cpu",
+            reporter=Mock(),
+        )
+    )
+    told = json.loads((paths.stage("appearance") / "exposure.json").read_text())
+    assert set(told["other_light"]) == set(DARK)
+    assert len(read) >= 15 and not set(read) & set(DARK)
+    assert (paths.stage("appearance") / "textures.npz").is_file()
