@@ -272,7 +272,10 @@ def test_what_the_zip_holds(extension_zip):
     assert files["engine/constraints.txt"] == (ROOT / "constraints.txt").read_bytes()
     assert {"__init__.py", "gateway.py", "LICENSE"} <= set(files)
     allowed = (".py", ".toml", ".txt", ".whl", "LICENSE", "sbom.cdx.json")
-    assert [name for name in files if not name.endswith(allowed)] == []
+    code = [name for name in files if not name.startswith("sample/")]
+    assert [name for name in code if not name.endswith(allowed)] == []
+    pictures = {name.rpartition(".")[2] for name in files if name.startswith("sample/")}
+    assert pictures == {"json", "webp"}
 
 
 def test_the_zip_says_what_it_is_made_of(extension_zip):
