@@ -13,7 +13,6 @@ import pytest
 
 from robir.appearance import stage
 from robir.appearance.config import AppearanceConfig
-from robir.capture.capture import View
 from robir.capture.store import save_capture
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.unwrap import unwrap
@@ -21,6 +20,7 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
+from tests.appearance.photometry.test_other_light import shaded
 from tests.geometry.scenes import ball, capture_of
 
 CONFIG = AppearanceConfig(
@@ -35,14 +35,6 @@ CONFIG = AppearanceConfig(
 )
 
 DARK = ("view_003", "view_004")
-
-
-def shaded(view: View) -> View:
-    """A photograph during which the lamp on the left is covered: it grows darker to that side."""
-    columns = np.flatnonzero((view.mask > 0).any(0))
-    light = np.interp(np.arange(view.camera.width), columns[[0, -1]], [0.1, 1.0])
-    dimmed = light[None, :, None] * view.image_display
-    return replace(view, image_display=dimmed.astype(np.uint8))
 
 
 @pytest.mark.slow
