@@ -15,6 +15,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from . import engine, gateway
 from .engine import EngineError, Place, Status
+from .home import own_folder
 from .paragraphs import paragraph
 
 _CHOOSE = "choose one in the add-on's preferences"
@@ -109,13 +110,13 @@ def managed_place() -> Place:
     Raises:
         EngineError: If this is a checkout: only an installed extension has a folder of its own.
     """
-    try:
-        return Place(Path(bpy.utils.extension_path_user(__package__, path="engine")))
-    except ValueError:
+    home = own_folder(create=False)
+    if home is None:
         raise EngineError(
             "RobIR runs from a folder and not as an installed extension",
             "choose an existing environment in the add-on's preferences",
-        ) from None
+        )
+    return Place(home / "engine")
 
 
 def managed_wheel() -> Path:

@@ -7,9 +7,8 @@ They are kept in the extension's own folder, so that they outlive a file that wa
 from contextlib import suppress
 from pathlib import Path
 
-import bpy
-
 from .gateway import read_json, write_json
+from .home import own_folder
 
 _MOST = 6
 _NAME = "recent.json"
@@ -27,7 +26,7 @@ def remember(capture: Path, out: str) -> None:
     """
     entry = (str(capture), out)
     _known[:] = [entry, *(known for known in _known if known[0] != entry[0])][:_MOST]
-    folder = _folder(create=True)
+    folder = own_folder(create=True)
     if folder is not None:
         with suppress(OSError):  # the list is a help, no reason to stop
             write_json(folder / _NAME, {"captures": _known})
@@ -45,7 +44,7 @@ def result_of(capture: Path) -> str:
 
 def register() -> None:
     """Read what earlier sessions have kept; a damaged list is an empty one."""
-    folder = _folder(create=False)
+    folder = own_folder(create=False)
     try:
         kept = read_json(folder / _NAME)["captures"] if folder is not None else []
         _known[:] = [(str(capture), str(out)) for capture, out in kept][:_MOST]
@@ -56,11 +55,3 @@ def register() -> None:
 def unregister() -> None:
     """Forget what was read."""
     _known.clear()
-
-
-def _folder(create: bool) -> Path | None:
-    """The extension's own folder; None where RobIR runs from a checkout."""
-    try:
-        return Path(bpy.utils.extension_path_user(__package__, create=create))
-    except ValueError:
-        return None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from ..home import own_folder
 from .capture import may_choose, take_capture
 
 _SHIPPED = Path(__file__).parents[1] / "sample" / "truck"
@@ -46,10 +47,7 @@ class ROBIR_OT_try_sample(bpy.types.Operator):
 
 def _laid_out() -> Path:
     """The sample where its result may lie beside it: an update replaces the extension's folder."""
-    try:
-        home = Path(bpy.utils.extension_path_user(__package__.rpartition(".")[0], create=True))
-    except ValueError:  # RobIR runs from a checkout
-        home = Path(bpy.app.tempdir)
+    home = own_folder(create=True) or Path(bpy.app.tempdir)
     capture = home / "sample" / _SHIPPED.name
     if not capture.is_dir():
         capture.parent.mkdir(exist_ok=True)

@@ -74,6 +74,9 @@ def solve(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -
         light: Its first light.
         config: Sizes.
         seed: Of sub-samples and clusters.
+
+    Returns:
+        What is known at the end, gloss included.
     """
     start = Solution(problem=problem, matte=problem, light=light, config=config, seed=seed)
     return carry_out(SOLUTION, start, config.without)
@@ -174,7 +177,7 @@ SOLUTION: tuple[Step[Solution], ...] = (
     Step(
         name="first-gloss",
         purpose="finds highlights and metal under the first light",
-        source="RobIR's microfacet model (Burley 2012), roughness by patch",
+        source="GGX microfacets (Heitz 2014), a roughness a patch",
         run=_first_gloss,
         is_on_trial=False,
     ),
@@ -211,7 +214,7 @@ SOLUTION: tuple[Step[Solution], ...] = (
     Step(
         name="gloss",
         purpose="finds highlights and metal under the last light",
-        source="RobIR's microfacet model (Burley 2012), roughness by patch",
+        source="GGX microfacets (Heitz 2014), a roughness a patch",
         run=_gloss,
     ),
     Step(

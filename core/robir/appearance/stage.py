@@ -192,8 +192,7 @@ def _bake(
 
     What surroundings take out of the albedo as an error of mesh and light must not be what a
     camera's photographs show: where the contrary is proven, the albedo stays as it was read. On
-    renderings, whose meshes are good, they are right though the re-render loses: without them the
-    albedo of a bottle, a truck and hotdogs lost .8 to 2.3 dB.
+    renderings, whose meshes are good, they are right though the re-render loses.
     """
     mesh, tracer = surface
     face, barycentric = rasterise_atlas(mesh, size)

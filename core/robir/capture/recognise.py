@@ -351,9 +351,8 @@ def _load_masked(
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
         return loaded, findings
-    from robir.capture.masks.unmasked import (
-        with_guessed_masks,  # OpenCV, which most captures need not
-    )
+    # OpenCV, which most captures need not
+    from robir.capture.masks.unmasked import with_guessed_masks
 
     loaded, about = with_guessed_masks(
         frames,

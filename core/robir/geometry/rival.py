@@ -35,9 +35,8 @@ from robir.jobs.choice import Choice
 STEREO, FIELD = "by depth maps", "by a fit of field and colours"
 
 BENT = 5.0
-"""Standard errors by which a surface must lead that bends e times as much. From 4.1 to 5.5 it makes
-the choice that turned out the better one on each of nine captures, five of cameras, where neither
-surface led by three; a fit full of pits bends 2 to 3.4 times as much as depth maps."""
+"""Standard errors by which a surface must lead that bends e times as much: a fit full of pits bends
+2 to 3.4 times as much as depth maps."""
 
 SMOOTH_ROUNDS = 5
 """Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""

@@ -92,6 +92,21 @@ GROUND: tuple[Step[Start], ...] = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """What a level's surface tells of the ground.
+
+    Attributes:
+        backdrop: The ground.
+        top: Height of the surface over each column, before the ground is made flat.
+        columns: Which columns are ground.
+    """
+
+    backdrop: Backdrop
+    top: NDArray[np.float64]
+    columns: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """A level of the fit that has ended; steps change its field's distances in place.
 
@@ -103,7 +118,7 @@ class Level:
         mirroring: What was learnt of parts that mirror.
         rival: The surface by depth maps.
         backdrop: The ground; None where there is none, or none any more.
-        settled: Columns that are ground now; None before they were asked.
+        told: What the surface tells of it; None before that was asked, and where there is none.
         has_ended: Whether the fit goes no further.
     """
 
@@ -114,7 +129,7 @@ class Level:
     mirroring: Mirroring
     rival: Rival
     backdrop: Backdrop | None
-    settled: NDArray[np.bool_] | None = None
+    told: Told | None = None
     has_ended: bool = False
 
     @property
@@ -135,37 +150,37 @@ def _fill_mirror_pits(state: Level) -> Level:
     return state
 
 
-def _settle_ground(state: Level) -> Level:
+def _tell_ground(state: Level) -> Level:
     if state.backdrop is None:
         return state
     ground = state.backdrop.ground
     top = ground.heights(state.field.lattice, state.sdf)
-    settled = ground.settled(top, state.backdrop.known)
-    return replace(state, settled=settled)
+    columns = ground.settled(top, state.backdrop.known)
+    return replace(state, told=Told(backdrop=state.backdrop, top=top, columns=columns))
 
 
 def _find_terraces(state: Level) -> Level:
-    if state.backdrop is not None and state.settled is not None:
-        ground = state.backdrop.ground
-        ground.find_terraces(ground.heights(state.field.lattice, state.sdf), state.settled)
+    if state.told is not None:
+        state.told.backdrop.ground.find_terraces(state.told.top, state.told.columns)
     return state
 
 
 def _flatten_ground(state: Level) -> Level:
     """A ground that turns out to be a bowl is none."""
-    if state.backdrop is None or state.settled is None:
+    told, lattice = state.told, state.field.lattice
+    if told is None:
         return state
-    ground, lattice = state.backdrop.ground, state.field.lattice
-    if not ground.is_flat(lattice.cell, ground.heights(lattice, state.sdf), state.settled):
-        return replace(state, backdrop=None)
-    state.sdf.copy_(ground.flatten(lattice, state.sdf, state.settled))
+    ground = told.backdrop.ground
+    if not ground.is_flat(lattice.cell, told.top, told.columns):
+        return replace(state, backdrop=None, told=None)
+    state.sdf.copy_(ground.flatten(lattice, state.sdf, told.columns))
     return state
 
 
 def _undercut(state: Level) -> Level:
-    if state.backdrop is not None and state.settled is not None:
-        lattice = state.field.lattice
-        state.sdf.copy_(undercut(state.backdrop, state.settled, lattice, state.sdf))
+    told, lattice = state.told, state.field.lattice
+    if told is not None:
+        state.sdf.copy_(undercut(told.backdrop, told.columns, lattice, state.sdf))
     return state
 
 
@@ -190,7 +205,7 @@ LEVEL: tuple[Step[Level], ...] = (
         name="ground-columns",
         purpose="tells columns of ground from what stands on it",
         source="ours: photo-consistency of columns' feet",
-        run=_settle_ground,
+        run=_tell_ground,
         is_on_trial=False,
     ),
     Step(

@@ -42,8 +42,7 @@ SUN_SHARPNESS = 2000.0
 ALIKE_COSINE = 0.8
 """Cosine between the normals of pairs by which a sun is found and polished: where shadows lie
 tells its place, while what changes with the orientation, paint or what a metal mirrors, passes for
-shading. By all pairs a bottle of brass under a low sun had none: its sides, as bright towards the
-sun as away from it, outweighed a shadow that darkened the ground by two thirds."""
+shading."""
 
 ALIKE_ALBEDO = 1.0
 """Difference of their log albedo at which they hardly count: more than a shadow in the wrong place
@@ -51,7 +50,7 @@ makes, less than there is between the fields of a board."""
 
 POLISH_PARTNERS = 4
 """Pairs per sample and distance when a sun is polished, by all samples that two views see: by those
-of the solve alone suns lay .15 degrees farther off (mean of seven captures), and hung on chance."""
+of the solve alone they hang on chance."""
 
 LEVEL_COSINE = 0.95
 """Cosine between the normals of those pairs. Nearly all of them lie on one level surface, where
@@ -74,12 +73,10 @@ MIN_GAIN = 0.02
 
 PROMISING = 0.25
 """Gain in the scan, over MIN_GAIN, that a further sun must have to be tried. With all lights solved
-anew a second lamp gains up to three times as much; on seven captures, which have none, the scan's
-best one came to .8 of MIN_GAIN at most and was refused in the end."""
+anew a second lamp gains up to three times as much."""
 
 SECOND_BEST = 0.1
-"""Gain in the scan, over the best one's, that other candidates for the first sun must have: on
-seven captures the sun was the best one, the others gained .2 of it at most."""
+"""Gain in the scan, over the best one's, that other candidates for the first sun must have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,9 +262,7 @@ def refit(
     more: alike but for the step that all pairs of one material show, or a light too weak in the sun
     would confirm itself where bright fields in the shade pass for dark ones in the sun.
 
-    Neighbours of another hue are another paint, and say nothing of its brightness: by all of them
-    the sky that an avocado's flat flesh faces was as bright as made that yellow as dark as the skin
-    and the ground about it.
+    Neighbours of another hue are another paint, and say nothing of its brightness.
 
     Shadows on the ground tell the sky overhead. Of the light that comes in low from behind, sides
     turned from the sun tell most, and their lit neighbours of one material what it must add up to.

@@ -46,9 +46,8 @@ SAME_LIGHT = 0.3
 """Angle, radians, between directions that the scan takes for the same light."""
 
 RIVALS = 12
-"""Directions of the scan, of those about a candidate, that are compared anew by more samples. A
-bottle's shadow ran off the ground, and along it the scan's 2000 samples could not tell the sun from
-a place 13 degrees lower; one in another choice of samples was the sun."""
+"""Directions of the scan, of those about a candidate, that are compared anew by more samples:
+along a shadow that runs off the ground those of the scan may not tell a sun from a lower place."""
 
 STARTS = 3
 """Of these, how many the search begins from."""

@@ -153,6 +153,8 @@ class Comparison:
         capture: All views, the held-out ones included: those need a gain to be compared with.
         points: Surface points that are compared.
         observations: Of them in the training views under the common light.
+        log: As from `comparable`, under a plain tone curve: the true one is not known yet.
+        kept: Which points that is of.
         observed: Reads the points in any views.
         other_light: Names of the photographs taken under another light than most, held-out ones
             included.
@@ -163,6 +165,8 @@ class Comparison:
     capture: Capture
     points: Surfels
     observations: Observations
+    log: Array
+    kept: NDArray[np.bool_]
     observed: Callable[[Sequence[View]], Observations]
     other_light: frozenset[str] = frozenset()
     falloff: Falloff = NO_FALLOFF
@@ -194,7 +198,15 @@ class Comparison:
             return observe(tracer, points.position, points.normal, small, offset)
 
         few = seen.subset(keep)
-        return cls(capture=capture, points=points, observations=few, observed=observed)
+        log, kept = comparable(few, _plain())
+        return cls(
+            capture=capture,
+            points=points,
+            observations=few,
+            log=log,
+            kept=kept,
+            observed=observed,
+        )
 
     @property
     def exposures(self) -> Exposures | None:
@@ -208,40 +220,53 @@ class Comparison:
             has_falloff=self.falloff.strength > 0,
         )
 
-    def shown(self) -> tuple[Array, NDArray[np.bool_]]:
-        """As `comparable`, under a plain tone curve: the true one is not known yet."""
-        return comparable(self.observations, curve_from_name("standard"))
+    @property
+    def tells(self) -> bool:
+        """Whether enough is seen in common to tell anything."""
+        return len(self.log) >= FEWEST_POINTS
+
+    @property
+    def normals(self) -> Floats:
+        """(N, 3) of the points that are kept."""
+        return self.points.normal[self.kept]
+
+    @property
+    def off_axis(self) -> NDArray[np.uint8]:
+        """(N, V) of the points that are kept, as in `Observations.off_axis`."""
+        return self.observations.off_axis[self.kept]
+
+
+def _plain() -> AbstractToneCurve:
+    return curve_from_name("standard")
 
 
 def _leave_out_other_light(state: Comparison) -> Comparison:
-    log, kept = state.shown()
-    if len(log) < FEWEST_POINTS:
+    if not state.tells:
         return state
     few = state.observations
-    odd, common = find_unlike(log, solve_gains(log, state.points.normal[kept]))
+    odd, common = find_unlike(state.log, solve_gains(state.log, state.normals))
     other = {few.views[index] for index in np.flatnonzero(odd)}
     if not other:
         return state
     if aside := state.capture.held_out:
-        apart = log_radiance(state.observed(aside), curve_from_name("standard"))
-        other |= {aside[index].name for index in np.flatnonzero(unlike(apart[kept], common))}
-    return replace(state, other_light=frozenset(other), observations=few.of_views(~odd))
+        apart = log_radiance(state.observed(aside), _plain())[state.kept]
+        other |= {aside[index].name for index in np.flatnonzero(unlike(apart, common))}
+    few = few.of_views(~odd)
+    log, kept = comparable(few, _plain())
+    return replace(state, other_light=frozenset(other), observations=few, log=log, kept=kept)
 
 
 def _find_falloff(state: Comparison) -> Comparison:
-    log, kept = state.shown()
-    if len(log) < FEWEST_POINTS:
+    if not state.tells:
         return state
-    off_axis = state.observations.off_axis[kept]
-    return replace(state, falloff=find_falloff(log, state.points.normal[kept], off_axis))
+    return replace(state, falloff=find_falloff(state.log, state.normals, state.off_axis))
 
 
 def _find_gains(state: Comparison) -> Comparison:
-    log, kept = state.shown()
-    if len(log) < FEWEST_POINTS:
+    if not state.tells:
         return state
-    dimming = state.falloff.log(state.observations.off_axis[kept])[..., None]
-    return replace(state, are_apart=are_uneven(log - dimming, state.points.normal[kept]))
+    dimming = state.falloff.log(state.off_axis)[..., None]
+    return replace(state, are_apart=are_uneven(state.log - dimming, state.normals))
 
 
 COMPARISON: tuple[Step[Comparison], ...] = (

@@ -25,29 +25,7 @@ from robir.steps import Step, carry_out
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToneChoice:
-    """All that the choice of the tone curve rests on.
-
-    Attributes:
-        candidates: The chosen one first, then by score.
-        evidence: Of the histogram.
-        beyond: Shares of the observations whose colours no light gives under a curve, by the names
-            of the curves that these rule out.
-        power: The power of the display codes, None where the curve was given or cameras took the
-            photographs, which have their own.
-        plain_lead: Of the plain curve against those with a shoulder, None where not both were
-            compared.
-    """
-
-    candidates: list[Candidate]
-    evidence: ClippingEvidence
-    beyond: dict[str, float]
-    power: PowerChoice | None
-    plain_lead: PlainLead | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ToneSearch:
-    """What is known while the tone curve is searched.
+    """All that the choice of the tone curve rests on, as far as the search has got.
 
     Attributes:
         scene: Samples with their transport.
@@ -55,11 +33,14 @@ class ToneSearch:
         seed: Of the search.
         allowed: Curves that may be chosen, simplest first.
         evidence: Of the histogram.
-        beyond: As of `ToneChoice`.
+        beyond: Shares of the observations whose colours no light gives under a curve, by the names
+            of the curves that these rule out.
         suns: The light under the first curve: where shadows lie does not depend on it.
-        power: As of `ToneChoice`.
-        candidates: The chosen one first.
-        plain_lead: As of `ToneChoice`.
+        power: The power of the display codes, None where the curve was given or cameras took the
+            photographs, which have their own.
+        candidates: The chosen one first, then by score.
+        plain_lead: Of the plain curve against those with a shoulder, None where not both were
+            compared.
     """
 
     scene: Scene
@@ -74,7 +55,7 @@ class ToneSearch:
     plain_lead: PlainLead | None = None
 
     @classmethod
-    def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneSearch:
+    def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
         """Curves that the configuration allows, and what white and colours say of them."""
         allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
         if scene.by_camera:
@@ -114,12 +95,12 @@ class ToneSearch:
         return self.suns
 
 
-def _search_suns(state: ToneSearch) -> ToneSearch:
+def _search_suns(state: ToneChoice) -> ToneChoice:
     problem = make_problem(state.scene, state.first)
     return replace(state, suns=find_suns(problem, state.config, state.seed))
 
 
-def _undo_power(state: ToneSearch) -> ToneSearch:
+def _undo_power(state: ToneChoice) -> ToneChoice:
     """A curve given by the user is taken as given, and cameras have a curve of their own."""
     scene = state.scene
     if len(state.allowed) == 1 or scene.by_camera:
@@ -134,12 +115,12 @@ def _undo_power(state: ToneSearch) -> ToneSearch:
     return replace(state, power=power, allowed=toned, evidence=evidence, beyond=beyond)
 
 
-def _rank(state: ToneSearch) -> ToneSearch:
+def _rank(state: ToneChoice) -> ToneChoice:
     candidates, lead = ranked(state.scene, state.fitting, state.found, state.config, state.seed)
     return replace(state, candidates=candidates, plain_lead=lead)
 
 
-SEARCH: tuple[Step[ToneSearch], ...] = (
+SEARCH: tuple[Step[ToneChoice], ...] = (
     Step(
         name="suns",
         purpose="finds sharp lights by the shadows they cast",
@@ -156,7 +137,7 @@ SEARCH: tuple[Step[ToneSearch], ...] = (
     Step(
         name="tone-curve",
         purpose="ranks tone curves by albedo carried between neighbours in different light",
-        source="ours, over the families of RobIR's ACES (equation 13) and of Blender",
+        source="ours, over RobIR's ACES (equations 6 to 8) and the view transforms of Blender",
         run=_rank,
         is_on_trial=False,
     ),
@@ -175,11 +156,4 @@ def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> Tone
     Returns:
         Candidates and evidence.
     """
-    found = carry_out(SEARCH, ToneSearch.of(scene, config, seed), config.without)
-    return ToneChoice(
-        candidates=found.candidates,
-        evidence=found.evidence,
-        beyond=found.beyond,
-        power=found.power,
-        plain_lead=found.plain_lead,
-    )
+    return carry_out(SEARCH, ToneChoice.of(scene, config, seed), config.without)

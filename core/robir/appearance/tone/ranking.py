@@ -48,8 +48,7 @@ SIMPLER_MARGIN = 1.0
 
 SETTLED_FROM = -1.0
 """Lead in standard errors, of the plain curve over a shoulder, below which their lights need not be
-settled: that moved it by .2 to .4 on four captures between -2.9 and -7.4, and the plain curve must
-lead by PLAIN_MARGIN."""
+settled: that moves it by less, and the plain curve must lead by PLAIN_MARGIN."""
 
 LEAST_LEAD = 0.1
 """Codes by which mean display errors differ for no reason; adds to their standard error. The
