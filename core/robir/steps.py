@@ -8,7 +8,7 @@ lists, and `--set appearance.without='["polish"]'` leaves a step out by hand.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
 from robir.errors import ConfigError
@@ -35,12 +35,41 @@ class Step(Generic[State]):
     is_on_trial: bool = True
 
 
-def carry_out(steps: Sequence[Step[State]], state: State, without: Sequence[str] = ()) -> State:
-    """Do one step after the other, but for those left out."""
-    for step in steps:
-        if step.name not in without:
-            state = step.run(state)
-    return state
+class Course:
+    """One run through a stage's steps.
+
+    Args:
+        without: Names of the steps that are left out.
+
+    Attributes:
+        changed: Names of those that changed anything.
+    """
+
+    def __init__(self, without: Sequence[str] = ()) -> None:
+        self._without = without
+        self.changed: set[str] = set()
+
+    def carry_out(self, steps: Sequence[Step[State]], state: State) -> State:
+        """Do one step after the other, but for those left out."""
+        for step in steps:
+            if step.name not in self._without:
+                before, state = state, step.run(state)
+                if not _is_same(before, state):
+                    self.changed.add(step.name)
+        return state
+
+    def idle(self, steps: Sequence[Step[Any]]) -> list[str]:
+        """Names of those on trial that changed nothing: a run without them is this one."""
+        on_trial = (step.name for step in steps if step.is_on_trial)
+        return [name for name in on_trial if name not in self.changed]
+
+
+def _is_same(before: Any, after: Any) -> bool:
+    """Whether a step found nothing to do: all that is compared is the very same objects."""
+    if before is after or not is_dataclass(before):
+        return before is after
+    compared = (field.name for field in fields(before) if field.compare)
+    return all(getattr(before, name) is getattr(after, name) for name in compared)
 
 
 def check_left_out(steps: Sequence[Step[Any]], without: Sequence[str], setting: str) -> None:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each step of the stages is worth: a population once more with one step left out at a time.
 
-The runs come from the stages' own lists of steps; stages before the step are borrowed. A step earns
-its place by the rule of `verdict`.
+The runs come from the stages' own lists of steps; stages before the step are borrowed, and what the
+whole run says that a step has not changed is not run again. A step earns its place by the rule of
+`verdict`.
 """
 
 from __future__ import annotations
@@ -91,6 +92,7 @@ def ablated(runs: Sequence[BenchRun]) -> list[BenchRun]:
                     method=trial.method,
                     settings=(*run.settings, f'{trial.stage}.without=["{trial.step.name}"]'),
                     is_relit=False,
+                    left_out=(trial.stage, trial.step.name),
                 )
                 for trial in trials()
             ),

@@ -137,6 +137,7 @@ class BenchRun:
         settings: Items for `--set`, those of the method last.
         perturbation: What sets the capture apart where it is one made worse, else None.
         is_relit: Whether it is shown under the second light too, where its capture has one.
+        left_out: Stage and name of the step that it does without, if any.
     """
 
     capture: Path
@@ -146,6 +147,7 @@ class BenchRun:
     settings: tuple[str, ...]
     perturbation: Perturbation | Rendered | None = None
     is_relit: bool = True
+    left_out: tuple[str, str] | None = None
 
     @property
     def name(self) -> str:

@@ -83,12 +83,28 @@ def carry_out(
             left = sum("scores" not in records.get(run.name, {}) for run in runs)
             say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
             return
-        records[run.name] = _record(run, folder, is_truth_needed)
+        whole = records.get(replace(run, method=OURS).name, {})
+        same = _same(run, folder, whole)
+        records[run.name] = same or _record(run, folder, is_truth_needed)
         spent.append(Usage.now().seconds_since(begin)["cpu"] - used)
         with replacing(scores_file(folder)) as temporary:
             lines = (json.dumps(record) + "\n" for record in records.values())
             temporary.write_text("".join(lines), encoding="utf-8")
         say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
+
+
+def _same(run: BenchRun, folder: Path, whole: Record) -> Record | None:
+    """The record of a run without a step that changed nothing in the whole run, else None.
+
+    What the step cost is not known by that.
+    """
+    if run.left_out is None or "scores" not in whole:
+        return None
+    stage, step = run.left_out
+    idle = JobPaths(result_folder(replace(run, method=OURS), folder)).idle_steps(stage)
+    if not idle.exists() or step not in read_json(idle):
+        return None
+    return {name: value for name, value in whole.items() if name != "cpu_seconds"} | run.facts
 
 
 def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:

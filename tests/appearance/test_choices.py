@@ -18,6 +18,7 @@ from robir.appearance.material.roughness import DULL, EACH, GLOSSY, MATTE, ONE
 from robir.appearance.solution import solve
 from robir.appearance.tone.choose import choose_tone_curve
 from robir.maths.tone import curve_from_name
+from robir.steps import Course
 
 CONFIG = AppearanceConfig(
     num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
@@ -28,9 +29,9 @@ CLAY, SLATE = np.float32([0.5, 0.3, 0.2]), np.float32([0.15, 0.3, 0.5])
 
 def chosen(scene, config=CONFIG):
     """The model of a scene, its rows by name, its light, and its gloss."""
-    tone = choose_tone_curve(scene, config, 0)
+    tone = choose_tone_curve(scene, config, 0, Course())
     first = tone.candidates[0]
-    found = solve(first.problem, first.light, config, 0)
+    found = solve(first.problem, first.light, config, 0, Course())
     gloss = found.material
     rows = {row.choice: row.chosen for row in (*found.choices, *gloss.choices)}
     return first.curve.name, rows, found.light, gloss

@@ -12,7 +12,7 @@ from transport.shapes import looking_at
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.render import render_views
-from robir.appearance.texture.albedo import TexelAlbedo
+from robir.appearance.texture.texels import TexelAlbedo
 from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from robir.appearance import stage
+from robir.appearance import stage, texturing
 from robir.appearance.config import AppearanceConfig
 from robir.capture.store import save_capture
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -53,13 +53,13 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     bake(mesh, capture.train, sizes, seed=0, device="cpu").save(paths.stage("transport"))
     paths.stage("appearance").mkdir(parents=True)
     read: list[str] = []
-    texel_albedo = stage.texel_albedo
+    texel_albedo = texturing.texel_albedo
 
-    def recorded(problem, light, texels, views, gloss, tracer):
+    def recorded(problem, light, texels, views, *others):
         read.extend(view.name for view in views)
-        return texel_albedo(problem, light, texels, views, gloss, tracer)
+        return texel_albedo(problem, light, texels, views, *others)
 
-    monkeypatch.setattr(stage, "texel_albedo", recorded)
+    monkeypatch.setattr(texturing, "texel_albedo", recorded)
     stage.run(
         StageContext(
             paths=paths,

@@ -39,10 +39,16 @@ def scores(albedo: float, shadow: float | None = 1.0, family: str = "filmic") ->
 
 
 class FakeRobir:
-    """Stands for the command line: a perfect sphere as the result; captures "bad" fail."""
+    """Stands for the command line: a perfect sphere as the result; captures "bad" fail.
+
+    Attributes:
+        commands: What was asked for.
+        idle: Names of the steps that change nothing, by stage.
+    """
 
     def __init__(self) -> None:
         self.commands: list[tuple[str, ...]] = []
+        self.idle: dict[str, list[str]] = {}
 
     def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
         self.commands.append(words)
@@ -63,6 +69,8 @@ class FakeRobir:
         shutil.rmtree(paths.root, ignore_errors=True)
         sphere_run.make_run(paths.root)
         write_json(paths.manifest("export"), {"made by": list(words)})
+        for stage, names in self.idle.items():
+            write_json(paths.idle_steps(stage), names)
         paths.config.write_text("seed = 0\n")
         seconds = {stage: {"wall": 1.0, "cpu": 2.0} for stage in STAGES}
         about = {"state": "done", "seconds": seconds}

@@ -14,6 +14,7 @@ from geometry.test_stereo import RADIUS, grain, plain
 
 from robir.errors import ConfigError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.finishing import finished
 from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -34,6 +35,7 @@ from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.rival import BENT, Rival, bending
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
+from robir.steps import Course
 
 SIDE = 128
 CONFIG = RefineConfig(image_sides=(SIDE,), most_vertices=12000)
@@ -211,7 +213,7 @@ def test_the_rival_takes_the_place_of_a_worse_field_alone(capture, photos):
         assert rival.beats(field) == rival.leads == wins
         assert not rival.beats(field), "only the first level is compared"
         assert rival.leads == wins
-    mesh = rival.finished()
+    mesh = finished(rival.refined(), 10.0, print, Course())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     silent = Rival(capture.train, photos, hull, replace(config, stereo=StereoConfig(image_side=0)))

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import pytest
 
 from robir.appearance.stage import STEPS as APPEARANCE
 from robir.errors import ConfigError
 from robir.geometry.stage import STEPS as GEOMETRY
-from robir.steps import Step, carry_out, check_left_out
+from robir.steps import Course, Step, check_left_out
 
 ADDING = (
     Step(name="one", purpose="-", source="-", run=lambda n: (*n, 1)),
@@ -18,8 +20,31 @@ ADDING = (
 
 
 def test_steps_follow_each_other_but_for_those_left_out():
-    assert carry_out(ADDING, ()) == (1, 2, 3)
-    assert carry_out(ADDING, (), ["three", "one"]) == (2,)
+    assert Course().carry_out(ADDING, ()) == (1, 2, 3)
+    assert Course(["three", "one"]).carry_out(ADDING, ()) == (2,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    values: list[int]
+    told: str = field(default="", compare=False)
+
+
+def test_steps_that_change_nothing_are_told():
+    steps = (
+        Step(name="same", purpose="-", source="-", run=lambda state: state),
+        Step(name="talks", purpose="-", source="-", run=lambda state: replace(state, told="so")),
+        Step(name="works", purpose="-", source="-", run=lambda state: Known(values=[1])),
+        Step(name="equal", purpose="-", source="-", run=lambda state: replace(state, values=[1])),
+        Step(name="must", purpose="-", source="-", run=lambda state: state, is_on_trial=False),
+    )
+    course = Course(["equal"])
+    ended = course.carry_out(steps, Known(values=[]))
+    assert (ended.values, ended.told) == ([1], "")
+    assert course.idle(steps) == ["same", "talks", "equal"]
+    course = Course()
+    course.carry_out(steps, course.carry_out(steps[3:], Known(values=[])))
+    assert course.idle(steps) == ["same", "talks"], "what changed something once is not idle"
 
 
 @pytest.mark.parametrize("name", ["two", "four", ""])

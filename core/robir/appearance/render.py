@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, specular_towards
-from robir.appearance.texture.albedo import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
 from robir.geometry.mesh.tracing import AbstractTracer
 from robir.geometry.mesh.triangles import Mesh
@@ -60,6 +61,22 @@ class AtlasLookup:
             near_column = np.clip(column[missing] + shift_column, 0, size - 1)
             found[missing] = self._number[near_row, near_column]
         return found
+
+
+class Painted(NamedTuple):
+    """A surface with its texture.
+
+    Attributes:
+        mesh: Unwrapped, unit frame, with the normals that it is rendered with.
+        tracer: Of the mesh.
+        lookup: Of its texels.
+        values: Of the texels.
+    """
+
+    mesh: Mesh
+    tracer: AbstractTracer
+    lookup: AtlasLookup
+    values: TexelAlbedo
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +145,7 @@ def render_views(
     light: Light,
     gloss: Gloss,
     views: Sequence[View],
-    surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
+    surface: Painted,
 ) -> Iterator[Rendered]:
     """Render views with the recovered asset, light and tone curve.
 
@@ -137,7 +154,7 @@ def render_views(
         light: Solved light.
         gloss: Specular material of the samples.
         views: Cameras and masks; only object pixels are rendered.
-        surface: Mesh, its tracer, texel look-up and texel values.
+        surface: Surface with its texture.
 
     Yields:
         What each view shows.
@@ -163,7 +180,7 @@ def view_errors(
     light: Light,
     gloss: Gloss,
     views: Sequence[View],
-    surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
+    surface: Painted,
 ) -> NDArray[np.float64]:
     """Mean squared display error (V,), codes in 0..1, of views against their photographs.
 
@@ -172,7 +189,7 @@ def view_errors(
         light: Solved light.
         gloss: Specular material of the samples.
         views: Photographs.
-        surface: Mesh, its tracer, texel look-up and texel values.
+        surface: Surface with its texture.
     """
     errors = []
     pictures = render_views(problem, light, gloss, views, surface)

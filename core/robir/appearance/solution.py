@@ -8,7 +8,7 @@ light is nearer to the truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from robir.appearance.light.solver import Light, polish, refit
 from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.model_size import with_even_sky, without_bounces
 from robir.jobs.choice import Choice
-from robir.steps import Step, carry_out
+from robir.steps import Course, Step
 
 MOST_PAINT = 0.95
 """Share of paint above which sides turned from a sun are compared. Where there is more metal some
@@ -51,7 +51,7 @@ class Solution:
     seed: int
     gloss: Gloss | None = None
     paint: NDArray[np.bool_] | None = None
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[Choice, ...] = field(default=(), compare=False)
 
     @property
     def material(self) -> Gloss:
@@ -66,7 +66,9 @@ class Solution:
         return replace(self.config, iterations=2 * self.config.iterations)
 
 
-def solve(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Solution:
+def solve(
+    problem: Problem, light: Light, config: AppearanceConfig, seed: int, course: Course
+) -> Solution:
     """Carry the steps out.
 
     Args:
@@ -74,12 +76,13 @@ def solve(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -
         light: Its first light.
         config: Sizes.
         seed: Of sub-samples and clusters.
+        course: Of the stage's steps.
 
     Returns:
         What is known at the end, gloss included.
     """
     start = Solution(problem=problem, matte=problem, light=light, config=config, seed=seed)
-    return carry_out(SOLUTION, start, config.without)
+    return course.carry_out(SOLUTION, start)
 
 
 def _leave_out_bounces(state: Solution) -> Solution:
@@ -120,11 +123,15 @@ def _with_gloss(state: Solution, step: int) -> Solution:
 
 def _hue(state: Solution) -> Solution:
     told = hue_by_highlights(state.problem, state.light, state.material)
+    if told is None:
+        return state
     return replace(state, light=replace(state.light, told=told))
 
 
 def _level(state: Solution) -> Solution:
     level = level_by_highlights(state.problem, state.light, state.material, state.seed)
+    if level is None:
+        return state
     return replace(state, light=replace(state.light, level=level))
 
 

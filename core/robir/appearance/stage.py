@@ -17,14 +17,12 @@ from robir.appearance.light.problem import Problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.exposure import COMPARISON, Comparison, Gains
-from robir.appearance.proof import EVERY, Proof
 from robir.appearance.reasons import camera_choices, light_choices
-from robir.appearance.render import AtlasLookup, render_views, view_errors
+from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.solution import SOLUTION, solve
-from robir.appearance.texture.albedo import TexelAlbedo, Texels, texel_albedo
-from robir.appearance.texture.detail import finer
-from robir.appearance.texture.shading_normals import shading_normals
-from robir.appearance.texture.texel_size import pixel_width, solved_side, texture_side
+from robir.appearance.texture.albedo import ALBEDO
+from robir.appearance.texture.texels import TexelAlbedo
+from robir.appearance.texturing import TEXTURE, textured
 from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
@@ -34,29 +32,21 @@ from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import make_tracer
-from robir.geometry.mesh.tracing import AbstractTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
-from robir.steps import Step, carry_out, check_left_out
+from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
-from robir.transport.observe import MASK_INSIDE, spread_views
-from robir.transport.surfels import interpolate
+from robir.transport.observe import MASK_INSIDE
 
 REVISION = 62
-
-TEXTURE_VIEWS = 48
-
-DETAIL_VIEWS = 96
-"""Photographs, far from each other, of which the best show a spot's detail."""
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
 
 
-STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SEARCH, *SOLUTION)
-"""All steps of the stage before textures are read, in their order."""
+STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
+"""All steps of the stage, in their order."""
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
@@ -83,13 +73,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
+    course = Course(config.without)
     capture = load_settled(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
     tracer = make_tracer(mesh.vertices, mesh.faces, context.device)
     started = time.process_time()
     photographs = Comparison.of(transport, tracer, capture, context.seed)
-    compared = carry_out(COMPARISON, photographs, config.without)
+    compared = course.carry_out(COMPARISON, photographs)
     exposures = compared.exposures
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
@@ -106,20 +97,22 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     scene = replace(scene, exposures=exposures, by_camera=by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
-    tone = choose_tone_curve(scene, config, context.seed)
+    tone = choose_tone_curve(scene, config, context.seed, course)
     candidates = tone.candidates
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
-    solution = solve(candidates[0].problem, candidates[0].light, config, context.seed)
+    first = candidates[0]
+    solution = solve(first.problem, first.light, config, context.seed, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    inside, values, normals = _textures(
-        problem, light, gloss, (mesh, tracer), capture.without(other), (common, config)
+    texture = textured(
+        (problem, light, gloss), (mesh, tracer), capture.without(other), config, course
     )
+    inside, values, normals = texture.inside, texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
     lookup = AtlasLookup(mesh, inside)
-    surface = (replace(mesh, normals=normals), tracer, lookup, values)
+    surface = Painted(replace(mesh, normals=normals), tracer, lookup, values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
@@ -134,6 +127,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
+    write_json(context.paths.idle_steps("appearance"), course.idle(STEPS))
     return {
         "tone_curve": candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -156,69 +150,6 @@ def _told(other: frozenset[str], capture: Capture) -> str:
     )
 
 
-def _textures(
-    problem: Problem,
-    light: Light,
-    gloss: Gloss,
-    surface: tuple[Mesh, AbstractTracer],
-    capture: Capture,
-    settings: tuple[Transport, AppearanceConfig],
-) -> tuple[np.ndarray, TexelAlbedo, np.ndarray]:
-    """Texels of the atlas at the side that photographs resolve, and normals of the vertices.
-
-    Photographs under another light than most take no part: by their shade the texture of all would
-    be darker than the others are.
-    """
-    mesh, tracer = surface
-    transport, config = settings
-    solved = solved_side(config)
-    inside, values, normals = _bake(problem, light, gloss, surface, capture, solved)
-    width = pixel_width(transport, {view.name: view.camera for view in capture.views})
-    side = texture_side(mesh, width, (solved, config.texture_size))
-    photographs = (spread_views(capture.train, DETAIL_VIEWS), problem.curve)
-    inside, values = finer(values, inside, (mesh, tracer), photographs, side)
-    return inside, values, normals
-
-
-def _bake(
-    problem: Problem,
-    light: Light,
-    gloss: Gloss,
-    surface: tuple[Mesh, AbstractTracer],
-    capture: Capture,
-    size: int,
-) -> tuple[np.ndarray, TexelAlbedo, np.ndarray]:
-    """Values of every texel of the atlas, and normals of the vertices to render them with.
-
-    What surroundings take out of the albedo as an error of mesh and light must not be what a
-    camera's photographs show: where the contrary is proven, the albedo stays as it was read. On
-    renderings, whose meshes are good, they are right though the re-render loses.
-    """
-    mesh, tracer = surface
-    face, barycentric = rasterise_atlas(mesh, size)
-    inside = face >= 0
-    atlas = (face[inside], barycentric[inside].astype(np.float32))
-    position, normal = interpolate(mesh, *atlas)
-    texels = Texels(position=position, normal=normal)
-    # a pixel about as large as a texel
-    views = tuple(resize_view(v, size) for v in spread_views(capture.train, TEXTURE_VIEWS))
-    values = texel_albedo(problem, light, texels, views, gloss, tracer)
-    evened = replace(mesh, normals=shading_normals(problem, light, mesh, atlas, values))
-    if not problem.scene.by_camera:
-        return inside, values, evened.normals
-    measured = replace(values, albedo=values.read)
-    lookup = AtlasLookup(mesh, inside)
-    tried = views[EVERY // 2 :: 2 * EVERY]
-    before, after = (
-        view_errors(problem, light, gloss, tried, (shape, tracer, lookup, texture))
-        for shape, texture in ((mesh, measured), (evened, values))
-    )
-    proof = Proof.of(before, after, (np.arange(len(tried)),))
-    if proof.is_open:
-        return inside, values, evened.normals
-    return inside, measured, mesh.normals
-
-
 def _held_out(
     folder: Path,
     problem: Problem,
@@ -226,7 +157,7 @@ def _held_out(
     gloss: Gloss,
     capture: Capture,
     other_light: frozenset[str],
-    surface: tuple[Mesh, AbstractTracer, AtlasLookup, TexelAlbedo],
+    surface: Painted,
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, diffuse, squared, count = {}, {}, 0.0, 0

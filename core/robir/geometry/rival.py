@@ -17,12 +17,11 @@ import numpy as np
 
 from robir.capture.capture import View
 from robir.geometry.config import GeometryConfig
+from robir.geometry.finishing import Dense
 from robir.geometry.fit.clean import largest_pieces
 from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Sampled
-from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.isosurface import extract
-from robir.geometry.mesh.simplify import decimate, fill_holes
 from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.prediction import Predictions, lead
@@ -118,7 +117,7 @@ class Rival:
     def _mesh(self) -> Mesh:
         return smooth_surface(self._field)
 
-    def finished(self) -> Mesh:
+    def refined(self) -> Dense:
         """The stereo surface, refined where that lets photographs predict each other better."""
         config, mesh = self._config, self._mesh
         photos = [reduce_view(view, max(config.refine.image_sides)) for view in self._views]
@@ -128,8 +127,7 @@ class Rival:
         if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
             mesh = moved
         grain, faces = resolved(photos, config)
-        mesh = flattened(mesh, min(self._field.lattice.cell, grain))
-        return fill_holes(decimate(mesh, faces))
+        return Dense(mesh, min(self._field.lattice.cell, grain), faces)
 
 
 def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:

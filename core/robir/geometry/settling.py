@@ -25,7 +25,7 @@ from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.rival import Rival
 from robir.maths.vectors import farthest_points
-from robir.steps import Step, carry_out
+from robir.steps import Course, Step
 
 GROUND_SIDE = 200
 """Longer side of the photographs that tell the ground, pixels."""
@@ -108,7 +108,7 @@ class Told:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """A level of the fit that has ended; steps change its field's distances in place.
+    """A level of the fit that has ended; steps change its field's distances by `mended`.
 
     Attributes:
         field: Field of the level.
@@ -120,6 +120,7 @@ class Level:
         backdrop: The ground; None where there is none, or none any more.
         told: What the surface tells of it; None before that was asked, and where there is none.
         has_ended: Whether the fit goes no further.
+        changes: How often something was changed in place.
     """
 
     field: Field
@@ -131,23 +132,29 @@ class Level:
     backdrop: Backdrop | None
     told: Told | None = None
     has_ended: bool = False
+    changes: int = 0
 
     @property
     def sdf(self) -> Tensor:
         """(N,) signed distances, to be changed in place."""
         return self.field.sdf.detach()
 
+    def mended(self, sdf: Tensor) -> Level:
+        """The level with other distances (N,), changed in place; itself where they are the same."""
+        if torch.equal(sdf.to(self.sdf), self.sdf):
+            return self
+        self.sdf.copy_(sdf)
+        return replace(self, changes=self.changes + 1)
+
 
 def _restore_missing(state: Level) -> Level:
     lattice, hull = state.hull
     allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
-    state.sdf.copy_(restore_missing(state.field, allowed, state.sampler))
-    return state
+    return state.mended(restore_missing(state.field, allowed, state.sampler))
 
 
 def _fill_mirror_pits(state: Level) -> Level:
-    state.sdf.copy_(state.mirroring.filled(state.field, state.network))
-    return state
+    return state.mended(state.mirroring.filled(state.field, state.network))
 
 
 def _tell_ground(state: Level) -> Level:
@@ -160,9 +167,10 @@ def _tell_ground(state: Level) -> Level:
 
 
 def _find_terraces(state: Level) -> Level:
-    if state.told is not None:
-        state.told.backdrop.ground.find_terraces(state.told.top, state.told.columns)
-    return state
+    told = state.told
+    if told is None or not told.backdrop.ground.find_terraces(told.top, told.columns):
+        return state
+    return replace(state, changes=state.changes + 1)
 
 
 def _flatten_ground(state: Level) -> Level:
@@ -173,15 +181,14 @@ def _flatten_ground(state: Level) -> Level:
     ground = told.backdrop.ground
     if not ground.is_flat(lattice.cell, told.top, told.columns):
         return replace(state, backdrop=None, told=None)
-    state.sdf.copy_(ground.flatten(lattice, state.sdf, told.columns))
-    return state
+    return state.mended(ground.flatten(lattice, state.sdf, told.columns))
 
 
 def _undercut(state: Level) -> Level:
     told, lattice = state.told, state.field.lattice
-    if told is not None:
-        state.sdf.copy_(undercut(told.backdrop, told.columns, lattice, state.sdf))
-    return state
+    if told is None:
+        return state
+    return state.mended(undercut(told.backdrop, told.columns, lattice, state.sdf))
 
 
 def _ask_rival(state: Level) -> Level:
@@ -244,6 +251,7 @@ class Settling:
         config: The stage's configuration.
         device: Torch device.
         generator: Source of random numbers.
+        course: Of the stage's steps.
 
     Attributes:
         sampler: Source of rays.
@@ -253,7 +261,12 @@ class Settling:
     """
 
     def __init__(
-        self, capture: Capture, config: GeometryConfig, device: str, generator: torch.Generator
+        self,
+        capture: Capture,
+        config: GeometryConfig,
+        device: str,
+        generator: torch.Generator,
+        course: Course,
     ) -> None:
         photos = [reduce_view(view, config.image_side) for view in capture.train]
         self.sampler = RaySampler(photos, device, generator)
@@ -266,8 +279,8 @@ class Settling:
             lattice=lattice,
             hull=hull,
         )
-        self._without = config.without
-        start = carry_out(GROUND, start, self._without)
+        self._course = course
+        start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
         self._mirroring = Mirroring([photo.camera for photo in photos], self.begun)
@@ -284,7 +297,7 @@ class Settling:
             rival=self.rival,
             backdrop=self.backdrop,
         )
-        ended = carry_out(LEVEL, level, self._without)
+        ended = self._course.carry_out(LEVEL, level)
         self.backdrop = ended.backdrop
         return ended.has_ended
 

@@ -14,15 +14,12 @@ from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_masks, save_turned
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.field import Field
+from robir.geometry.finishing import FINISHING, Dense, finished
 from robir.geometry.fit.field_preview import Preview, Renderer
 from robir.geometry.fit.held_out import save_field_views
 from robir.geometry.fit.optimise import fit
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
-from robir.geometry.mesh.facets import flattened
-from robir.geometry.mesh.simplify import decimate, fill_holes, with_creases
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.rays import RaySampler
 from robir.geometry.remask import remasked
 from robir.geometry.rival import smooth_surface
@@ -30,7 +27,7 @@ from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json
-from robir.steps import Step, carry_out, check_left_out
+from robir.steps import Course, Step, check_left_out
 
 REVISION = 30
 """Raised whenever the same input gives another result."""
@@ -38,8 +35,8 @@ REVISION = 30
 MASKING = 0.02
 """Share of the stage that cutting masks again takes."""
 
-STEPS: tuple[Step[Any], ...] = (*EVENING, *GROUND, *LEVEL)
-"""All steps of the stage up to the surface, in their order; LEVEL's once a level of the fit."""
+STEPS: tuple[Step[Any], ...] = (*EVENING, *GROUND, *LEVEL, *FINISHING)
+"""All steps of the stage, in their order; LEVEL's once a level of the fit."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -86,6 +83,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     folder = context.paths.stage("geometry")
     surface.mesh.save(folder / "mesh.npz")
     write_json(folder / "choices.json", [choice.plain() for choice in surface.choices])
+    write_json(context.paths.idle_steps("geometry"), surface.idle)
     metrics = surface.metrics
     if trial.turns.any():
         metrics |= _tell(context, trial)
@@ -118,11 +116,13 @@ class Surface:
         mesh: Unwrapped, unit frame.
         metrics: For the stage's manifest.
         choices: What was chosen, for the report.
+        idle: Names of the steps that changed nothing.
     """
 
     mesh: Mesh
     metrics: dict[str, float | str]
     choices: tuple[Choice, ...]
+    idle: tuple[str, ...]
 
 
 def reconstruct(
@@ -153,9 +153,10 @@ def reconstruct(
             "at least 3, and about 20 for a good surface."
         )
     reporter.progress(0.0, "carving the visual hull")
-    capture = carry_out(EVENING, capture, config.without)
+    course = Course(config.without)
+    capture = course.carry_out(EVENING, capture)
     generator = torch.Generator().manual_seed(seed)
-    settling = Settling(capture, config, device, generator)
+    settling = Settling(capture, config, device, generator, course)
     sampler = settling.sampler
 
     def progress(share: float, render: Renderer) -> None:
@@ -168,12 +169,11 @@ def reconstruct(
     rival = settling.rival
     if rival.leads:
         reporter.progress(0.86, "moving the mesh to where photographs agree")
-        mesh = rival.finished()
+        dense = rival.refined()
     else:
         reporter.progress(0.86, "cleaning the mesh")
-        mesh = clean_mesh(field, config.face_budget)
-    reporter.progress(0.92, "unwrapping the mesh")
-    mesh = with_creases(unwrap(mesh, config.unwrap_seconds, reporter.warn))
+        dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
+    mesh = finished(dense, config.unwrap_seconds, reporter.warn, course)
     has_ground = settling.backdrop is not None and not rival.leads
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
@@ -182,10 +182,6 @@ def reconstruct(
         "ground": "flattened" if has_ground else "none",
         "surface": "stereo" if rival.leads else "field",
     }
-    return Surface(mesh=mesh, metrics=metrics, choices=rival.choices)
-
-
-def clean_mesh(field: Field, face_budget: int) -> Mesh:
-    """Surface of a field: extracted, freed of loose pieces, smoothed and decimated."""
-    mesh = flattened(smooth_surface(field), field.lattice.cell)
-    return fill_holes(decimate(mesh, face_budget))
+    return Surface(
+        mesh=mesh, metrics=metrics, choices=rival.choices, idle=tuple(course.idle(STEPS))
+    )

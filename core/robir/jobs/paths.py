@@ -101,6 +101,10 @@ class JobPaths:
         """A stage's manifest, written last: it makes the stage count as done."""
         return self.stage(name) / "stage.json"
 
+    def idle_steps(self, name: str) -> Path:
+        """Names of a stage's steps that changed nothing on this capture."""
+        return self.stage(name) / "idle_steps.json"
+
     @property
     def turned_cameras(self) -> Path:
         """Poses of the views where the geometry stage found the given ones wrong; else absent."""

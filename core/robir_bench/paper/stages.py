@@ -19,13 +19,14 @@ from torch import nn
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
 from robir.geometry.config import GeometryConfig
+from robir.geometry.finishing import Dense, finished
 from robir.geometry.fit.field import Field
-from robir.geometry.mesh.simplify import with_creases
 from robir.geometry.mesh.tracer import make_tracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
-from robir.geometry.stage import clean_mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas
+from robir.geometry.rival import smooth_surface
 from robir.jobs.paths import JobPaths, replacing, write_json
+from robir.steps import Course
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
 from robir_bench.paper.appearance import Fitter, Model, render_display
@@ -91,8 +92,9 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     generator = job.begin()
     field = fit_neus(job.pixels(), job.config.neus, generator)
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
-    mesh = clean_mesh(Field(lattice, values, _FEATURES), config.face_budget)
-    mesh = with_creases(unwrap(mesh, config.unwrap_seconds, lambda _: None))
+    surface = smooth_surface(Field(lattice, values, _FEATURES))
+    dense = Dense(surface, lattice.cell, config.face_budget)
+    mesh = finished(dense, config.unwrap_seconds, lambda _: None, Course())
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")
     _save_networks(folder / _NETWORKS, field.modules())

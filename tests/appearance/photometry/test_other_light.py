@@ -15,7 +15,7 @@ from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import make_tracer
 from robir.maths.vectors import fibonacci_sphere
-from robir.steps import carry_out
+from robir.steps import Course
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
 from tests.geometry.scenes import ball, capture_of
@@ -123,7 +123,7 @@ def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
     config = TransportConfig(num_surfels=1500, num_directions=64)
     transport = bake(mesh, capture.train, config, seed=0, device="cpu")
     tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
-    compared = carry_out(COMPARISON, Comparison.of(transport, tracer, capture, 0))
+    compared = Course().carry_out(COMPARISON, Comparison.of(transport, tracer, capture, 0))
     odd = {views[number].name for number in (5, 16, 20)}
     assert compared.other_light == odd
     assert compared.exposures is None

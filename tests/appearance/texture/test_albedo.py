@@ -15,17 +15,14 @@ from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.texture.albedo import (
-    Texels,
-    _Reference,
-    _settle_clipped,
-    _settle_edges,
-    texel_albedo,
-)
+from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.residual_shading import ALIKE, evened, with_normals
+from robir.appearance.texture.shadow_edges import Reference, settle_clipped, settle_edges
+from robir.appearance.texture.texels import Texels
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
+from robir.steps import Course
 from robir.transport.baked import Transport
 from robir.transport.observe import observe
 from robir.transport.surfels import sample_surfels
@@ -67,8 +64,8 @@ def shadow():
 def test_edges_take_the_paint_around_them_and_certain_texels_are_left_alone(shadow):
     texels, light, paint, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
-    reference = _Reference(texels, albedo, ~edge)
-    settled = _settle_edges(albedo, exitant, parts, light, texels, edge, reference)
+    reference = Reference(texels, albedo, ~edge)
+    settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
     np.testing.assert_array_equal(settled[~edge], albedo[~edge])
     before = np.abs(np.log(albedo / paint))[edge].mean()
     after = np.abs(np.log(settled / paint))[edge]
@@ -92,8 +89,8 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
     albedo = exitant / (SOFT + traced * sun)[:, None]
     parts = np.full((len(x), 3), SOFT), 0.8 * traced[:, None], light.amplitudes.sharp.numpy()
     edge = np.abs(x) < 0.07
-    reference = _Reference(texels, albedo, ~edge)
-    settled = _settle_edges(albedo, exitant, parts, light, texels, edge, reference)
+    reference = Reference(texels, albedo, ~edge)
+    settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
     wrong = np.abs(np.log(settled / paint))[edge].mean(1)
     assert np.quantile(wrong, 0.9) < 0.16  # the shares tried are a tenth apart
 
@@ -101,9 +98,9 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
 def test_without_edges_nothing_changes(shadow):
     texels, light, _, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
-    reference = _Reference(texels, albedo, ~edge)
+    reference = Reference(texels, albedo, ~edge)
     none = np.zeros_like(edge)
-    same = _settle_edges(albedo, exitant, parts, light, texels, none, reference)
+    same = settle_edges((albedo, exitant), parts, light, texels, none, reference)
     np.testing.assert_array_equal(same, albedo)
 
 
@@ -116,8 +113,8 @@ def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     measured[middle] *= 0.7
     brighter = middle & (texels.position[:, 1] < -0.4)
     measured[brighter, 0] = 0.9
-    reference = _Reference(texels, paint, ~clipped.any(1))
-    settled = _settle_clipped(measured, clipped, reference, texels)
+    reference = Reference(texels, paint, ~clipped.any(1))
+    settled = settle_clipped(measured, clipped, reference, texels)
     np.testing.assert_array_equal(settled[~clipped], measured[~clipped])
     np.testing.assert_allclose(settled[middle & ~brighter, 0], PAINTS[0, 0], rtol=1e-6)
     np.testing.assert_array_equal(settled[brighter, 0], measured[brighter, 0])
@@ -227,7 +224,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     """Albedo is pi R / E, unseen texels borrow it."""
     problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     y = texels.position[:, 1]
-    values = texel_albedo(problem, light, texels, views, matte, tracer)
+    values = texel_albedo(problem, light, texels, views, matte, tracer, Course())
     paint = PAINTS[(y > 0).astype(int)]
     inner = np.abs(y) > 0.05
     error = np.abs(values.albedo / paint - 1)
@@ -242,7 +239,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.
     glossy = replace(matte, floor=0.1 * problem.radiance.linear.numpy())
-    again = texel_albedo(problem, light, texels, views, glossy, tracer)
+    again = texel_albedo(problem, light, texels, views, glossy, tracer, Course())
     assert np.abs(again.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
     np.testing.assert_allclose(
         again.disagreement[inner & ~unseen], values.disagreement[inner & ~unseen], atol=1e-6
@@ -259,7 +256,8 @@ def test_a_dark_polished_part_stays_darker_than_its_light_without_any_reflection
     problem, light, texels, views, matte, tracer = lit_floor(paints, in_disc)
     dark = in_disc(problem.scene.transport.surfels.position, 0.25)[:, None]
     floor = np.where(dark, 0.75, 0.0).astype(np.float32) * problem.radiance.linear.numpy()
-    values = texel_albedo(problem, light, texels, views, replace(matte, floor=floor), tracer)
+    sheen = replace(matte, floor=floor)
+    values = texel_albedo(problem, light, texels, views, sheen, tracer, Course())
     inner = in_disc(texels.position, 0.15)
     slack = np.exp(np.hypot(ALIKE, values.disagreement[inner]))[:, None]
     assert np.all(values.albedo[inner] < 1.02 * slack * paints[1])
@@ -280,7 +278,7 @@ def test_what_no_model_explains_is_shown_as_the_mean(has_highlights, by_camera, 
         for view, factor in zip(views, factors, strict=True)
     )
     gloss = replace(matte, has_highlights=has_highlights)
-    values = texel_albedo(problem, light, texels, views, gloss, tracer)
+    values = texel_albedo(problem, light, texels, views, gloss, tracer, Course())
     seen = observe(tracer, texels.position, texels.normal, views, 0.003)
     soft = problem.scene.soft[0] @ light.amplitudes.soft
     irradiance = (soft + float(synthetic.SUN[2]) * light.amplitudes.sharp[0]).numpy()

@@ -14,8 +14,8 @@ from transport.shapes import mesh_of, patch
 
 from robir.appearance.light.lobes import soft_lobes
 from robir.appearance.light.problem import make_problem
-from robir.appearance.texture.albedo import TexelAlbedo
 from robir.appearance.texture.shading_normals import MOST_TURN, shading_normals
+from robir.appearance.texture.texels import TexelAlbedo
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere

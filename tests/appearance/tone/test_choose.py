@@ -17,6 +17,7 @@ from robir.appearance.tone.clipping import clipping_evidence
 from robir.appearance.tone.ranking import Judged, best_shoulder, chosen_number, pair_likeness
 from robir.appearance.tone.shoulder import Lead, PlainLead
 from robir.maths.tone import curve_from_name
+from robir.steps import Course
 from robir.transport.observe import Observations
 
 CONFIG = AppearanceConfig(num_scan_directions=400, num_sharp_lobes=1, iterations=60)
@@ -30,7 +31,7 @@ def stage():
 
 def ranked(stage, name):
     scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name(name), 700)
-    choice = choose_tone_curve(scene, CONFIG, 0)
+    choice = choose_tone_curve(scene, CONFIG, 0, Course())
     return choice.candidates, choice.evidence
 
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
-from robir.appearance.texture.albedo import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
+from robir.appearance.texture.texels import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
 from robir.capture.capture import Bounds, View
 from robir.capture.checks.sharpness import relative_sharpness
 from robir.capture.images.loading import resize_view

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import cg
 from robir.appearance.light.lobes import sky_radiance
 from robir.appearance.light.problem import SUN_SAMPLES, Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.texture.albedo import Blend, TexelAlbedo, Texels
+from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.surfels import interpolate

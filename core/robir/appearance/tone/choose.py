@@ -20,7 +20,7 @@ from robir.appearance.tone.ranking import NEUTRAL, PLAIN, Candidate, ranked
 from robir.appearance.tone.shoulder import PlainLead
 from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
-from robir.steps import Step, carry_out
+from robir.steps import Course, Step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class ToneChoice:
     evidence: ClippingEvidence
     beyond: dict[str, float]
     suns: Light | None = None
-    power: PowerChoice | None = None
+    power: PowerChoice | None = field(default=None, compare=False)
     candidates: list[Candidate] = field(default_factory=list)
     plain_lead: PlainLead | None = None
 
@@ -145,15 +145,18 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
 """How the tone curve is found, in this order."""
 
 
-def choose_tone_curve(scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
+def choose_tone_curve(
+    scene: Scene, config: AppearanceConfig, seed: int, course: Course
+) -> ToneChoice:
     """Score every family that the histogram allows, as the photographs are and re-toned.
 
     Args:
         scene: Samples with their transport.
         config: Families and sizes.
         seed: Of the search.
+        course: Of the stage's steps.
 
     Returns:
         Candidates and evidence.
     """
-    return carry_out(SEARCH, ToneChoice.of(scene, config, seed), config.without)
+    return course.carry_out(SEARCH, ToneChoice.of(scene, config, seed))

@@ -82,15 +82,19 @@ class Ground:
         agree = feet_agree(self.columns, self._bare, tops, photos, self.level)
         self.start = self._spread(self._bare & agree)
 
-    def find_terraces(self, top: Array, settled: NDArray[np.bool_]) -> None:
+    def find_terraces(self, top: Array, settled: NDArray[np.bool_]) -> bool:
         """Learn where the ground lies higher or lower than its plane; once found, that stays.
 
         Args:
             top: Height of the present surface over each column.
             settled: Columns that are ground.
+
+        Returns:
+            Whether it does anywhere.
         """
         if not self.level.any():
             self.level = terraces(self.columns, settled, top, self._photos)
+        return bool(self.level.any())
 
     def above(self, points: Array) -> Array:
         """Height of points (P, 3) of the unit frame above the ground."""

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points of the texture atlas, what is known of them, and what arrives at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.texture.residual_shading import with_normals
+
+Floats = NDArray[np.float32]
+
+MIN_ALBEDO, MAX_ALBEDO = 0.002, 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Texels:
+    """Surface points of the texture atlas.
+
+    Attributes:
+        position: (N, 3) unit frame.
+        normal: (N, 3) unit.
+    """
+
+    position: Floats
+    normal: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TexelAlbedo:
+    """Albedo of the texels with how well it is known.
+
+    Attributes:
+        albedo: (N, 3) float32, linear Rec.709.
+        coverage: (N,) int, views that show the texel.
+        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
+            dim light: a sign of a wrong mesh, wrong poses or uneven exposure.
+        read: (N, 3) float32, albedo as the photographs have it, before it was evened.
+        unknown: (N,) float32, one standard deviation of its logarithm.
+        uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
+        roughness: (N,) float32.
+        metallic: (N,) float32, 0 or 1.
+    """
+
+    albedo: Floats
+    coverage: NDArray[np.int64]
+    disagreement: Floats
+    read: Floats
+    unknown: Floats
+    uncertainty: Floats
+    roughness: Floats
+    metallic: Floats
+
+
+class Blend:
+    """Interpolates values of the surface samples at texels, from those alike in orientation.
+
+    Attributes:
+        nearest: (N,) the one sample nearest to each texel.
+    """
+
+    def __init__(self, problem: Problem, texels: Texels) -> None:
+        """Find the nearest samples of every texel, once.
+
+        Args:
+            problem: Scene with its samples.
+            texels: Where values are wanted.
+        """
+        surfels = problem.scene.transport.surfels
+        seen = np.flatnonzero(problem.radiance.seen.numpy())
+        points = with_normals(surfels.position, surfels.normal)[seen]
+        query = with_normals(texels.position, texels.normal)
+        distance, index = cKDTree(points).query(query, k=4, eps=0.1)
+        weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
+        self._index = seen[index]
+        self.nearest = self._index[:, 0]
+        self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
+
+    def __call__(self, values: Tensor) -> Floats:
+        """Values (S, C) of all samples at the texels, (N, C)."""
+        return np.einsum("nk,nkc->nc", self._weight, values.numpy()[self._index])
+
+
+def sun_transfer(
+    problem: Problem, light: Light, texels: Texels, sharpness: Floats, samples: int
+) -> Floats:
+    """Visibility times cosine of every sharp lobe at every texel, (N, J)."""
+    points = (texels.position, texels.normal)
+    return problem.scene.sharp_transfer_at(points, light.axes, sharpness, samples)

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Textures of the whole atlas, and the normals that go with them, step by step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.proof import EVERY, Proof
+from robir.appearance.render import AtlasLookup, Painted, view_errors
+from robir.appearance.texture.albedo import texel_albedo
+from robir.appearance.texture.detail import finer
+from robir.appearance.texture.shading_normals import shading_normals
+from robir.appearance.texture.texel_size import pixel_width, solved_side, texture_side
+from robir.appearance.texture.texels import TexelAlbedo, Texels
+from robir.capture.capture import Capture, View
+from robir.capture.images.loading import resize_view
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas
+from robir.steps import Course, Step
+from robir.transport.observe import spread_views
+from robir.transport.surfels import interpolate
+
+Floats = NDArray[np.float32]
+
+TEXTURE_VIEWS = 48
+
+DETAIL_VIEWS = 96
+"""Photographs, far from each other, of which the best show a spot's detail."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Texture:
+    """Texels of the atlas on their way.
+
+    Attributes:
+        problem: Scene under the chosen tone curve.
+        light: Solved light.
+        gloss: Specular material of the samples.
+        mesh: Unwrapped, unit frame.
+        tracer: Of the mesh.
+        capture: Photographs that take part, unit frame.
+        views: Those that albedo is read from, at the size that they are read at.
+        config: Sizes.
+        inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
+        values: Of these texels.
+        normals: (V, 3) of the vertices, to render them with.
+    """
+
+    problem: Problem
+    light: Light
+    gloss: Gloss
+    mesh: Mesh
+    tracer: AbstractTracer
+    capture: Capture
+    views: tuple[View, ...]
+    config: AppearanceConfig
+    inside: NDArray[np.bool_]
+    values: TexelAlbedo
+    normals: Floats
+
+
+def textured(
+    solved: tuple[Problem, Light, Gloss],
+    surface: tuple[Mesh, AbstractTracer],
+    capture: Capture,
+    config: AppearanceConfig,
+    course: Course,
+) -> Texture:
+    """Texels of the atlas at the side that photographs resolve, and normals of the vertices.
+
+    Args:
+        solved: Scene under the chosen tone curve, its light, and specular material.
+        surface: Unwrapped mesh, unit frame, and its tracer.
+        capture: Photographs that take part. Those under another light than most must not: by their
+            shade the texture of all would be darker than the others are.
+        config: Sizes.
+        course: Of the stage's steps.
+    """
+    (problem, light, gloss), (mesh, tracer) = solved, surface
+    side = solved_side(config)
+    face, barycentric = rasterise_atlas(mesh, side)
+    inside = face >= 0
+    position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
+    texels = Texels(position=position, normal=normal)
+    # a pixel about as large as a texel
+    views = tuple(resize_view(v, side) for v in spread_views(capture.train, TEXTURE_VIEWS))
+    start = Texture(
+        problem=problem,
+        light=light,
+        gloss=gloss,
+        mesh=mesh,
+        tracer=tracer,
+        capture=capture,
+        views=views,
+        config=config,
+        inside=inside,
+        values=texel_albedo(problem, light, texels, views, gloss, tracer, course),
+        normals=mesh.normals,
+    )
+    return course.carry_out(TEXTURE, start)
+
+
+def _turn_normals(state: Texture) -> Texture:
+    face, barycentric = rasterise_atlas(state.mesh, len(state.inside))
+    atlas = (face[state.inside], barycentric[state.inside].astype(np.float32))
+    normals = shading_normals(state.problem, state.light, state.mesh, atlas, state.values)
+    return replace(state, normals=normals)
+
+
+def _ask_photographs(state: Texture) -> Texture:
+    """On renderings, whose meshes are good, surroundings are right though the re-render loses."""
+    if not state.problem.scene.by_camera:
+        return state
+    measured = replace(state.values, albedo=state.values.read)
+    lookup = AtlasLookup(state.mesh, state.inside)
+    tried = state.views[EVERY // 2 :: 2 * EVERY]
+    turned = replace(state.mesh, normals=state.normals)
+    solved = (state.problem, state.light, state.gloss)
+    before, after = (
+        view_errors(*solved, tried, Painted(shape, state.tracer, lookup, texture))
+        for shape, texture in ((state.mesh, measured), (turned, state.values))
+    )
+    if Proof.of(before, after, (np.arange(len(tried)),)).is_open:
+        return state
+    return replace(state, values=measured, normals=state.mesh.normals)
+
+
+def _refine_detail(state: Texture) -> Texture:
+    cameras = {view.name: view.camera for view in state.capture.views}
+    width = pixel_width(state.problem.scene.transport, cameras)
+    side = texture_side(state.mesh, width, (len(state.inside), state.config.texture_size))
+    photographs = (spread_views(state.capture.train, DETAIL_VIEWS), state.problem.curve)
+    surface = (state.mesh, state.tracer)
+    inside, values = finer(state.values, state.inside, surface, photographs, side)
+    return replace(state, inside=inside, values=values)
+
+
+TEXTURE: tuple[Step[Texture], ...] = (
+    Step(
+        name="shading-normals",
+        purpose="turns normals so that the smoothed albedo repeats the photographs",
+        source="shape from shading about a known shape (Wu et al. 2011)",
+        run=_turn_normals,
+    ),
+    Step(
+        name="camera-proof",
+        purpose="keeps albedo as it was read where a camera's photographs speak against smoothing",
+        source="ours: proof by photographs",
+        run=_ask_photographs,
+    ),
+    Step(
+        name="detail",
+        purpose="adds what the sharpest photographs show finer than the solved texels",
+        source="multi-band blending (Burt and Adelson 1983; Allene et al. 2008)",
+        run=_refine_detail,
+    ),
+)
+"""What is done to the texels once their albedo was read, in this order."""
