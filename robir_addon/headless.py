@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender work without a window: `python -m robir_addon.headless scene|render|relight OUT`.
+"""Blender work without a window: `python -m robir_addon.headless scene|render|relight|lights OUT`.
 
 Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
 end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
@@ -24,7 +24,7 @@ from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .importer import import_result, read_tone_curve
-from .lights import show_environment, turn_light
+from .lights import SHOWN_LIGHTS, show_environment, turn_light
 from .lut import ToneTable, read_tone_table
 from .rendering import cut_short, prepare_scene, render_still, set_threads, write_film
 from .view_transform import match_view_transform
@@ -170,6 +170,25 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
     return files, ()
 
 
+def picture_lights(
+    options: argparse.Namespace, reports: TextIO
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Small pictures of scene.blend under the recovered light and each that Blender ships."""
+    paths, scene = _open_scene(options, reports)
+    table = _tone_table(paths)
+    use_camera(scene, _chosen_cameras(scene, "all")[0], options.max_side)
+    files = []
+    for index, (light, name, _) in enumerate(SHOWN_LIGHTS):
+        message = f"light {index + 1} of {len(SHOWN_LIGHTS)}: {name}"
+        _say(reports, {"progress": index / len(SHOWN_LIGHTS), "message": message})
+        if light:
+            show_environment(scene, scene.world, _environment_file(Path(light)))
+            turn_light(scene, 0.0)
+        files.append(_picture(paths.renders, paths.light_picture(light).name))
+        render_still(scene, files[-1], table)
+    return files, ()
+
+
 def _turntable(
     options: argparse.Namespace,
     reports: TextIO,
@@ -285,14 +304,17 @@ def _parser() -> argparse.ArgumentParser:
     light.add_argument(
         "--turntable", type=int, default=0, metavar="N", help="frames of a full turn"
     )
-    for command in (scene, render, light):
+    pictures = commands.add_parser("lights", help="small pictures under several lights")
+    pictures.set_defaults(command=picture_lights)
+    for command in (scene, render, light, pictures):
         command.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
     for command in (render, light):
         command.add_argument(
             "--views", default="held_out", help="held_out, train, all, or names with commas"
         )
-        command.add_argument("--samples", type=int, default=64, help="Cycles samples a pixel")
-        command.add_argument("--max-side", type=int, default=400, help="longer side, pixels")
+    for command, samples, side in ((render, 64, 400), (light, 64, 400), (pictures, 16, 192)):
+        command.add_argument("--samples", type=int, default=samples, help="Cycles samples a pixel")
+        command.add_argument("--max-side", type=int, default=side, help="longer side, pixels")
     return parser
 
 

@@ -41,10 +41,15 @@ from .lights import (
     world_of,
 )
 from .materials import add_asset, refresh_asset, texture_sockets
+from .placing import move_again
 
 _ROLE = "robir_role"
 
-_CAMERAS = {"views": [CAMERA | {"image": str}], "bounds": {"centre": NUMBERS, "radius": float}}
+_CAMERAS = {
+    "views": [CAMERA | {"image": str}],
+    "bounds": {"centre": NUMBERS, "radius": float},
+    "ground?": {"normal": NUMBERS, "offset": float},
+}
 _LAMP = {"irradiance": NUMBERS, "direction": NUMBERS, "angular_diameter": float}
 _LIGHT = {"sun_lamps?": [_LAMP]}
 _TONE_CURVE = {
@@ -155,6 +160,7 @@ def _refresh(
     stands = _collection(f"{name} cameras", "cameras", mark, collection)
     lamps = _add_lamps(suns, paths, table["bounds"], collection)
     cameras = _add_cameras(paths, table, stands)
+    move_again(asset, [*cameras.values(), *lamps])
     if chosen in cameras:
         scene.camera = cameras[chosen]
     if scene.world == world and shows_recovered_light(world):
@@ -211,6 +217,8 @@ def asset_of(root: Path) -> bpy.types.Object | None:
 
 def read_cameras(paths: JobPaths) -> dict[str, Any]:
     """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
+
+    Where the mesh shows flat ground, also "ground".
 
     Raises:
         ResultError: If it is missing or damaged, or names what lies outside the result.

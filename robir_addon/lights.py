@@ -17,6 +17,21 @@ from .blocks import MARK, enable_nodes, load_image, reload_image, with_mark
 from .errors import ResultError
 from .gateway import JobPaths
 
+STUDIO_LIGHTS = (
+    ("city", "City", "Street between buildings under an open sky"),
+    ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
+    ("forest", "Forest", "Sky through trees, green from below"),
+    ("interior", "Interior", "Room lit by its windows"),
+    ("night", "Night", "Few small lamps in the dark"),
+    ("studio", "Studio", "Two large soft boxes"),
+    ("sunrise", "Sunrise", "Low sun and a clear sky; long shadows"),
+    ("sunset", "Sunset", "Warm light from the horizon"),
+)
+"""Environment maps that Blender ships: file stem, name, tool-tip."""
+
+SHOWN_LIGHTS = (("", "Recovered", "Light of the photographs"), *STUDIO_LIGHTS)
+"""What the lights' pictures show."""
+
 _BEFORE = "robir_world_before"
 _WHOLE = "robir_whole_light"
 _WITHOUT_SUN = "robir_light_without_sun"

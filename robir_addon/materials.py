@@ -10,6 +10,7 @@ import numpy as np
 from .blocks import MARK, enable_nodes, load_image, reload_image, with_mark
 from .gateway import JobPaths
 from .glb import GlbMesh
+from .placing import fit_again
 
 _DIGEST = "robir_digest"
 """Custom property of a mesh: its digest as it was imported."""
@@ -67,6 +68,8 @@ def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> No
         data.materials.append(material)
         if material is not None and _SPECULAR in material:
             _refresh_material(material, mesh.specular, paths)
+    fit_again(asset, data)
+    data[_DIGEST] = _digest(data)
     name = before.name
     asset.data = data
     if before.users == 0:
@@ -80,6 +83,11 @@ def is_edited(asset: bpy.types.Object) -> bool:
     if data.shape_keys is not None or len(asset.vertex_groups) or len(data.uv_layers) != 1:
         return True
     return data.get(_DIGEST, "") not in ("", _digest(data))
+
+
+def mark_as_imported(asset: bpy.types.Object) -> None:
+    """Count the mesh as it is now as the worker's: nothing of the user's would be lost with it."""
+    asset.data[_DIGEST] = _digest(asset.data)
 
 
 def _mesh(mesh: GlbMesh, mark: str) -> bpy.types.Mesh:

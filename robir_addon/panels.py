@@ -12,12 +12,12 @@ from bl_ui.utils import PresetPanel
 
 from . import growth
 from .drawing import Panel, big, install_text, preferences_button, progress, split
-from .lights import shown_light, strength_of
+from .light_pictures import light_pictures
+from .lights import SHOWN_LIGHTS, STUDIO_LIGHTS, shown_light, strength_of
 from .operators.photographs import can_leave_out
 from .paragraphs import paragraph
 from .photographs import draw_photographs
 from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
-from .properties import STUDIO_LIGHTS
 from .recent import recent_captures
 from .summary import shown_summary
 from .viewport import COLLECTION
@@ -206,6 +206,27 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
                 paragraph(body, context, warning)
 
 
+class ROBIR_PT_place(Panel, bpy.types.Panel):
+    """The result in its real size, and what is not wanted of it."""
+
+    bl_label = "Size and Place"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Two buttons that move all, two that delete parts."""
+        column = self.layout.column(align=True)
+        column.operator("robir.set_real_size", icon="DRIVER_DISTANCE")
+        column.operator("robir.stand_on_floor", icon="TRIA_DOWN_BAR")
+        column = self.layout.column(align=True)
+        column.operator("robir.drop_ground", icon="MOD_BOOLEAN")
+        column.operator("robir.crop_to_box", icon="MESH_CUBE")
+
+
 class ROBIR_PT_relight(Panel, bpy.types.Panel):
     """The recovered light, or another."""
 
@@ -219,10 +240,43 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Lights to choose from, how they are turned, and a film of that."""
         layout, settings = self.layout, context.scene.robir
-        column = layout.column(align=True)
         shown, strength = shown_light(context.scene), strength_of(context.scene)
-        is_recovered = strength is not None and not shown
-        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=is_recovered)
+        pictures = light_pictures(settings.result)
+        if pictures:
+            self._draw_pictures(shown if strength is not None else None, pictures)
+        else:
+            self._draw_list(shown if strength is not None else None)
+        is_other = bool(shown) and all(shown != stem for stem, _, _ in STUDIO_LIGHTS)
+        layout.operator("robir.use_environment", icon="WORLD", depress=is_other)
+        column = split(layout)
+        if strength is not None:
+            column.prop(strength, "default_value", text="Strength")
+        column.prop(settings, "rotation")
+        column.prop(settings, "use_sun_lamp")
+        column.prop(settings, "turntable_frames")
+        if context.window_manager.robir.task in ("turntable", "lights"):
+            progress(layout, context)
+            return
+        layout.operator("robir.turntable", icon="RENDER_ANIMATION")
+        if not pictures:
+            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
+
+    def _draw_pictures(self, shown: str | None, pictures: dict[str, int]) -> None:
+        """This object under each light; the one that shines is pressed."""
+        grid = self.layout.grid_flow(columns=3, even_columns=True, row_major=True)
+        for stem, name, _ in SHOWN_LIGHTS:
+            cell = grid.column(align=True)
+            cell.template_icon(icon_value=pictures.get(stem, 0), scale=4.5)
+            if stem:
+                button = cell.operator("robir.use_studio_light", text=name, depress=stem == shown)
+                button.light = stem
+            else:
+                cell.operator("robir.use_recovered_light", text=name, depress=stem == shown)
+
+    def _draw_list(self, shown: str | None) -> None:
+        """The same by name, before there are pictures."""
+        column = self.layout.column(align=True)
+        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=shown == "")
         studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
         column.operator_menu_enum(
             "robir.use_studio_light",
@@ -230,17 +284,6 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
             text=f"Studio Light: {studio}" if studio else "Studio Light",
             icon="LIGHTPROBE_SPHERE",
         )
-        column.operator("robir.use_environment", icon="WORLD", depress=bool(shown and not studio))
-        column = split(layout)
-        if strength is not None:
-            column.prop(strength, "default_value", text="Strength")
-        column.prop(settings, "rotation")
-        column.prop(settings, "use_sun_lamp")
-        column.prop(settings, "turntable_frames")
-        if context.window_manager.robir.task == "turntable":
-            progress(layout, context)
-        else:
-            layout.operator("robir.turntable", icon="RENDER_ANIMATION")
 
 
 class ROBIR_PT_export(Panel, bpy.types.Panel):
@@ -300,6 +343,7 @@ CLASSES = (
     ROBIR_PT_check,
     ROBIR_PT_reconstruct,
     ROBIR_PT_result,
+    ROBIR_PT_place,
     ROBIR_PT_relight,
     ROBIR_PT_export,
     ROBIR_PT_engine,

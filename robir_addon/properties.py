@@ -18,20 +18,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .lights import turn_light, use_lamps
+from .lights import STUDIO_LIGHTS, turn_light, use_lamps
 from .summary import read_shown
-
-STUDIO_LIGHTS = (
-    ("city", "City", "Street between buildings under an open sky"),
-    ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
-    ("forest", "Forest", "Sky through trees, green from below"),
-    ("interior", "Interior", "Room lit by its windows"),
-    ("night", "Night", "Few small lamps in the dark"),
-    ("studio", "Studio", "Two large soft boxes"),
-    ("sunrise", "Sunrise", "Low sun and a clear sky; long shadows"),
-    ("sunset", "Sunset", "Warm light from the horizon"),
-)
-"""Environment maps that Blender ships: file stem, name, tool-tip."""
 
 
 class ROBIR_PG_finding(bpy.types.PropertyGroup):
@@ -165,8 +153,8 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     """What goes on at this moment; emptied when a file is opened."""
 
     task: StringProperty(
-        description='"" idle, "look", "reconstruct", "install", "check_engine", "remove_engine" or '
-        '"turntable"'
+        description='"" idle, "look", "reconstruct", "install", "check_engine", "remove_engine", '
+        '"turntable" or "lights"'
     )
     fraction: FloatProperty(description="Share of the task that is done", min=0.0, max=1.0)
     stage: StringProperty(description="Stage of the reconstruction at work")

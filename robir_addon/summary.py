@@ -9,6 +9,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .gateway import JobPaths, read_json
+from .light_pictures import read_pictures
 
 _DEVICES = {"cpu": "processor", "cuda": "CUDA"}
 
@@ -38,10 +39,11 @@ def shown_summary(settings: bpy.types.PropertyGroup) -> Summary | None:
 
 
 def read_shown() -> None:
-    """Read the reports of the results that the scenes show; forget the others."""
-    shown = {bpy.path.abspath(scene.robir.result) for scene in bpy.data.scenes}
+    """Read reports and light pictures of the results that the scenes show; forget the others."""
+    shown = {bpy.path.abspath(scene.robir.result) for scene in bpy.data.scenes} - {""}
+    read_pictures(shown)
     _known.clear()
-    for result in filter(None, shown):
+    for result in shown:
         try:
             _known[result] = summary_of(read_json(JobPaths(Path(result)).report_json))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -14,6 +14,7 @@ from ..child import blender_command
 from ..errors import AddonError, RequestError
 from ..importer import mark_of
 from ..lights import (
+    STUDIO_LIGHTS,
     environment_file,
     show_environment,
     show_recovered_light,
@@ -21,7 +22,7 @@ from ..lights import (
     turn_light,
     world_of,
 )
-from ..properties import STUDIO_LIGHTS
+from ..summary import read_shown
 from .shared import ImportedOperator, result_paths, result_root
 
 
@@ -93,22 +94,14 @@ class ROBIR_OT_use_studio_light(_OtherLight, bpy.types.Operator):
         context.scene.robir.studio_light = self.light
 
 
-class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
-    """A film of the light going round the object once."""
+class _RenderingOperator(ImportedOperator):
+    """Renders in a Blender of its own; with a window the panel shows how far it is."""
 
-    bl_idname = "robir.turntable"
-    bl_label = "Render Turntable"
-    bl_description = (
-        "Render a film of the present light going round the object once, "
-        "in a Blender of its own; this one stays usable"
-    )
-    bl_options = {"REGISTER"}
+    task: str
+    """As `ROBIR_PG_state.task` has it."""
 
-    view: StringProperty(
-        name="View",
-        description="Camera of the film; empty takes the first photograph kept aside",
-        options={"SKIP_SAVE"},
-    )
+    noun: str
+    """What comes of it, as in "No film"."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -120,26 +113,51 @@ class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
             return False
         return True
 
+    def words(self, context: bpy.types.Context) -> list[str]:
+        """The headless command."""
+        raise NotImplementedError
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start rendering and return; the panel shows how far it is."""
         try:
-            command, environment = blender_command(self._words(context))
-            film = _Film()
-            monitor.run_task("turntable", command, film.on_line, film.on_end, environment)
+            command, environment = blender_command(self.words(context))
+            made = _Made(self.noun)
+            monitor.run_task(self.task, command, made.on_line, made.on_end, environment)
         except AddonError as error:
             return self.refuse(context, str(error))
         return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> None:
         """Render and wait for it."""
-        command, environment = blender_command(self._words(context))
-        film = _Film()
-        monitor.wait_task("turntable", command, film.on_line, film.on_end, environment)
-        if film.problem:
-            raise AddonError(film.problem)
-        self.report({"INFO"}, f"The film is {film.file}")
+        command, environment = blender_command(self.words(context))
+        made = _Made(self.noun)
+        monitor.wait_task(self.task, command, made.on_line, made.on_end, environment)
+        if made.problem:
+            raise AddonError(made.problem)
+        self.report({"INFO"}, context.window_manager.robir.message)
 
-    def _words(self, context: bpy.types.Context) -> list[str]:
+
+class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
+    """A film of the light going round the object once."""
+
+    bl_idname = "robir.turntable"
+    bl_label = "Render Turntable"
+    bl_description = (
+        "Render a film of the present light going round the object once, "
+        "in a Blender of its own; this one stays usable"
+    )
+    bl_options = {"REGISTER"}
+
+    task, noun = "turntable", "film"
+
+    view: StringProperty(
+        name="View",
+        description="Camera of the film; empty takes the first photograph kept aside",
+        options={"SKIP_SAVE"},
+    )
+
+    def words(self, context: bpy.types.Context) -> list[str]:
+        """The present light, turned as it is."""
         paths, settings = result_paths(context), context.scene.robir
         world = world_of(mark_of(paths.root))
         # the film turns the whole light as one image; of a sun lamp it knows nothing
@@ -153,15 +171,37 @@ class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
         ]
 
 
-class _Film:
-    """What comes of the process that renders a film.
+class ROBIR_OT_picture_lights(_RenderingOperator, bpy.types.Operator):
+    """This object under every light, to choose by."""
+
+    bl_idname = "robir.picture_lights"
+    bl_label = "Picture All Lights"
+    bl_description = (
+        "Render a small picture of this object under each of the lights to choose from, "
+        "in a Blender of its own; takes about half a minute, once"
+    )
+    bl_options = {"REGISTER"}
+
+    task, noun = "lights", "pictures"
+
+    def words(self, context: bpy.types.Context) -> list[str]:
+        """All lights."""
+        return ["lights", str(result_root(context))]
+
+
+class _Made:
+    """What comes of the process that renders.
+
+    Args:
+        noun: What is rendered.
 
     Attributes:
-        file: The film; None until it is there.
+        file: The last file that was written; None until it is there.
         problem: One sentence if there is none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, noun: str) -> None:
+        self._noun = noun
         self.file: Path | None = None
         self.problem = ""
 
@@ -171,12 +211,13 @@ class _Film:
             self.file = Path(report["files"][-1])
 
     def on_end(self, code: int, said: str) -> None:
-        """Say in the panel where the film is, or why there is none."""
+        """Say in the panel what there is, or why there is nothing."""
         state = bpy.context.window_manager.robir
         if code == 0 and self.file is not None:
-            state.message = f"The film is {self.file.name} in {self.file.parent.name}"
+            state.message = f"{self.file.name} is in {self.file.parent.name}"
+            read_shown()  # the panel may have new pictures
         elif code == 130:
-            state.message = "No film: it was cancelled"
+            state.message = f"No {self._noun}: it was cancelled"
         else:
             lines = said.splitlines() or [f"Blender ended with code {code}"]
             ours = [line for line in lines if line.startswith("error: ")]
@@ -189,4 +230,5 @@ CLASSES = (
     ROBIR_OT_use_environment,
     ROBIR_OT_use_studio_light,
     ROBIR_OT_turntable,
+    ROBIR_OT_picture_lights,
 )

@@ -16,6 +16,9 @@ pytestmark = pytest.mark.blender
 
 
 FILM = """
+import sys
+
+
 def main(archive, result):
     install(archive)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -25,6 +28,9 @@ def main(archive, result):
     settings.turntable_frames = 2
     answer = {"film": call("turntable"), "message": state.message, "task": state.task}
     answer["nobody"] = [call("turntable", view="nobody"), state.error]
+    pictures = sys.modules[MODULE + ".light_pictures"].light_pictures
+    answer["lights"] = [len(pictures(settings.result)), call("picture_lights")]
+    answer["lights"] += [sorted(pictures(settings.result)), state.error]
     return answer
 """
 
@@ -37,7 +43,7 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     answer = run(own_blender, COMMON + FILM, *files, user=tmp_path / "user")
     assert answer["film"] == ["FINISHED"]
     film = result.renders / "turntable_environment_held_out_000.mp4"
-    assert answer["message"] == f"The film is {film.name} in renders"
+    assert answer["message"] == f"{film.name} is in renders"
     assert film.read_bytes()[4:8] == b"ftyp"
     frames = [
         np.array(Image.open(result.renders / film.stem / f"000{k}.png").convert("RGB"))
@@ -45,9 +51,19 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     ]
     assert not np.array_equal(*frames)
     assert answer["task"] == ""
+    lights = sorted(file.stem for file in find_studio_lights(own_blender))
+    assert answer["lights"] == [0, ["FINISHED"], ["", *lights], ""]
+    shown = {stem: np.array(Image.open(result.light_picture(stem))) for stem in ("", *lights)}
+    assert all(max(codes.shape[:2]) <= 192 for codes in shown.values())
+    apart = [np.abs(shown[""].astype(int) - shown[light]).mean() for light in lights]
+    assert min(apart) > 1.0, "each light shows"
     said, shown = answer["nobody"]
     assert "no view is named 'nobody'" in said
     assert shown == "No view is named 'nobody'"
+
+
+def find_studio_lights(blender):
+    return blender.site_packages.glob("bpy/*/datafiles/studiolights/world/*.exr")
 
 
 def frames_of(film):

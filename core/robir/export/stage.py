@@ -24,9 +24,10 @@ from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.records import NUMBERS
 from robir.transport.observe import spread_views
 
-REVISION = 9
+REVISION = 10
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -36,8 +37,10 @@ RELIT_VIEWS = 2
 
 _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
+_LIGHTS = "light_"
 _ASSET_SHARE = 0.2
 _RENDER_SHARE = 0.95
+_GROUND = {"normal": NUMBERS, "offset": float}
 _CHOICES = [{
     "choice": str, "chosen": (str, float), "alternatives": [(str, float)], "why": str,
     "held_out_error": (None, float), "cost_seconds": (None, float),
@@ -108,14 +111,22 @@ def asset_name(capture: Capture) -> str:
 
 
 def export_cameras(paths: JobPaths, capture: Capture) -> None:
-    """Write cameras.json: every view with its photograph, in the capture's own frame."""
+    """Write cameras.json, capture frame: every view with its photograph, bounds and ground."""
     folder = paths.stage("capture")
     views = []
     for view in capture.views:
         photo = os.path.relpath(view_path(folder, view.name), paths.cameras.parent)
         views.append({**plain_view(view), "image": Path(photo).as_posix()})
-    bounds = {"centre": capture.bounds.centre.tolist(), "radius": capture.bounds.radius}
-    write_json(paths.cameras, {"views": views, "bounds": bounds})
+    centre, radius = capture.bounds.centre, capture.bounds.radius
+    table: dict[str, Any] = {
+        "views": views,
+        "bounds": {"centre": centre.tolist(), "radius": radius},
+    }
+    if paths.ground.is_file():
+        plane = stored_facts(paths.ground, _GROUND)
+        away = sum(n * c for n, c in zip(plane["normal"], centre.tolist(), strict=True))
+        table["ground"] = plane | {"offset": radius * plane["offset"] + away}
+    write_json(paths.cameras, table)
 
 
 def _render(
@@ -166,9 +177,9 @@ def _render(
 
 
 def _remove_old_renders(paths: JobPaths) -> None:
-    """Forget what Blender made of an earlier asset; pictures the user asked for stay."""
+    """Forget what Blender made of an earlier asset; views the user had rendered stay."""
     paths.scene.unlink(missing_ok=True)
-    for prefix in (_RERENDER, _RELIT):
+    for prefix in (_RERENDER, _RELIT, _LIGHTS):
         for file in paths.renders.glob(f"{prefix}*.png"):
             file.unlink()
 

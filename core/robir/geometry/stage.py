@@ -19,6 +19,7 @@ from robir.geometry.fit.field_preview import Preview, Renderer
 from robir.geometry.fit.held_out import save_field_views
 from robir.geometry.fit.optimise import fit
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
+from robir.geometry.ground.plane import SupportPlane
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler
 from robir.geometry.remask import remasked
@@ -29,7 +30,7 @@ from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import write_json
 from robir.steps import Course, Step, check_left_out
 
-REVISION = 30
+REVISION = 31
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
@@ -84,6 +85,10 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     surface.mesh.save(folder / "mesh.npz")
     write_json(folder / "choices.json", [choice.plain() for choice in surface.choices])
     write_json(context.paths.idle_steps("geometry"), surface.idle)
+    if surface.ground is not None:
+        normal = surface.ground.axes[2]
+        plane = {"normal": normal.tolist(), "offset": float(normal @ surface.ground.origin)}
+        write_json(context.paths.ground, plane)
     metrics = surface.metrics
     if trial.turns.any():
         metrics |= _tell(context, trial)
@@ -117,12 +122,14 @@ class Surface:
         metrics: For the stage's manifest.
         choices: What was chosen, for the report.
         idle: Names of the steps that changed nothing.
+        ground: The flat ground that the mesh shows too; None where it shows none.
     """
 
     mesh: Mesh
     metrics: dict[str, float | str]
     choices: tuple[Choice, ...]
     idle: tuple[str, ...]
+    ground: SupportPlane | None
 
 
 def reconstruct(
@@ -174,14 +181,18 @@ def reconstruct(
         reporter.progress(0.86, "cleaning the mesh")
         dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
     mesh = finished(dense, config.unwrap_seconds, reporter.warn, course)
-    has_ground = settling.backdrop is not None and not rival.leads
+    backdrop = None if rival.leads else settling.backdrop
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
-        "ground": "flattened" if has_ground else "none",
+        "ground": "none" if backdrop is None else "flattened",
         "surface": "stereo" if rival.leads else "field",
     }
     return Surface(
-        mesh=mesh, metrics=metrics, choices=rival.choices, idle=tuple(course.idle(STEPS))
+        mesh=mesh,
+        metrics=metrics,
+        choices=rival.choices,
+        idle=tuple(course.idle(STEPS)),
+        ground=None if backdrop is None else backdrop.ground.columns.plane,
     )

@@ -106,6 +106,11 @@ class JobPaths:
         return self.stage(name) / "idle_steps.json"
 
     @property
+    def ground(self) -> Path:
+        """Plane of the flat ground that the mesh shows, unit frame; else absent."""
+        return self.stage("geometry") / "ground.json"
+
+    @property
     def turned_cameras(self) -> Path:
         """Poses of the views where the geometry stage found the given ones wrong; else absent."""
         return self.stage("geometry") / "cameras.json"
@@ -178,6 +183,14 @@ class JobPaths:
     def rerender(self, view: str) -> Path:
         """Cycles picture of a view under the recovered light; absent where none was rendered."""
         return self.renders / f"rerender_{view}.png"
+
+    def light_picture(self, light: str) -> Path:
+        """Small Cycles picture of the asset under a light; absent where none was rendered.
+
+        Args:
+            light: Stem of an environment's file, or "" for the recovered light.
+        """
+        return self.renders / f"light_{light or 'recovered'}.png"
 
     @property
     def report(self) -> Path:

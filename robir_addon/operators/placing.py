@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Real size and place of a result, and its ground or surroundings taken away."""
+
+import bpy
+from bpy.props import FloatProperty, FloatVectorProperty
+from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+from mathutils import Vector
+
+from ..errors import RequestError, ResultError
+from ..importer import asset_of, read_cameras
+from ..materials import is_edited, mark_as_imported
+from ..placing import (
+    GROUND_SHARE,
+    delete_faces,
+    faces_of_ground,
+    faces_outside,
+    scale_result,
+    stand,
+)
+from ..ruler import Ruler
+from .shared import ImportedOperator, result_paths, result_root
+
+
+class _PlacingOperator(ImportedOperator):
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Where a result is in the file, but not in edit mode."""
+        if not super().poll(context):
+            return False
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave the present mode for Object Mode first")
+            return False
+        return True
+
+    def asset(self, context: bpy.types.Context) -> bpy.types.Object:
+        """The imported object."""
+        asset = asset_of(result_root(context))
+        if asset is None:
+            raise ResultError("the object is not in this file; import the result again")
+        return asset
+
+
+class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
+    """Two points of the object and how far apart they are."""
+
+    bl_idname = "robir.set_real_size"
+    bl_label = "Set Real Size"
+    bl_description = (
+        "Click two points of the object and say how far apart they are; cameras and lamps go "
+        "along, and the object's scale stays 1"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    first: FloatVectorProperty(
+        name="First point", description="A point of the object, world", options={"SKIP_SAVE"}
+    )
+    second: FloatVectorProperty(
+        name="Second point", description="Another point, world", options={"SKIP_SAVE"}
+    )
+    length: FloatProperty(
+        name="Length",
+        description="How far apart both points are in reality",
+        subtype="DISTANCE",
+        unit="LENGTH",
+        min=0.0,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Let the user click two points."""
+        try:
+            self._asset_name = self.asset(context).name
+        except ResultError as error:
+            return self.refuse(context, str(error))
+        self._ruler = Ruler("Click a point of the object; Esc leaves all as it is")
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Take clicks on the object, and ask for the length after the second."""
+        if event.type in {"ESC", "RIGHTMOUSE"}:
+            self._ruler.remove()
+            return {"CANCELLED"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"}
+        asset = context.scene.objects.get(self._asset_name)
+        point = None if asset is None else _point_under_mouse(context, event, asset)
+        if point is None:
+            return {"RUNNING_MODAL"}
+        self._ruler.add(point)
+        if len(self._ruler.points) < 2:
+            self._ruler.say("Click the other point")
+            return {"RUNNING_MODAL"}
+        self.first, self.second = self._ruler.points
+        self.length = (self._ruler.points[1] - self._ruler.points[0]).length
+        self._ruler.remove()
+        return context.window_manager.invoke_props_dialog(self)
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The one question."""
+        self.layout.prop(self, "length")
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Scale."""
+        asset = self.asset(context)
+        measured = (Vector(self.second) - Vector(self.first)).length
+        if measured <= 0.0 or self.length <= 0.0:
+            raise RequestError("no length was given; click two points apart and say how far")
+        was_edited = is_edited(asset)
+        scale_result(asset, self.length / measured)
+        if not was_edited:
+            mark_as_imported(asset)
+        context.view_layer.update()
+        size = max(asset.dimensions)
+        self.report({"INFO"}, f"{asset.name} is {size:.4g} units in its longest direction")
+
+
+class ROBIR_OT_stand_on_floor(_PlacingOperator, bpy.types.Operator):
+    """Origin at the foot, foot at the world's origin."""
+
+    bl_idname = "robir.stand_on_floor"
+    bl_label = "Stand on Floor"
+    bl_description = (
+        "Put the object's origin to its foot and that to the middle of the floor; cameras and "
+        "lamps go along"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Move."""
+        asset = self.asset(context)
+        was_edited = is_edited(asset)
+        stand(asset)
+        if not was_edited:
+            mark_as_imported(asset)
+
+
+class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
+    """The ground that the object was photographed on, taken away."""
+
+    bl_idname = "robir.drop_ground"
+    bl_label = "Drop Ground"
+    bl_description = (
+        "Delete the ground that was photographed with the object; it is open where it stood"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    height: FloatProperty(
+        name="Height",
+        description="Share of the object's radius above the ground up to which all is ground",
+        default=GROUND_SHARE,
+        min=0.0,
+        soft_max=0.2,
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Delete its faces."""
+        table = read_cameras(result_paths(context))
+        plane = table.get("ground")
+        if plane is None:
+            raise ResultError(
+                "this result has no flat ground; Crop to Box takes away what is not wanted"
+            )
+        asset, most = self.asset(context), self.height * table["bounds"]["radius"]
+        delete_faces(asset, faces_of_ground(asset, plane["normal"], plane["offset"], most))
+
+
+class ROBIR_OT_crop_to_box(_PlacingOperator, bpy.types.Operator):
+    """What lies outside the object box, taken away."""
+
+    bl_idname = "robir.crop_to_box"
+    bl_label = "Crop to Box"
+    bl_description = "Delete what lies outside the object box of the panel Capture"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Delete its faces."""
+        box = context.scene.robir.box
+        if box is None:
+            raise RequestError("there is no object box; add one in the panel Capture and place it")
+        asset = self.asset(context)
+        delete_faces(asset, faces_outside(asset, box))
+
+
+def _point_under_mouse(
+    context: bpy.types.Context, event: bpy.types.Event, asset: bpy.types.Object
+) -> Vector | None:
+    """The point of the object under the mouse, world; None where there is none."""
+    for area in context.screen.areas if context.screen else ():
+        if area.type != "VIEW_3D":
+            continue
+        region = next(region for region in area.regions if region.type == "WINDOW")
+        place = Vector((event.mouse_x - region.x, event.mouse_y - region.y))
+        if not (0 <= place.x < region.width and 0 <= place.y < region.height):
+            continue
+        view = area.spaces.active.region_3d
+        origin = region_2d_to_origin_3d(region, view, place)
+        towards = region_2d_to_vector_3d(region, view, place)
+        into = asset.matrix_world.inverted()
+        start = into @ origin
+        is_hit, point, _, _ = asset.ray_cast(start, (into @ (origin + towards)) - start)
+        if is_hit:
+            return asset.matrix_world @ point
+    return None
+
+
+CLASSES = (
+    ROBIR_OT_set_real_size,
+    ROBIR_OT_stand_on_floor,
+    ROBIR_OT_drop_ground,
+    ROBIR_OT_crop_to_box,
+)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A result in its real size and place, without its ground, and what a newer one keeps of that."""
+
+import numpy as np
+import pytest
+from addon.blenders import run
+from addon.test_result_operators import COMMON
+from evaluation import sphere_run
+
+from robir.capture.store import load_capture
+from robir.export.stage import export_cameras
+from robir.jobs.paths import read_json, write_json
+
+pytestmark = pytest.mark.blender
+
+HIGH = 0.5
+"""Height of the ground in the test above the sphere's middle, unit frame."""
+
+PLACE = """
+def where(asset):
+    corners = [v.co[:] for v in asset.data.vertices]
+    bpy.context.view_layer.update()
+    world = [asset.matrix_world @ v.co for v in asset.data.vertices]
+    return {
+        "low": [min(p[k] for p in world) for k in range(3)],
+        "high": [max(p[k] for p in world) for k in range(3)],
+        "scale": list(asset.scale),
+        "origin": list(asset.matrix_world.translation),
+        "faces": len(asset.data.polygons),
+        "normal": list(asset.data.corner_normals[0].vector),
+        "cameras": {
+            o.name: list(o.location) for o in bpy.data.objects if o.type == "CAMERA"
+        },
+    }
+
+
+def main(archive, result):
+    install(archive)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    bpy.ops.ed.undo_push(message="start")
+    answer = {"early": call("drop_ground")}
+    call("import_result", directory=result)
+    scene = bpy.context.scene
+    asset = bpy.context.object
+    answer["imported"] = where(asset)
+    answer["no length"] = call("set_real_size", first=(0, 0, 0), second=(0, 0, 0), length=1.0)
+    answer["sized"] = [
+        call("set_real_size", first=(0, 0, 0), second=(0, 0.5, 0), length=1.5), where(asset)]
+    answer["size"] = max(asset.dimensions)
+    answer["stood"] = [call("stand_on_floor"), where(asset)]
+    answer["refreshed"] = [call("refresh_result"), where(asset)]
+    answer["again"] = [call("import_result"), where(asset)]  # not edited: nobody is asked
+    answer["dropped"] = [call("drop_ground", height=0.0), where(asset)]
+    answer["edited"] = call("import_result")
+    answer["nothing"] = call("drop_ground", height=0.0)
+    answer["no box"] = call("crop_to_box")
+    box = bpy.data.objects.new("box", None)
+    scene.collection.objects.link(box)
+    box.empty_display_size, box.location = 10.0, (10.0, 0.0, 0.0)
+    scene.robir.box = box
+    bpy.context.view_layer.update()
+    answer["cropped"] = [call("crop_to_box"), where(asset)]
+    bpy.ops.ed.undo()
+    answer["undone"] = len(bpy.context.object.data.polygons)
+    return answer
+"""
+
+
+@pytest.fixture
+def on_ground(result):
+    """The sphere's result, ground said to lie across it."""
+    write_json(result.ground, {"normal": [0.0, 0.0, 1.0], "offset": HIGH})
+    export_cameras(result, load_capture(result.stage("capture")))
+    return result
+
+
+def test_a_result_is_sized_placed_and_freed_of_its_ground(
+    blender, extension_zip, on_ground, tmp_path
+):
+    ground = read_json(on_ground.cameras)["ground"]
+    assert ground["offset"] == pytest.approx(sphere_run.CENTRE[2] + HIGH * sphere_run.RADIUS)
+    answer = run(
+        blender, COMMON + PLACE, str(extension_zip), str(on_ground.root), user=tmp_path / "user"
+    )
+    assert "Import a result first" in answer["early"]
+    assert "no length was given" in answer["no length"]
+    before, (done, sized) = answer["imported"], answer["sized"]
+    assert done == ["FINISHED"]
+    assert answer["size"] == pytest.approx(6 * sphere_run.SPHERE * sphere_run.RADIUS, rel=0.01)
+    # three times as large about the object's origin, which is the capture's
+    np.testing.assert_allclose(sized["low"], 3 * np.array(before["low"]), atol=1e-5)
+    np.testing.assert_allclose(sized["high"], 3 * np.array(before["high"]), atol=1e-5)
+    assert sized["scale"] == [1.0, 1.0, 1.0] and sized["origin"] == before["origin"]
+    for name, place in before["cameras"].items():
+        np.testing.assert_allclose(sized["cameras"][name], 3 * np.array(place), atol=1e-5)
+    stood = answer["stood"][1]
+    side = 3 * sphere_run.SPHERE * sphere_run.RADIUS
+    np.testing.assert_allclose(stood["low"], [-side, -side, 0.0], atol=0.02 * side)
+    np.testing.assert_allclose(stood["high"], [side, side, 2 * side], atol=0.02 * side)
+    assert stood["origin"] == [0.0, 0.0, 0.0]
+    moved = np.array(stood["low"]) - sized["low"]
+    for name, place in sized["cameras"].items():
+        np.testing.assert_allclose(stood["cameras"][name], place + moved, atol=1e-4)
+    for later in ("refreshed", "again"):
+        done, there = answer[later]
+        assert done == ["FINISHED"]
+        for key in ("low", "high", "normal"):
+            np.testing.assert_allclose(there[key], stood[key], atol=1e-4)
+        assert there["cameras"].keys() == stood["cameras"].keys()
+        for name, place in stood["cameras"].items():
+            np.testing.assert_allclose(there["cameras"][name], place, atol=1e-4)
+    dropped = answer["dropped"][1]
+    level = side + 3 * HIGH * sphere_run.RADIUS
+    row = np.pi / 24 * side
+    assert level - row < dropped["low"][2] < level + row
+    assert dropped["high"][2] == pytest.approx(stood["high"][2])
+    assert 0 < dropped["faces"] < 0.4 * stood["faces"]
+    np.testing.assert_allclose(np.linalg.norm(dropped["normal"]), 1.0, atol=1e-3)
+    assert "edited and would be lost" in answer["edited"]
+    assert "nothing of the object to delete" in answer["nothing"]
+    assert "no object box" in answer["no box"]
+    cropped = answer["cropped"][1]
+    assert cropped["low"][0] > -row and cropped["high"][0] == pytest.approx(dropped["high"][0])
+    assert answer["undone"] == dropped["faces"]
