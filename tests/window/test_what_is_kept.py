@@ -42,6 +42,28 @@ answer = [min(p.x for p in seen), max(p.x for p in seen), side.x - whole.x,
 """Where a thing lies in the viewport, and where the sidebar begins."""
 
 
+SEEN_FACES = """
+from bpy_extras.view3d_utils import location_3d_to_region_2d as project
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+whole = next(r for r in area.regions if r.type == "WINDOW")
+view = area.spaces.active.region_3d
+thing = {thing}
+into, back = thing.matrix_world.inverted(), view.view_matrix.inverted()
+eye, found = into @ back.translation, []
+for face in thing.data.polygons[::7]:
+    hit, point, _, _ = thing.ray_cast(eye, face.center - eye)
+    if hit and (point - face.center).length < 1e-4:
+        found.append(thing.matrix_world @ face.center)
+found = [min(found, key=lambda p: p.x), max(found, key=lambda p: p.x)]
+seen = [project(whole, view, point) for point in found]
+answer = [
+    [[round(whole.x + p.x), round(window.height - whole.y - p.y)] for p in seen],
+    [list(point) for point in found],
+]
+"""
+"""Two faces of a thing that are seen: their pixels on the screen, and their points."""
+
+
 @pytest.fixture(scope="module")
 def window(
     screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
@@ -120,6 +142,25 @@ def test_a_refresh_keeps_what_was_done(window: BlenderWindow) -> None:
         "next(n for n in bpy.context.scene.world.node_tree.nodes if n.type == 'TEX_ENVIRONMENT')"
     )
     assert "forest" in window.get(f"{image}.image.name")
+
+
+def test_the_real_size_is_told_by_two_clicks(window: BlenderWindow) -> None:
+    window.run(f"{OBJECT}.modifiers.clear()")
+    places, points = window.run(SEEN_FACES.format(thing=OBJECT))
+    window.run("bpy.ops.robir.set_real_size('INVOKE_DEFAULT')")
+    for place in places:
+        window.screen.click(*place)
+        time.sleep(0.4)
+    window.picture("real_size")
+    window.screen.key("Return")
+    window.wait_until("len(bpy.context.window_manager.operators)", 5.0)
+    last = "bpy.context.window_manager.operators[-1]"
+    assert window.get(f"{last}.bl_idname") == "ROBIR_OT_set_real_size"
+    clicked = [window.get(f"list({last}.properties.{name})") for name in ("first", "second")]
+    across = sum((a - b) ** 2 for a, b in zip(*points, strict=True)) ** 0.5
+    for point, wanted in zip(clicked, points, strict=True):
+        assert point == pytest.approx(wanted, abs=0.05 * across)
+    assert window.get(f"{last}.properties.length") == pytest.approx(across, rel=0.1)
 
 
 def test_an_edited_mesh_is_asked_about(window: BlenderWindow) -> None:
