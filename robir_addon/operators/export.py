@@ -8,13 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..asset import make_asset
 from ..errors import RequestError, ResultError
 from ..importer import asset_of, mark_of
 from ..lights import lamps_of
+from ..reducing import levels_of_detail, reduced
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 
 
@@ -41,7 +42,33 @@ class _SaveAs(ExportHelper):
         return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
 
 
-class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
+class _Sized:
+    """How much of the object goes into a file."""
+
+    most_faces: IntProperty(
+        name="Faces",
+        description="Triangles at most; 0 keeps all",
+        default=0,
+        min=0,
+        soft_max=1_000_000,
+        options={"SKIP_SAVE"},
+    )
+    texture_side: EnumProperty(
+        name="Textures",
+        description="Longer side of the textures at most",
+        items=(
+            ("0", "As They Are", "Keep the textures' own size"),
+            *(
+                (str(side), f"{side} px", f"At most {side} pixels")
+                for side in (512, 1024, 2048, 4096)
+            ),
+        ),
+        default="0",
+        options={"SKIP_SAVE"},
+    )
+
+
+class ROBIR_OT_export_glb(_SaveAs, _Sized, ResultOperator, bpy.types.Operator):
     """The object as it stands in the scene, or, before it is imported, as it was reconstructed."""
 
     bl_idname = "robir.export_glb"
@@ -50,27 +77,36 @@ class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
         "Save the object as glTF binary, with what you have changed: place, modifiers, material. "
         "Before the import, the reconstruction's own file. The format knows no environment light"
     )
-    bl_options = {"REGISTER"}
+    bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ".glb"
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
+    levels: IntProperty(
+        name="Levels of Detail",
+        description="Files to write, each with a quarter of the faces of the one before",
+        default=1,
+        min=1,
+        max=5,
+        options={"SKIP_SAVE"},
+    )
 
     def work(self, context: bpy.types.Context) -> None:
         """Write the present object; without one copy the file that the export stage made."""
         asset = asset_of(result_root(context))
         if asset is not None:
-            target = self.target()
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with _selected(context.view_layer, [asset]):
-                bpy.ops.export_scene.gltf(
-                    filepath=str(target),
-                    export_format="GLB",
-                    use_selection=True,
-                    export_apply=True,
-                    export_animations=False,
-                )
-            self.report({"INFO"}, f"Saved {target.name}, the object as it stands in the scene")
+            levels = levels_of_detail(asset, self.most_faces, self.levels)
+            for level, faces in enumerate(levels):
+                target = self.target()
+                if level:
+                    target = target.with_stem(f"{target.stem}_LOD{level}")
+                with reduced(asset, faces, int(self.texture_side)):
+                    _write_glb(context.view_layer, asset, target)
+            more = f" and {len(levels) - 1} coarser ones" if len(levels) > 1 else ""
+            name = self.target().name
+            self.report({"INFO"}, f"Saved {name}, the object as it stands in the scene{more}")
             return
+        if self.most_faces or self.texture_side != "0" or self.levels > 1:
+            raise ResultError("import the result first; its own file is saved as it is")
         source = result_paths(context).asset
         if not source.is_file():
             raise ResultError(f"{source.name} is missing; export the result again")
@@ -78,7 +114,19 @@ class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
         self.report({"INFO"}, f"Saved {self.target().name}")
 
 
-class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
+def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with _selected(layer, [asset]):
+        bpy.ops.export_scene.gltf(
+            filepath=str(target),
+            export_format="GLB",
+            use_selection=True,
+            export_apply=True,
+            export_animations=False,
+        )
+
+
+class ROBIR_OT_export_usd(_SaveAs, _Sized, ImportedOperator, bpy.types.Operator):
     """The imported object with its present light."""
 
     bl_idname = "robir.export_usd"
@@ -109,7 +157,11 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
         lamps = [lamp for lamp in lamps_of(mark_of(root)) if not lamp.hide_viewport]
         target = self.target()
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _selected(context.view_layer, [asset, *lamps]):
+        (faces,) = levels_of_detail(asset, self.most_faces, 1)
+        with (
+            reduced(asset, faces, int(self.texture_side)),
+            _selected(context.view_layer, [asset, *lamps]),
+        ):
             bpy.ops.wm.usd_export(
                 filepath=str(target),
                 selected_objects_only=True,

@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from addon.blenders import run
 from addon.test_result_operators import COMMON
 from evaluation import sphere_run
+from PIL import Image
 
 from robir.capture.store import load_capture
 from robir.export.stage import export_cameras
@@ -123,3 +125,46 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
     cropped = answer["cropped"][1]
     assert cropped["low"][0] > -row and cropped["high"][0] == pytest.approx(dropped["high"][0])
     assert answer["undone"] == dropped["faces"]
+
+
+LEVELS = """
+def main(archive, result, out):
+    install(archive)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    bpy.context.scene.robir.result = result
+    answer = {"early": call("export_glb", filepath=out + "/a.glb", levels=2)}
+    call("import_result", directory=result)
+    asset = bpy.context.object
+    before = census()
+    answer["levels"] = call("export_glb", filepath=out + "/a.glb", levels=3, most_faces=1000,
+                            texture_side="512")
+    answer["small"] = call("export_glb", filepath=out + "/small.glb", texture_side="1024")
+    answer["left"] = [before, census(), [m.name for m in asset.modifiers], len(asset.data.polygons)]
+    return answer
+"""
+
+
+def test_levels_of_detail_are_files_of_fewer_faces(own_blender, extension_zip, result, tmp_path):
+    """Read by trimesh; the sphere's textures of 128 pixels are made larger first."""
+    for file in result.textures.glob("*.png"):
+        with Image.open(file) as image:
+            image.resize((1024, 1024), Image.Resampling.NEAREST).save(file)
+    files = (str(extension_zip), str(result.root), str(tmp_path))
+    answer = run(own_blender, COMMON + LEVELS, *files, user=tmp_path / "user")
+    assert "import the result first" in answer["early"]
+    assert answer["levels"] == answer["small"] == ["FINISHED"]
+    before, after, modifiers, faces = answer["left"]
+    assert (before, modifiers, faces) == (after, [], len(sphere_run.sphere_mesh().faces))
+    found = {}
+    for file in tmp_path.glob("*.glb"):
+        (mesh,) = trimesh.load(file, process=False).geometry.values()
+        found[file.name] = (len(mesh.faces), mesh.visual.material.baseColorTexture.size)
+        distance = np.linalg.norm(mesh.vertices - mesh.vertices.mean(0), axis=1)
+        assert distance == pytest.approx(sphere_run.SPHERE * sphere_run.RADIUS, rel=0.2)
+    assert found.keys() == {"a.glb", "a_LOD1.glb", "a_LOD2.glb", "small.glb"}
+    for name, most in (("a.glb", 1000), ("a_LOD1.glb", 250), ("a_LOD2.glb", 62)):
+        count, size = found[name]
+        assert 0.7 * most < count <= most + 2
+        assert size == (512, 512)
+    assert found["small.glb"] == (faces, (1024, 1024))
