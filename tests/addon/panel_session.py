@@ -6,6 +6,7 @@ Runs inside Blender after the text of recording.py, whose names it uses.
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -127,6 +128,21 @@ def relit(settings, state, result):
     bpy.ops.robir.use_studio_light(light="forest")
 
 
+def pictured(settings, state, result):
+    folder = Path(tempfile.mkdtemp())
+    shutil.copytree(result, folder, dirs_exist_ok=True)
+    (folder / "renders").mkdir(exist_ok=True)
+    for light in ("recovered", "city", "forest"):
+        image = bpy.data.images.new(light, 8, 8)
+        image.filepath_raw = str(folder / "renders" / f"light_{light}.png")
+        image.file_format = "PNG"
+        image.save()
+        bpy.data.images.remove(image)
+    bpy.ops.robir.import_result(directory=str(folder))
+    pictures = import_module(f"{MODULE}.light_pictures").light_pictures(settings.result)
+    assert set(pictures) == {"", "city", "forest"}, pictures
+
+
 def doubtful(settings, state, result):
     folder = Path(tempfile.mkdtemp())
     report = json.loads((Path(result) / "report" / "report.json").read_text())
@@ -171,8 +187,8 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, offline, done, relit, doubtful, unreadable, damaged, filming, installing,
-        checking, engine_checked,
+        stopped, failed, offline, done, relit, pictured, doubtful, unreadable, damaged, filming,
+        installing, checking, engine_checked,
     )
 }  # fmt: skip
 

@@ -107,6 +107,7 @@ def test_the_button_that_is_needed_is_there(seen):
         "stopped": "dismiss",
         "offline": "allow_online",
         "done": "use_studio_light",
+        "pictured": "use_recovered_light",
         "installing": "cancel_install",
         "unreadable": "import_result",
     }
@@ -153,7 +154,7 @@ def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
         "add_preset", "allow_online", "cancel_install", "cancel_reconstruct", "check_engine",
         "copy_report", "dismiss", "export_glb", "export_textures", "export_usd",
-        "install_engine", "open_report", "remove_engine", "turntable",
+        "install_engine", "open_report", "picture_lights", "remove_engine", "turntable",
     }  # fmt: skip
     undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
     assert undone == set(seen["operators"]) - looks_only
