@@ -7,7 +7,14 @@ here imports Blender, and nothing ever installs into Blender's Python.
 
 from .errors import EngineError
 from .existing import Facts, inspect, interpreter
-from .places import Place, bundled_wheel, clean_environment, constraints, worker_command
+from .places import (
+    Place,
+    base_python,
+    bundled_wheel,
+    clean_environment,
+    constraints,
+    worker_command,
+)
 from .states import Status, read_record, status, wheel_version
 
 __all__ = [
@@ -15,6 +22,7 @@ __all__ = [
     "Facts",
     "Place",
     "Status",
+    "base_python",
     "bundled_wheel",
     "clean_environment",
     "constraints",

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import EngineError
-from .places import IS_WINDOWS, clean_environment, python_in
-
-OLDEST = (3, 11)
+from .places import IS_WINDOWS, OLDEST, clean_environment, python_in
 
 QUIETLY = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 """Keeps Windows from opening a console for a subprocess."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the managed engine: a virtual environment of Blender's Python with torch and the core.
+"""Makes the managed engine: a virtual environment of the running Python with torch and the core.
 
 Run apart from Blender (`places.worker_command`). Standard output carries JSON lines {"progress":
 0..1, "message": ...}, and at the end {"installed": {...}} or {"error": ..., "cure": ...}; an error
@@ -138,7 +138,7 @@ def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress)
     if importlib.util.find_spec("ensurepip") is None:
         release = "{}.{}".format(*sys.version_info[:2])
         raise EngineError(
-            "Blender's Python has no ensurepip to make an environment with",
+            f"{sys.executable} has no ensurepip to make an environment with",
             f"install it (on Debian and Ubuntu the package python{release}-venv), then "
             f"{INSTALL}, or {CHOOSE_EXISTING}",
         )
@@ -148,7 +148,7 @@ def _environment_with_pip(place: Place, wheels: Path | None, progress: Progress)
     except subprocess.CalledProcessError as fault:
         said = (fault.output or b"").decode(errors="replace").strip().splitlines() or [""]
         raise EngineError(
-            f"Blender's Python cannot make an environment ({said[-1]})", CHOOSE_EXISTING
+            f"{sys.executable} cannot make an environment ({said[-1]})", CHOOSE_EXISTING
         ) from fault
     place.whole.touch()
     return Pip(place, wheels)

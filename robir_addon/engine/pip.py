@@ -14,7 +14,7 @@ from pathlib import Path
 
 from .errors import EngineError
 from .existing import QUIETLY
-from .places import CHOOSE_EXISTING, Place, clean_environment
+from .places import CHOOSE_EXISTING, NEWEST, OLDEST, Place, clean_environment
 from .states import GO_ON
 
 Progress = Callable[[float, str], None]
@@ -191,10 +191,11 @@ class Pip:
         if lacking:
             release = "{}.{}".format(*sys.version_info[:2])
             return EngineError(
-                f"nobody offers {', '.join(lacking)} for Python {release}, Blender's own, on this "
-                "system",
-                "make an environment of Python 3.11 to 3.13 with robir in it, and "
-                f"{CHOOSE_EXISTING}",
+                f"nobody offers {', '.join(lacking)} for Python {release} on this system",
+                "make an environment of Python {}.{} to {}.{} with robir in it, and ".format(
+                    *OLDEST, *NEWEST
+                )
+                + CHOOSE_EXISTING,
             )
         errors = [line for line in tail if line.startswith("ERROR:")] or list(tail)[-1:]
         said = errors[-1].removeprefix("ERROR: ") if errors else "it says nothing"

@@ -2,6 +2,8 @@
 """Names of the engine's files, and what its subprocesses may inherit."""
 
 import os
+import shutil
+import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +14,9 @@ from .errors import EngineError
 IS_WINDOWS = os.name == "nt"
 
 CHOOSE_EXISTING = "choose an existing environment in the add-on's preferences"
+
+OLDEST, NEWEST = (3, 11), (3, 13)
+"""Releases of Python for which all that the engine consists of is offered."""
 
 _ADDON = Path(__file__).parents[1]
 
@@ -119,16 +124,76 @@ def clean_environment(environment: Mapping[str, str] = os.environ) -> dict[str, 
     }
 
 
-def worker_command(*words: str, module: str = "install") -> list[str]:
-    """Command that runs a module of this package in Blender's Python, apart from Blender.
+def worker_command(*words: str, module: str = "install", python: Path | None = None) -> list[str]:
+    """Command that runs a module of this package apart from Blender.
+
+    Args:
+        *words: Given to the module.
+        module: Its name.
+        python: Interpreter; None takes Blender's own.
 
     Raises:
         EngineError: If this Blender has no Python to run.
     """
-    if not Path(sys.executable or "").stem.lower().startswith("python"):
+    if python is None:
+        python = _own_python()
+    if python is None:
         raise EngineError("this Blender comes without a Python to run", CHOOSE_EXISTING)
     boot = (
         f"import sys; sys.path.append(sys.argv.pop(1)); from engine.{module} import main; "
         "raise SystemExit(main())"
     )
-    return [sys.executable, "-I", "-c", boot, str(_ADDON), *words]
+    return [str(python), "-I", "-c", boot, str(_ADDON), *words]
+
+
+def base_python() -> Path:
+    """The Python that the engine's environment is made of.
+
+    Blender's own, or, as the engine is a process of its own anyway, one that this machine has
+    besides where the engine's parts are not offered for Blender's.
+
+    Raises:
+        EngineError: If there is none; what to install is the cure.
+    """
+    own = _own_python()
+    if own is not None and OLDEST <= sys.version_info[:2] <= NEWEST:
+        return own
+    for minor in range(NEWEST[1], OLDEST[1] - 1, -1):
+        found = _installed_python(minor)
+        if found is not None:
+            return found
+    release, newest = ("{}.{}".format(*version) for version in (sys.version_info, NEWEST))
+    raise EngineError(
+        f"the engine's parts are not offered for Python {release}, Blender's own",
+        f"install Python {newest} beside it (on Debian and Ubuntu the package "
+        f"python{newest}-venv, else from python.org), then press Install Engine, or "
+        f"{CHOOSE_EXISTING}",
+    )
+
+
+def _own_python() -> Path | None:
+    """Blender's Python, where it comes as a program."""
+    own = Path(sys.executable or "")
+    return own if own.stem.lower().startswith("python") else None
+
+
+def _installed_python(minor: int) -> Path | None:
+    """A Python 3.minor of this machine that can make environments; None if it has none."""
+    names = [["py", f"-3.{minor}"]] if IS_WINDOWS else [[f"python3.{minor}"]]
+    for name, *rest in names:
+        program = shutil.which(name)
+        if program is None:
+            continue
+        try:
+            said = subprocess.run(
+                [program, *rest, "-I", "-c", "import ensurepip, sys; print(sys.executable)"],
+                capture_output=True,
+                text=True,
+                timeout=20,
+                check=True,
+                env=clean_environment(),
+            )
+        except (OSError, subprocess.SubprocessError):
+            continue  # it is broken, or lacks what makes environments
+        return Path(said.stdout.strip())
+    return None

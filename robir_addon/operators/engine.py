@@ -269,10 +269,10 @@ def _install_command(context: bpy.types.Context) -> list[str]:
                 f"The folder of wheels {folder} does not exist",
                 "choose another in the add-on's preferences, or empty the field to download",
             )
-        return engine.worker_command(*words, "--wheels", str(folder))
+        return engine.worker_command(*words, "--wheels", str(folder), python=engine.base_python())
     if not bpy.app.online_access:
         raise EngineError(OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
-    return engine.worker_command(*words, "--online")
+    return engine.worker_command(*words, "--online", python=engine.base_python())
 
 
 def _check(context: bpy.types.Context, run: Run) -> None:

@@ -17,10 +17,10 @@ import pytest
 from addon.wheelhouse import CONSTRAINTS
 
 import robir
-from robir_addon.engine import EngineError, Place, inspect, interpreter
+from robir_addon.engine import EngineError, Place, inspect, interpreter, places
 from robir_addon.engine import install as installer
 from robir_addon.engine.pip import Pip, _Meter
-from robir_addon.engine.places import clean_environment, worker_command
+from robir_addon.engine.places import base_python, clean_environment, worker_command
 from robir_addon.engine.states import Record, read_record, write_record
 
 
@@ -110,6 +110,44 @@ def test_a_blender_without_a_python(monkeypatch, executable):
     monkeypatch.setattr(sys, "executable", executable)
     with pytest.raises(EngineError, match="without a Python to run; choose an existing"):
         worker_command()
+
+
+@pytest.fixture
+def too_new(monkeypatch, tmp_path):
+    """Blender's Python is one that the engine's parts are not offered for; PATH is a folder."""
+    monkeypatch.setattr(places, "NEWEST", (3, 10))
+    monkeypatch.setattr(places, "OLDEST", (3, 8))
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+    def install(release: str, code: str) -> Path:
+        program = tmp_path / f"python{release}"
+        program.write_text(f"#!/bin/sh\n{code}\n")
+        program.chmod(0o755)
+        return program
+
+    return install
+
+
+def test_an_engine_of_another_python_where_blenders_is_too_new(too_new):
+    too_new("3.10", "exit 1")  # one without ensurepip
+    too_new("3.9", f'exec "{sys.executable}" "$@"')
+    too_new("3.8", "echo never asked")
+    assert base_python() == Path(sys.executable)
+    command = worker_command("--help", python=base_python())
+    said = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "--torch" in said.stdout
+
+
+def test_what_to_install_is_said_where_no_other_python_is_there(too_new):
+    with pytest.raises(
+        EngineError, match="Python {}.{}, Blender's own".format(*sys.version_info)
+    ) as fault:
+        base_python()
+    assert "python3.10-venv" in fault.value.cure
+
+
+def test_blenders_own_python_is_taken_where_it_fits():
+    assert base_python() == Path(sys.executable)
 
 
 CPU_LABEL = ["--no-deps", "--index-url", installer.CPU_INDEX]
