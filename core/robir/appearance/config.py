@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from robir.errors import ConfigError
 
-FAMILIES = ("standard", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
+FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
 """Candidates, simplest first."""
 
 KNOWN_FAMILIES = (*FAMILIES, "log")

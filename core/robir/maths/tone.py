@@ -24,6 +24,7 @@ from robir.maths.tone_curve import (
 )
 from robir.maths.tone_formula import (
     AcesToneCurve,
+    CameraToneCurve,
     KhronosNeutralToneCurve,
     LogToneCurve,
     StandardToneCurve,
@@ -37,6 +38,7 @@ __all__ = [
     "AbstractToneCurve",
     "AcesToneCurve",
     "AgxToneCurve",
+    "CameraToneCurve",
     "FilmicToneCurve",
     "KhronosNeutralToneCurve",
     "LogToneCurve",
@@ -64,6 +66,7 @@ def families() -> tuple[AbstractToneCurve, ...]:
     tables = load_tables()
     return (
         StandardToneCurve(),
+        CameraToneCurve(),
         FilmicToneCurve(tables),
         KhronosNeutralToneCurve(),
         AgxToneCurve(tables),

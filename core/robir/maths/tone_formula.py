@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tone curves given by formulas: Standard, a sigmoid, RobIR's ACES, Khronos PBR Neutral.
+"""Tone curves given by formulas: Standard, a camera's, a sigmoid, RobIR's ACES, Khronos Neutral.
 
 The two of Blender repeat Blender 4.5, its table interpolation included, so that a curve found here
 is the view transform to select there.
@@ -45,6 +45,68 @@ class StandardToneCurve(AbstractToneCurve):
     def linear_from_display(self, rgb_display: Tensor) -> Tensor:
         """See AbstractToneCurve."""
         return linear_from_srgb(rgb_display.clamp(0.0, 1.0))
+
+
+class CameraToneCurve(AbstractToneCurve):
+    """What a camera does: the mean of 201 measured responses, per channel, clipped at 1.
+
+    display = x^q(x), q(x) = 0.665 - 1.123 x + 1.632 x^2 - 0.896 x^3: our fit to the published mean,
+    within 0.002 of it, in the form of Ng, Chang and Lin (CVPR 2007). Photographs of cameras have
+    more contrast than the sRGB transfer function gives: dark parts are darker, bright ones
+    brighter.
+
+    References:
+        Grossberg and Nayar, "Modeling the Space of Camera Response Functions", PAMI 2004.
+    """
+
+    name = "camera"
+    blender_view_transform = None
+    _exponent = (0.665, -1.123, 1.632, -0.896)
+    _num_corrections = 4
+
+    def __init__(self) -> None:
+        """Tabulate the response, from which the inverse starts."""
+        self._linear = torch.linspace(0.0, 1.0, 4097, dtype=torch.float64) ** 2
+        self._display = self._response(self._linear)
+
+    @property
+    def is_clipping(self) -> bool:
+        """White is a hard clip."""
+        return True
+
+    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        return self._response(rgb_linear.clamp(0.0, 1.0))
+
+    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
+        """See AbstractToneCurve."""
+        code = rgb_display.clamp(0.0, 1.0)
+        table, codes = self._linear.to(code), self._display.to(code)
+        above = torch.searchsorted(codes, code.contiguous()).clamp(1, len(codes) - 1)
+        low, high = codes[above - 1], codes[above]
+        share = (code - low) / (high - low).clamp_min(1e-12)
+        found = table[above - 1] + share * (table[above] - table[above - 1])
+        for _ in range(self._num_corrections):
+            # relative to the logarithm, in which the response is nearly straight
+            light = found.clamp_min(1e-9)
+            off = (code.clamp_min(1e-9) / self._response(light).clamp_min(1e-9)).log()
+            found = (light * (off / self._log_slope(light)).clamp(-1.0, 1.0).exp()).clamp(max=1.0)
+        return torch.where(code > 0.0, found, torch.zeros_like(found))
+
+    def _response(self, light: Tensor) -> Tensor:
+        # the floor keeps the gradient finite at black; it is 0.0003 of an 8-bit code
+        light = light.clamp_min(1e-9)
+        return light.pow(self._power(light))
+
+    def _power(self, light: Tensor) -> Tensor:
+        a, b, c, d = self._exponent
+        return a + light * (b + light * (c + light * d))
+
+    def _log_slope(self, light: Tensor) -> Tensor:
+        """Derivative of the response's logarithm by that of the light."""
+        _, b, c, d = self._exponent
+        bent = light * (b + light * (2.0 * c + light * 3.0 * d))
+        return (self._power(light) + light.log() * bent).clamp_min(0.05)
 
 
 class LogToneCurve(AbstractToneCurve):

@@ -56,6 +56,14 @@ def test_filmic_is_known_by_cross_prediction(stage):
     assert np.degrees(np.arccos(sun @ synthetic.SUN)) < 4
 
 
+def test_the_response_of_a_camera_is_known_from_the_srgb_curve(stage):
+    candidates, evidence = ranked(stage, "camera")
+    assert evidence.verdict is True
+    assert [candidate.curve.name for candidate in candidates] == ["camera", "standard"]
+    sun = candidates[0].light.axes[0]
+    assert np.degrees(np.arccos(sun @ synthetic.SUN)) < 4
+
+
 def histogram(codes: list[int]) -> Observations:
     display = np.repeat(np.array(codes, np.uint8)[:, None, None], 3, axis=2)
     return Observations(
@@ -169,6 +177,28 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
     number, lead = chosen_number(judged, names, 10, 0)
     assert names[number] == expected
     assert lead.total == plain
+
+
+@pytest.mark.parametrize(
+    ("camera", "plain", "expected"),
+    [(1.9, 3.0, "standard"), (2.1, 3.0, "camera"), (2.1, 1.0, "filmic"), (1.9, 1.0, "filmic")],
+)
+def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
+    """And then lead a shoulder in its place."""
+    names, asked = ["standard", "camera", "filmic"], []
+
+    def lead_of(index, shoulder, steps, seed):
+        asked.append((index, shoulder))
+        shadows = Lead(value=camera if (index, shoulder) == (1, 0) else plain, error=1.0)
+        return PlainLead(shoulder=names[shoulder], shadows=shadows, highlights=None)
+
+    judged = SimpleNamespace(tables=[table(score) for score in (9.0, 9.0, 10.0)], lead=lead_of)
+    number, _ = chosen_number(judged, names, 10, 0)
+    assert names[number] == expected
+    assert asked == [(1, 0), (1 if camera > 2.0 else 0, 2)]
+    assert names[chosen_number(judged, names[:2], 10, 0)[0]] == (
+        "camera" if camera > 2.0 else "standard"
+    )
 
 
 def models_of(scene, steps):

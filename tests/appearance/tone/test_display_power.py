@@ -34,7 +34,7 @@ def retoned(scene, power):
 @pytest.mark.parametrize("power", [0.5, 2.0])
 def test_the_power_of_retoned_photographs_is_found(scene, power):
     curve, light = curve_from_name("standard"), synthetic.true_light(SUN, SKY)
-    choice = choose_power(retoned(scene, power), curve, light, 0)
+    choice = choose_power(retoned(scene, power), (curve,), light, 0)
     assert choice.power == power
     assert np.argmax(choice.votes) == display_power.POWERS.index(power)
 
@@ -42,9 +42,22 @@ def test_the_power_of_retoned_photographs_is_found(scene, power):
 def test_ordinary_photographs_are_not_even_asked(scene, monkeypatch):
     monkeypatch.setattr(display_power, "fit", None)
     curve, light = curve_from_name("standard"), synthetic.true_light(SUN, SKY)
-    choice = choose_power(scene, curve, light, 0)
+    choice = choose_power(scene, (curve,), light, 0)
     assert USUAL_LEVEL[0] < choice.level < USUAL_LEVEL[1]
     assert (choice.power, choice.votes) == (1.0, ())
+
+
+def test_what_another_curve_explains_is_no_power():
+    """Dim photographs by a camera's response, darker than the sRGB curve makes them."""
+    curves = [curve_from_name(name) for name in ("standard", "camera")]
+    stage = synthetic.boxes_on_a_floor(1000)
+    dim = synthetic.scene_of(stage, 0.3 * SUN, 0.3 * SKY, curves[1], 700)
+    light = synthetic.true_light(SUN, SKY)
+    choice = choose_power(dim, curves, light, 0)
+    assert choice.level < USUAL_LEVEL[0]
+    assert choice.power == 1.0
+    alone = choose_power(dim, curves[:1], light, 0)
+    assert choice.votes[1] > alone.votes[1]
 
 
 def votes(mean, noise, count=400):

@@ -16,7 +16,7 @@ from robir.appearance.light.solver import Light, find_suns
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.display_power import PowerChoice, choose_power
 from robir.appearance.tone.gamut import unable
-from robir.appearance.tone.ranking import NEUTRAL, PLAIN, Candidate, ranked
+from robir.appearance.tone.ranking import CAMERA, NEUTRAL, PLAIN, Candidate, ranked
 from robir.appearance.tone.shoulder import PlainLead
 from robir.maths.tone import curve_from_name, powered
 from robir.maths.tone_curve import AbstractToneCurve
@@ -77,7 +77,7 @@ class ToneChoice:
         return [
             curve
             for curve in self.allowed
-            if (verdict is None or (curve.name == PLAIN) == verdict)
+            if (verdict is None or (curve.name in (PLAIN, CAMERA)) == verdict)
             and curve.name not in self.beyond
         ] or self.allowed
 
@@ -105,7 +105,8 @@ def _undo_power(state: ToneChoice) -> ToneChoice:
     scene = state.scene
     if len(state.allowed) == 1 or scene.by_camera:
         return state
-    power = choose_power(scene, state.first, state.found, state.seed)
+    rivals = [curve for curve in state.allowed if curve.name == CAMERA]
+    power = choose_power(scene, (state.first, *rivals), state.found, state.seed)
     if power.power == 1.0:
         return replace(state, power=power)
     observations = scene.transport.observations

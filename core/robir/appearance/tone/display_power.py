@@ -16,6 +16,7 @@ a fifth either way, so only whole octaves are tried, and one other than 1 is tak
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,12 +76,15 @@ class PowerChoice:
     votes: tuple[float, ...]
 
 
-def choose_power(scene: Scene, curve: AbstractToneCurve, light: Light, seed: int) -> PowerChoice:
+def choose_power(
+    scene: Scene, curves: Sequence[AbstractToneCurve], light: Light, seed: int
+) -> PowerChoice:
     """Try POWERS of a curve on some of the samples.
 
     Args:
         scene: Samples with their transport.
-        curve: The tone curve that explains the photographs best as they are.
+        curves: The one whose powers are tried, and others that differ from it much as a power does:
+            a power must lead these, too.
         light: Suns that were found under it; their strengths are fitted anew.
         seed: Of the samples.
 
@@ -93,11 +97,16 @@ def choose_power(scene: Scene, curve: AbstractToneCurve, light: Light, seed: int
         return PowerChoice(power=1.0, level=level, votes=())
     few = _subset(scene, np.random.default_rng(seed))
     blocks = blocks_of(few)
-    tables = []
-    for power in POWERS:
-        problem = make_problem(few, powered(curve, power))
+
+    def votes(curve: AbstractToneCurve) -> Table:
+        problem = make_problem(few, curve)
         solved = fit(problem, light.axes, light.sharpness, ITERATIONS)
-        tables.append(table_of(blocks, *_votes(problem, solved)))
+        return table_of(blocks, *_votes(problem, solved))
+
+    first, *others = curves
+    tables = [votes(powered(first, power)) for power in POWERS]
+    one = POWERS.index(1.0)
+    tables[one] = max([tables[one], *map(votes, others)], key=mean_of)
     power = leading_power(tables, level)
     return PowerChoice(power=power, level=level, votes=tuple(map(mean_of, tables)))
 

@@ -34,7 +34,10 @@ ERROR_CAP = 0.08
 """Display error beyond which a pair is of two materials and says nothing more."""
 
 PLAIN = "standard"
-"""Name of the one curve without a shoulder."""
+"""Name of the plain curve, the sRGB transfer function."""
+
+CAMERA = "camera"
+"""Name of the other curve without a shoulder, which cameras have rather than renderers."""
 
 NEUTRAL = "khronos_pbr_neutral"
 """Name of the curve that only the brightest tell from the plain one."""
@@ -211,12 +214,13 @@ def chosen_number(
         seed: Of what is looked at.
     """
     tables = judged.tables
-    shoulder, chosen, lead = best_shoulder(names, tables), 0, None
-    if shoulder is not None:
-        chosen = shoulder
-        if PLAIN in names:
-            lead = judged.lead(names.index(PLAIN), shoulder, steps, seed)
-            chosen = names.index(PLAIN) if lead.is_clear else shoulder
+    shoulder, plain, lead = best_shoulder(names, tables), None, None
+    if PLAIN in names or CAMERA in names:
+        plain = _plain_number(judged, names, steps, seed)
+    chosen = next((number for number in (shoulder, plain) if number is not None), 0)
+    if shoulder is not None and plain is not None:
+        lead = judged.lead(plain, shoulder, steps, seed)
+        chosen = plain if lead.is_clear else shoulder
     if NEUTRAL in names:
         neutral = names.index(NEUTRAL)
         leads = _lags(tables[chosen], tables[neutral], SIMPLER_MARGIN)
@@ -224,6 +228,21 @@ def chosen_number(
         if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
             chosen = neutral
     return chosen, lead
+
+
+def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> int:
+    """Number of the likelier of the curves without a shoulder.
+
+    The response of a camera must lead the sRGB transfer function as that a shoulder: clearly where
+    the photographs are renderings, by next to nothing where cameras took them.
+    """
+    if CAMERA not in names:
+        return names.index(PLAIN)
+    camera = names.index(CAMERA)
+    if PLAIN not in names:
+        return camera
+    plain = names.index(PLAIN)
+    return camera if judged.lead(camera, plain, steps, seed).is_clear else plain
 
 
 def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
@@ -239,7 +258,8 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     Returns:
         Its number; None where there is none.
     """
-    shoulders = [i for i, name in enumerate(names) if name not in (PLAIN, NEUTRAL, HEDGE)]
+    apart = (PLAIN, CAMERA, NEUTRAL, HEDGE)
+    shoulders = [i for i, name in enumerate(names) if name not in apart]
     if HEDGE in names:
         hedge = names.index(HEDGE)
         others = [table for index, table in enumerate(tables) if index != hedge]
