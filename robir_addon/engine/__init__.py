@@ -7,13 +7,23 @@ here imports Blender, and nothing ever installs into Blender's Python.
 
 from .errors import EngineError
 from .existing import Facts, inspect, interpreter
-from .places import Place, bundled_wheel, clean_environment, constraints, worker_command
+from .places import (
+    CHOOSE_EXISTING,
+    Place,
+    bundled_wheel,
+    clean_environment,
+    constraints,
+    worker_command,
+)
+from .sentences import Sentence
 from .states import Status, read_record, status, wheel_version
 
 __all__ = [
+    "CHOOSE_EXISTING",
     "EngineError",
     "Facts",
     "Place",
+    "Sentence",
     "Status",
     "bundled_wheel",
     "clean_environment",

@@ -15,6 +15,7 @@ from ..asset import make_asset
 from ..errors import RequestError, ResultError
 from ..importer import asset_of, mark_of
 from ..lights import lamps_of
+from ..words import told
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 
 
@@ -37,7 +38,7 @@ class _SaveAs(ExportHelper):
     def target(self) -> Path:
         """The chosen file."""
         if not self.filepath:
-            raise RequestError(f"no file was given; name a {self.filename_ext} file")
+            raise RequestError("no file was given; name a {kind} file", kind=self.filename_ext)
         return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
 
 
@@ -69,13 +70,14 @@ class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
                     export_apply=True,
                     export_animations=False,
                 )
-            self.report({"INFO"}, f"Saved {target.name}, the object as it stands in the scene")
+            text = "Saved {name}, the object as it stands in the scene"
+            self.report({"INFO"}, told(text, name=target.name))
             return
         source = result_paths(context).asset
         if not source.is_file():
-            raise ResultError(f"{source.name} is missing; export the result again")
+            raise ResultError("{file} is missing; export the result again", file=source.name)
         copy_whole(source, self.target())
-        self.report({"INFO"}, f"Saved {self.target().name}")
+        self.report({"INFO"}, told("Saved {name}", name=self.target().name))
 
 
 class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
@@ -96,7 +98,7 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Where Blender can write USD."""
         if not bpy.app.build_options.usd:
-            cls.poll_message_set("This Blender was built without USD")
+            cls.poll_message_set(told("This Blender was built without USD"))
             return False
         return super().poll(context)
 
@@ -120,8 +122,9 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
                 **_textures_too(),
             )
         if not target.is_file():
-            raise ResultError(f"{target.name} was not written; is the folder writable?")
-        self.report({"INFO"}, f"Saved {target.name} with its textures beside it")
+            raise ResultError("{file} was not written; is the folder writable?", file=target.name)
+        text = "Saved {name} with its textures beside it"
+        self.report({"INFO"}, told(text, name=target.name))
 
 
 class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
@@ -161,11 +164,14 @@ class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
         there = [file.name for file in files if (folder / file.name).exists()]
         if there and not self.overwrite:
             raise RequestError(
-                f"{folder.name} already has {', '.join(there)}; tick Overwrite or choose another"
+                "{folder} already has {names}; tick Overwrite or choose another",
+                folder=folder.name,
+                names=", ".join(there),
             )
         for file in files:
             copy_whole(file, folder / file.name)
-        self.report({"INFO"}, f"Copied {len(files)} textures to {folder.name}")
+        text = "Copied {count} textures to {folder}"
+        self.report({"INFO"}, told(text, count=len(files), folder=folder.name))
 
 
 class ROBIR_OT_mark_asset(ImportedOperator, bpy.types.Operator):

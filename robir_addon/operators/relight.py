@@ -22,6 +22,7 @@ from ..lights import (
     world_of,
 )
 from ..properties import STUDIO_LIGHTS
+from ..words import told
 from .shared import ImportedOperator, result_paths, result_root
 
 
@@ -70,7 +71,9 @@ class ROBIR_OT_use_environment(_OtherLight, bpy.types.Operator, ImportHelper):
         """Take the chosen file."""
         file = Path(bpy.path.abspath(self.filepath))
         if file.suffix.lower() not in (".exr", ".hdr"):
-            raise RequestError(f"{file.name or 'no file'} is no environment; choose .exr or .hdr")
+            if not file.name:
+                raise RequestError("no file was given; choose .exr or .hdr")
+            raise RequestError("{name} is no environment; choose .exr or .hdr", name=file.name)
         self.light_with(context, file)
 
 
@@ -116,7 +119,7 @@ class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
         if not super().poll(context):
             return False
         if monitor.is_busy():
-            cls.poll_message_set("Something is at work: wait for it or cancel it")
+            cls.poll_message_set(told("Something is at work: wait for it or cancel it"))
             return False
         return True
 
@@ -127,7 +130,7 @@ class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
             film = _Film()
             monitor.run_task("turntable", command, film.on_line, film.on_end, environment)
         except AddonError as error:
-            return self.refuse(context, str(error))
+            return self.refuse(context, told(error))
         return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> None:
@@ -137,7 +140,7 @@ class ROBIR_OT_turntable(ImportedOperator, bpy.types.Operator):
         monitor.wait_task("turntable", command, film.on_line, film.on_end, environment)
         if film.problem:
             raise AddonError(film.problem)
-        self.report({"INFO"}, f"The film is {film.file}")
+        self.report({"INFO"}, told("The film is {file}", file=film.file))
 
     def _words(self, context: bpy.types.Context) -> list[str]:
         paths, settings = result_paths(context), context.scene.robir
@@ -174,11 +177,12 @@ class _Film:
         """Say in the panel where the film is, or why there is none."""
         state = bpy.context.window_manager.robir
         if code == 0 and self.file is not None:
-            state.message = f"The film is {self.file.name} in {self.file.parent.name}"
+            text = "The film is {name} in {folder}"
+            state.message = told(text, name=self.file.name, folder=self.file.parent.name)
         elif code == 130:
-            state.message = "No film: it was cancelled"
+            state.message = told("No film: it was cancelled")
         else:
-            lines = said.splitlines() or [f"Blender ended with code {code}"]
+            lines = said.splitlines() or [told("Blender ended with code {code}", code=code)]
             ours = [line for line in lines if line.startswith("error: ")]
             self.problem = (ours or lines)[-1].removeprefix("error: ")
             monitor.show_problem(self.problem)
