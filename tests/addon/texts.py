@@ -91,19 +91,19 @@ class _Reader(ast.NodeVisitor):
         self._file, self._found = file, found
         self._names = [constants]
 
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:  # noqa: N802
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
         inner = [child for child in ast.walk(node) if isinstance(child, ast.stmt)]
         self._names.append(_assigned(inner))
         self.generic_visit(node)
         self._names.pop()
 
-    def visit_Assign(self, node: ast.Assign) -> None:  # noqa: N802
+    def visit_Assign(self, node: ast.Assign) -> None:
         for target in node.targets:
             if isinstance(target, ast.Attribute) and target.attr in SHOWN:
                 self._must_be_looked_up(node.value)
         self.generic_visit(node)
 
-    def visit_Call(self, node: ast.Call) -> None:  # noqa: N802
+    def visit_Call(self, node: ast.Call) -> None:
         name = getattr(node.func, "attr", getattr(node.func, "id", ""))
         for place in LOOKED_UP.get(name, ()):
             if place < len(node.args):
@@ -122,7 +122,9 @@ class _Reader(ast.NodeVisitor):
             if isinstance(literal, ast.JoinedStr):
                 self._fault(literal, "put together before it is looked up")
             elif literal.value:
-                self._found.texts.setdefault((context, literal.value), []).append(self._place(given))
+                self._found.texts.setdefault((context, literal.value), []).append(
+                    self._place(given)
+                )
 
     def _must_be_looked_up(self, given: ast.expr) -> None:
         for literal in self._literals(given):
