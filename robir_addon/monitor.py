@@ -237,8 +237,7 @@ def _pulse() -> float | None:
         _pulse_once()
     except Exception as fault:  # a timer that raises would silently never come again
         traceback.print_exc()
-        text = "internal error, {kind}: {fault}; copy the report"
-        show_problem(told(text, kind=type(fault).__name__, fault=fault))
+        show_problem(told("internal error, {fault!r}; copy the report", fault=fault))
     return _PULSE if is_busy() or _work.steps else None
 
 
@@ -364,8 +363,7 @@ def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
     elif snapshot.state == "cancelled":
         state.message = told("Stopped; Reconstruct goes on from the last finished stage")
     elif snapshot.state == "none":
-        text = "the result folder {name} is gone; press Reconstruct to begin anew"
-        show_problem(told(text, name=job.root.name))
+        show_problem(told("the folder {name} is gone; Reconstruct begins anew", name=job.root.name))
     else:
         show_problem(snapshot.message)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The click path without a click: what Blender's search (F3) finds, and nothing but keys."""
+"""The click path without a click: what Blender's search finds, and nothing but keys."""
 
 from __future__ import annotations
 
@@ -40,16 +40,21 @@ def window(
     window.quit()
 
 
-def search(window: BlenderWindow, words: str) -> None:
-    """Do what the search finds first.
+OPEN = """
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+region = next(r for r in area.regions if r.type == "WINDOW")
+with bpy.context.temp_override(window=window, area=area, region=region):
+    bpy.ops.wm.search_menu("INVOKE_DEFAULT")
+"""
+"""What F3 does; a virtual keyboard has no such key."""
 
-    Letters that come before its field is open would be Blender's other shortcuts; a processor that
-    draws takes its time with it.
-    """
-    window.screen.key("F3")
-    time.sleep(4.0)
+
+def search(window: BlenderWindow, words: str) -> None:
+    """Do what the search finds first; letters that come before its field is open are lost."""
+    window.run(OPEN)
+    time.sleep(2.5)
     window.screen.write(words)
-    time.sleep(3.0)
+    time.sleep(2.5)
     window.picture(f"searched_{words.replace(' ', '_')}")
     window.screen.key("Return")
     time.sleep(1.5)
