@@ -9,11 +9,17 @@ from importlib import import_module
 
 import bpy
 from panel_session import STATES, in_state, panels, refusals  # taken out before it runs
-from recording import Drawn  # taken out before it runs
+from recording import Drawn, text_width  # taken out before it runs
 from texts_session import registered  # taken out before it runs
 
 MODULE = "bl_ext.user_default.robir"
 SAID = ("message", "error", "error_cure", "recognised", "engine_text")
+ROOM = 240.0
+"""Points of a line in a narrow sidebar, as in recording.py."""
+
+WIDE = set()
+"""Labels and buttons that would be cut off; sentences are broken into lines."""
+
 TRANSLATED = ("label", "operator", "operator_menu_enum", "prop", "progress", "menu")
 
 
@@ -31,6 +37,7 @@ def main(archive, result):
         "names": [(*known, look_up(known[1], known[0])) for known in registered(MODULE)],
         "reports": reports(),
     }
+    answer["wide"] = sorted(WIDE)
     speak("en_US")
     answer["english"] = seen_in("lacking", result)
     return answer
@@ -61,6 +68,9 @@ def seen_in(state, result):
         for function, given in Drawn(cls).draw_all(bpy.context).calls:
             if function in TRANSLATED:
                 texts.append(shown(function, given))
+                is_whole = function in ("label", "operator") and given.get("translate", True)
+                if is_whole and text_width(texts[-1] or "") > ROOM:
+                    WIDE.add(texts[-1])
     return [text for text in texts if text and text not in own]
 
 

@@ -88,6 +88,10 @@ def test_what_is_put_together_is_german(said):
     assert any("zurückgehaltenen Fotos" in text for text in all_of("done"))
 
 
+def test_german_fits_a_narrow_sidebar(said):
+    assert not said["wide"]
+
+
 def test_names_and_descriptions_are_those_of_the_catalogue(said):
     """Blender prefers its own words where it has some: the catalogue shall say the same."""
     other = [
