@@ -8,6 +8,7 @@ import atexit
 import importlib
 
 _MODULES = (
+    "words",
     "properties",
     "preferences",
     "summary",

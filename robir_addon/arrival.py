@@ -13,6 +13,7 @@ from .importer import asset_of, import_result, read_tone_curve
 from .lights import turn_light
 from .startup import put_aside
 from .view_transform import view_name, view_transform_differs
+from .words import told
 
 
 def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
@@ -36,7 +37,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     settings.result = str(root)
     if not is_new:
         turn_light(scene, settings.rotation)
-        return [f"{imported.asset.name} is as the newer result has it; what you did is kept"]
+        text = "{name} is as the newer result has it; what you did is kept"
+        return [told(text, name=imported.asset.name)]
     settings.rotation = 0.0
     context.view_layer.update()  # else Blender 5 lists objects that are gone
     for selected in list(context.view_layer.objects.selected):
@@ -48,20 +50,25 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     centre = sum(corners, Vector()) / len(corners)
     frame(scene, centre, max((corner - centre).length for corner in corners))
     _light_up(context)
-    notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
+    name, count = imported.asset.name, len(imported.cameras)
+    notes = [told("Imported {name} with {count} cameras", name=name, count=count)]
     if view_transform_differs(scene, curve):
         notes.append(
-            f"The photographs were made through {view_name(curve)}, the scene is shown through "
-            f"{scene.view_settings.view_transform}; Match View Transform makes them alike"
+            told(
+                "The photographs were made through {made}, the scene is shown through {shown}; "
+                "Match View Transform makes them alike",
+                made=view_name(curve),
+                shown=scene.view_settings.view_transform,
+            )
         )
     if hidden:
-        are = "is" if len(hidden) == 1 else "are"
-        notes.append(f"Blender's own {' and '.join(hidden)} {are} hidden")
+        notes.append(told("Blender's own objects are hidden: {names}", names=", ".join(hidden)))
     others = [
         o.name for o in scene.objects if o.type == "LIGHT" and MARK not in o and not o.hide_render
     ]
     if others:
-        notes.append(f"The scene's own lights shine on the object too: {', '.join(others)}")
+        text = "The scene's own lights shine on the object too: {names}"
+        notes.append(told(text, names=", ".join(others)))
     return notes
 
 

@@ -10,6 +10,8 @@ from .errors import ResultError
 MARK = "robir_result"
 """Custom property that names the result folder a data-block came from."""
 
+_UNREADABLE = "{file} cannot be read as an image; is it there and whole?"
+
 
 def with_mark(blocks: bpy.types.bpy_prop_collection, mark: str) -> list[bpy.types.ID]:
     """Those of a kind of data-blocks that came from a result folder; linked ones are not ours."""
@@ -37,10 +39,10 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
     try:
         image = bpy.data.images.load(str(file), check_existing=False)
     except RuntimeError as fault:
-        raise ResultError(f"{file} cannot be read as an image; is it there and whole?") from fault
+        raise ResultError(_UNREADABLE, file=file) from fault
     if 0 in image.size:  # Blender finds damage only when it is asked about the pixels
         bpy.data.images.remove(image)
-        raise ResultError(f"{file} cannot be read as an image; is it there and whole?")
+        raise ResultError(_UNREADABLE, file=file)
     image.colorspace_settings.name = space
     image[MARK] = mark
     return image
@@ -54,7 +56,7 @@ def reload_image(image: bpy.types.Image) -> None:
     """
     file, was_packed = Path(bpy.path.abspath(image.filepath)), image.packed_file is not None
     if not file.is_file():
-        raise ResultError(f"{file} cannot be read as an image; is it there and whole?")
+        raise ResultError(_UNREADABLE, file=file)
     if was_packed:
         image.unpack(method="REMOVE")
     image.reload()

@@ -75,7 +75,9 @@ def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> Ren
     chosen = view or next(iter(rendered), "")
     if chosen not in rendered:
         known = ", ".join(sorted(set(rendered))) or "none"
-        raise ResultError(f"view {chosen!r} was not rendered again; choose one of: {known}")
+        raise ResultError(
+            "view {view!r} was not rendered again; choose one of: {known}", view=chosen, known=known
+        )
     if chosen in cycles:
         return RenderedView(views[chosen], "Cycles", read_codes(cycles[chosen]))
     return RenderedView(views[chosen], "RobIR", own[chosen])
@@ -136,7 +138,9 @@ def _own_renders(paths: JobPaths) -> dict[str, np.ndarray]:
         with np.load(file, allow_pickle=False) as arrays:
             return {name: _with_alpha(arrays[name][::-1] / 255.0) for name in arrays.files}
     except _DAMAGE as fault:
-        raise ResultError(f"{file} is damaged ({fault}); reconstruct again") from fault
+        raise ResultError(
+            "{file} is damaged ({fault}); reconstruct again", file=file, fault=fault
+        ) from fault
 
 
 def _with_alpha(codes: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ import bpy
 
 from .paragraphs import paragraph
 from .preferences import shown_engine_status
+from .words import words
 
 
 class Panel:
@@ -41,7 +42,8 @@ def progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     state = context.window_manager.robir
     text = f"{100.0 * state.fraction:.0f} %"
     if state.seconds_left >= 0.0:
-        text += f", {duration(state.seconds_left)} left"
+        left = duration(state.seconds_left)
+        text = words("{share}, {duration} left", share=text, duration=left)
     layout.progress(factor=state.fraction, type="BAR", text=text)
     if state.message:
         paragraph(layout, context, state.message)
@@ -52,7 +54,7 @@ def progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 def install_text(context: bpy.types.Context) -> str:
     """What pressing the button does."""
     outdated = shown_engine_status(context).state == "outdated"
-    return "Update Engine" if outdated else "Install Engine"
+    return words("Update Engine" if outdated else "Install Engine")
 
 
 def duration(seconds: float) -> str:

@@ -11,6 +11,7 @@ import bpy
 from bpy.props import CollectionProperty, StringProperty
 
 from .operators.capture import may_choose, take_capture
+from .words import told
 
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
@@ -73,13 +74,12 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
         folders = (capture_folder(Path(self.directory) / name) for name in names)
         folder = next((found for found in folders if found), None)
         if folder is None:
-            dropped = names[0] if names else "nothing"
-            self.report(
-                {"ERROR"},
-                f"{dropped} holds no cameras of a known format; drop transforms.json, "
-                "cameras.bin, cameras_sphere.npz, poses_bounds.npy, or the cameras of RealityScan "
-                "(CSV), Metashape (XML) or Meshroom (SFM)",
+            text = (
+                "{name} holds no cameras of a known format; drop transforms.json, cameras.bin, "
+                "cameras_sphere.npz, poses_bounds.npy, or the cameras of RealityScan (CSV), "
+                "Metashape (XML) or Meshroom (SFM)"
             )
+            self.report({"ERROR"}, told(text, name=", ".join(names[:1])))
             return {"CANCELLED"}
         return take_capture(self, context, folder, way)
 

@@ -1,15 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors whose message is meant for the user; the exit codes are those of the command line."""
 
+from .engine.sentences import Sentence
+
 
 class AddonError(Exception):
     """Something is missing or cannot be used; the message says what and what to do.
 
     Attributes:
         exit_code: Process exit code that stands for this kind of error.
+        sentences: The message, which `words.told` says in the user's language.
     """
 
     exit_code = 1
+
+    def __init__(self, text: str, /, **values: object) -> None:
+        """Say it in English.
+
+        Args:
+            text: The message; fields in braces are filled with values.
+            **values: By the fields' names.
+        """
+        self.sentences = (Sentence(text, **values),)
+        super().__init__(*self.sentences)
 
 
 class RequestError(AddonError):

@@ -64,8 +64,10 @@ def read_glb(path: Path) -> GlbMesh:
         name = str(mesh["name"])
     except _DAMAGE as fault:
         raise ResultError(
-            f"{path} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
-            "--resume to export it again"
+            "{file} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
+            "--resume to export it again",
+            file=path,
+            fault=fault,
         ) from fault
     vertices, welded = np.unique(position, axis=0, return_inverse=True)
     return GlbMesh(

@@ -112,7 +112,7 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
     missing = next((file for file in needed if not file.is_file()), None)
     if missing is not None:
-        raise ResultError(f"{missing} is missing; export the result again")
+        raise ResultError("{file} is missing; export the result again", file=missing)
     name = paths.root.name
     before, world = asset_of(root), world_of(mark)
     if before is not None and world is not None:
@@ -229,11 +229,15 @@ def read_cameras(paths: JobPaths) -> dict[str, Any]:
             file_in(paths.renders, view["name"])
             is_strange = leads_out(paths.cameras.parent / view["image"], [paths.root])
         except ValueError as fault:
-            raise ResultError(f"{paths.cameras} holds a view that cannot be: {fault}") from fault
+            raise ResultError(
+                "{file} holds a view that cannot be: {fault}", file=paths.cameras, fault=fault
+            ) from fault
         if is_strange or min(view[key] for key in ("width", "height", "fx", "fy")) <= 0:
-            raise ResultError(f"{paths.cameras}: the view {view['name']!a} cannot be")
+            raise ResultError(
+                "{file}: the view {name!a} cannot be", file=paths.cameras, name=view["name"]
+            )
     if not table["views"]:
-        raise ResultError(f"{paths.cameras} holds no views; export the result again")
+        raise ResultError("{file} holds no views; export the result again", file=paths.cameras)
     return table
 
 
@@ -261,7 +265,9 @@ def _read(path: Path, form: dict[str, Any]) -> dict[str, Any]:
         return read_record(path, form)
     except (OSError, ValueError) as fault:
         raise ResultError(
-            f"{path} cannot be read ({fault}); choose a folder that `robir reconstruct` finished"
+            "{file} cannot be read ({fault}); choose a folder that `robir reconstruct` finished",
+            file=path,
+            fault=fault,
         ) from fault
 
 

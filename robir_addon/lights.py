@@ -265,5 +265,5 @@ def _aim(lamp: bpy.types.Object, rotation: float) -> None:
 def _node(world: bpy.types.World, kind: str) -> bpy.types.Node:
     found = next((node for node in world.node_tree.nodes if node.type == kind), None)
     if found is None:
-        raise ResultError(f"the World {world.name} was rebuilt; import the result again")
+        raise ResultError("the World {name} was rebuilt; import the result again", name=world.name)
     return found

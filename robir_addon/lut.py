@@ -66,5 +66,7 @@ def read_tone_table(path: Path) -> ToneTable:
         )
     except (OSError, ValueError, KeyError, IndexError) as fault:
         raise ResultError(
-            f"{path} cannot be read as a tone curve ({fault}); export the result again"
+            "{file} cannot be read as a tone curve ({fault}); export the result again",
+            file=path,
+            fault=fault,
         ) from fault

@@ -22,13 +22,17 @@ class ROBIR_MT_commands(bpy.types.Menu):
     bl_label = "RobIR"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One group a panel."""
-        layout = self.layout
+        """One group a panel, and the choices that a keyboard could not reach otherwise."""
+        layout, settings = self.layout, context.scene.robir
         for group in _IN_ORDER:
             for name in group:
                 layout.operator(f"robir.{name}")
+            if "reconstruct" in group:
+                layout.prop_menu_enum(settings, "preset")
+                layout.prop_menu_enum(settings, "device")
             if "use_environment" in group:
                 layout.operator_menu_enum("robir.use_studio_light", "light")
+                layout.prop(settings, "use_sun_lamp")
             layout.separator()
 
 

@@ -27,6 +27,7 @@ from .command_line import worker_environment
 from .errors import AddonError
 from .gateway import JobPaths, client
 from .task import OnEnd, OnLine, Task
+from .words import told
 from .worker import problem_and_cure, result_folder
 
 on_done: list[Callable[[Path], None]] = []
@@ -154,7 +155,7 @@ def cancel() -> None:
             client.stop(_work.job.root)
     else:
         return
-    _state().message = _STOPPING
+    _state().message = told(_STOPPING)
     redraw()
 
 
@@ -236,7 +237,7 @@ def _pulse() -> float | None:
         _pulse_once()
     except Exception as fault:  # a timer that raises would silently never come again
         traceback.print_exc()
-        show_problem(f"internal error, {type(fault).__name__}: {fault}; copy the report")
+        show_problem(told("internal error, {fault!r}; copy the report", fault=fault))
     return _PULSE if is_busy() or _work.steps else None
 
 
@@ -322,7 +323,7 @@ def _take_line(task: Task, line: str | None) -> None:
 def _begin_job(root: Path) -> _Job:
     _refuse_if_busy()
     job = _Job(root)
-    _begin("reconstruct", "starting")
+    _begin("reconstruct", told("starting"))
     _state().job = str(root)
     growth.forget()
     _work.job = job
@@ -342,7 +343,7 @@ def _look_at(job: _Job) -> client.Snapshot:
     left, psnr = snapshot.seconds_left, snapshot.metrics.get("held_out_psnr")
     state.seconds_left = -1.0 if left is None else left
     state.held_out_psnr = psnr if isinstance(psnr, int | float) else -1.0
-    state.message = snapshot.message if job.stopped_at is None else _STOPPING
+    state.message = snapshot.message if job.stopped_at is None else told(_STOPPING)
     changed = growth.load_newer(JobPaths(job.root).preview, job.preview_time)
     if changed != job.preview_time:
         job.preview_time = changed
@@ -360,9 +361,9 @@ def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
         for hook in on_done:
             hook(job.root)
     elif snapshot.state == "cancelled":
-        state.message = "Stopped; Reconstruct goes on from the last finished stage"
+        state.message = told("Stopped; Reconstruct goes on from the last finished stage")
     elif snapshot.state == "none":
-        show_problem(f"the result folder {job.root.name} is gone; press Reconstruct to begin anew")
+        show_problem(told("the folder {name} is gone; Reconstruct begins anew", name=job.root.name))
     else:
         show_problem(snapshot.message)
 

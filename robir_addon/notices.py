@@ -7,6 +7,7 @@ from .drawing import Panel, install_text, preferences_button, progress
 from .operators.notice import is_offline
 from .paragraphs import paragraph
 from .preferences import shown_engine_status
+from .words import told
 
 
 class ROBIR_PT_notice(Panel, bpy.types.Panel):
@@ -58,9 +59,9 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
             box.label(text="Installing the engine", icon="IMPORT")
             progress(box, context)
             return
-        cure = f"{status.cure[:1].upper()}{status.cure[1:]}"
-        paragraph(box, context, status.text, "INFO", is_boxed=True)
-        paragraph(box, context, cure, "BLANK1", is_boxed=True)
+        cure = told(status.cure)
+        paragraph(box, context, told(status.text), "INFO", is_boxed=True)
+        paragraph(box, context, f"{cure[:1].upper()}{cure[1:]}", "BLANK1", is_boxed=True)
         row = box.row(align=True)
         row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         preferences_button(row, text="")

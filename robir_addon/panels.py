@@ -21,6 +21,7 @@ from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
 from .recent import recent_captures
 from .summary import shown_summary
 from .viewport import COLLECTION
+from .words import words
 from .worker import shown_box
 
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
@@ -47,8 +48,10 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
             paragraph(
                 layout,
                 context,
-                "Or drop its transforms.json, cameras.bin, cameras_sphere.npz or poses_bounds.npy "
-                "into the viewport",
+                words(
+                    "Or drop its transforms.json, cameras.bin, cameras_sphere.npz or "
+                    "poses_bounds.npy into the viewport"
+                ),
                 "INFO",
             )
             layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
@@ -102,7 +105,8 @@ class ROBIR_PT_check(Panel, bpy.types.Panel):
         place = layout
         if faults and settings.result:  # out of the way of what comes next
             header, place = layout.panel("ROBIR_faults", default_closed=True)
-            header.label(text=f"Faults ({len(faults)})", icon=_FAULT_ICONS[faults[0].level])
+            text = words("Faults ({count})", count=len(faults))
+            header.label(text=text, icon=_FAULT_ICONS[faults[0].level])
         for fault in faults if place is not None else ():
             box = place.box()
             paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
@@ -112,7 +116,7 @@ class ROBIR_PT_check(Panel, bpy.types.Panel):
                 box.operator("robir.leave_out").finding = findings.index(fault)
         if notes:
             header, body = layout.panel("ROBIR_notes", default_closed=True)
-            header.label(text=f"Good to know ({len(notes)})")
+            header.label(text=words("Good to know ({count})", count=len(notes)))
             for note in notes if body is not None else ():
                 paragraph(body, context, f"{note.text}. {note.cure}" if note.cure else note.text)
 
@@ -156,7 +160,7 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
             layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
         progress(layout, context)
         if state.held_out_psnr >= 0.0:
-            text = f"{state.held_out_psnr:.1f} dB on photographs kept aside"
+            text = words("{psnr:.1f} dB on photographs kept aside", psnr=state.held_out_psnr)
             paragraph(layout, context, text)
         pictures = layout.row(align=True)
         for icon in growth.icons():
@@ -201,7 +205,8 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
                 paragraph(body, context, why).active = False
         if summary.warnings:
             header, body = layout.panel("ROBIR_warnings", default_closed=True)
-            header.label(text=f"Warnings ({len(summary.warnings)})", icon="ERROR")
+            text = words("Warnings ({count})", count=len(summary.warnings))
+            header.label(text=text, icon="ERROR")
             for warning in summary.warnings if body is not None else ():
                 paragraph(body, context, warning)
 
@@ -278,10 +283,11 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
         column = self.layout.column(align=True)
         column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=shown == "")
         studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
+        text = "Studio Light: {light}" if studio else "Studio Light"
         column.operator_menu_enum(
             "robir.use_studio_light",
             "light",
-            text=f"Studio Light: {studio}" if studio else "Studio Light",
+            text=words(text, light=words(studio)),
             icon="LIGHTPROBE_SPHERE",
         )
 
@@ -324,7 +330,7 @@ class ROBIR_PT_engine(Panel, bpy.types.Panel):
         column.operator("robir.check_engine", icon="CHECKMARK")
         column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         column.operator("robir.remove_engine", icon="TRASH")
-        preferences_button(layout, text="Preferences")
+        preferences_button(layout, text=words("Preferences"))
 
 
 def _is_looked_at(context: bpy.types.Context) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from .viewport import small_copy_name
+from .words import words
 
 
 class ROBIR_UL_photographs(bpy.types.UIList):
@@ -38,7 +39,8 @@ def draw_photographs(layout: bpy.types.UILayout, settings: Any) -> None:
         return
     used = sum(photograph.is_used for photograph in photographs)
     header, body = layout.panel("ROBIR_photographs", default_closed=True)
-    header.label(text=f"Photographs ({used} of {len(photographs)})")
+    text = words("Photographs ({used} of {count})", used=used, count=len(photographs))
+    header.label(text=text)
     if body is not None:
         body.template_list(
             "ROBIR_UL_photographs", "", settings, "photographs", settings, "photograph_index"

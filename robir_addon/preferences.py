@@ -14,9 +14,10 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from . import engine, gateway
-from .engine import EngineError, Place, Status
+from .engine import EngineError, Place, Sentence, Status
 from .home import own_folder
 from .paragraphs import paragraph
+from .words import told, words
 
 _CHOOSE = "choose one in the add-on's preferences"
 
@@ -80,9 +81,10 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
                 paragraph(box, context, state.error_cure, "BLANK1")
         elif not is_at_work:
             icon = "CHECKMARK" if status.state == "ready" else "INFO"
-            paragraph(box, context, status.text, icon)
+            paragraph(box, context, told(status.text), icon)
             if status.cure:
-                paragraph(box, context, f"{status.cure[:1].upper()}{status.cure[1:]}", "BLANK1")
+                cure = told(status.cure)
+                paragraph(box, context, f"{cure[:1].upper()}{cure[1:]}", "BLANK1")
         if is_at_work:
             box.progress(factor=state.fraction, type="BAR", text=state.message)
         elif state.engine_text and not state.error:
@@ -91,7 +93,7 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         if state.task == "install":
             row.operator("robir.cancel_install", icon="CANCEL")
         elif self.engine == "MANAGED":
-            text = "Update Engine" if status.state == "outdated" else "Install Engine"
+            text = words("Update Engine" if status.state == "outdated" else "Install Engine")
             row.operator("robir.install_engine", text=text, icon="IMPORT")
         row.operator("robir.check_engine", icon="CHECKMARK")
         if self.engine == "MANAGED":
@@ -114,7 +116,7 @@ def managed_place() -> Place:
     if home is None:
         raise EngineError(
             "RobIR runs from a folder and not as an installed extension",
-            "choose an existing environment in the add-on's preferences",
+            engine.CHOOSE_EXISTING,
         )
     return Place(home / "engine")
 
@@ -144,7 +146,7 @@ def engine_status(context: bpy.types.Context) -> Status:
         python = _existing_python(chosen)
     except EngineError as error:
         return Status("missing", error.message, error.cure)
-    return Status("ready", f"The engine is {python}", python=python)
+    return Status("ready", Sentence("The engine is {python}", python=python), python=python)
 
 
 def shown_engine_status(context: bpy.types.Context) -> Status:

@@ -10,8 +10,10 @@ from bpy.app.handlers import persistent
 
 from .gateway import JobPaths, read_json
 from .light_pictures import read_pictures
+from .words import words
 
-_DEVICES = {"cpu": "processor", "cuda": "CUDA"}
+_DEVICES = {"cpu": "Processor", "cuda": "CUDA"}
+_PRESETS = {"draft": "Draft", "standard": "Standard", "high": "High"}
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def summary_of(report: dict[str, Any]) -> Summary:
         (f"{name.capitalize()}: {choice['chosen']}", str(choice["why"]))
         for name, choice in report["choices"].items()
     )
-    doubts = (f"Not to be trusted: {doubt}" for doubt in report["trust"]["doubts"])
+    doubts = (words("Not to be trusted: {doubt}", doubt=d) for d in report["trust"]["doubts"])
     told = (warning["message"] for warning in report["warnings"])
     warnings = (*doubts, *told, *report["missing"])
     return Summary(tuple(_facts(report)), choices, warnings)
@@ -66,19 +68,24 @@ def _facts(report: dict[str, Any]) -> list[str]:
     facts = []
     held_out, cycles = report["held_out"], report["cycles"]
     if held_out["psnr"] is not None:
-        count = held_out["views"]
-        facts.append(f"{held_out['psnr']:.1f} dB on {count} photographs kept aside")
+        text = "{psnr:.1f} dB on {count} photographs kept aside"
+        facts.append(words(text, psnr=held_out["psnr"], count=held_out["views"]))
     if cycles["psnr"] is not None:
-        facts.append(f"{cycles['psnr']:.1f} dB for Cycles on {cycles['views']} of them")
+        text = "{psnr:.1f} dB for Cycles on {count} of them"
+        facts.append(words(text, psnr=cycles["psnr"], count=cycles["views"]))
     for sun in report["light"]["sharp"]:
         share, height = 100.0 * sun["power_share"], sun["elevation_degrees"]
-        facts.append(f"Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light")
-    facts.append(f"{100.0 * report['seen_share']:.0f} % of the surface was seen")
-    mesh, side = report["mesh"], report["texture_size"]
-    facts.append(f"{mesh['faces']} triangles, textures of {side} x {side}")
+        text = "Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light"
+        facts.append(words(text, height=height, share=share))
+    share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
+    facts.append(words("{share:.0f} % of the surface was seen", share=share))
+    text = "{faces} triangles, textures of {side} x {side}"
+    facts.append(words(text, faces=faces, side=report["texture_size"]))
     minutes = sum(stage["wall"] for stage in report["seconds"].values()) / 60.0
+    preset = _PRESETS.get(report["preset"], report["preset"].capitalize())
     device = _DEVICES.get(report["device"], report["device"])
-    facts.append(f"{report['preset'].capitalize()}, {device}, {minutes:.1f} minutes")
+    text = "{preset}, {device}, {minutes:.1f} minutes"
+    facts.append(words(text, preset=words(preset), device=words(device), minutes=minutes))
     return facts
 
 

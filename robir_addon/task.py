@@ -66,7 +66,9 @@ class Task:
             )
         except OSError as fault:
             raise AddonError(
-                f"{command[0]} cannot be run: {fault.strerror}; check the engine"
+                "{program} cannot be run: {fault}; check the engine",
+                program=command[0],
+                fault=fault.strerror,
             ) from fault
         threading.Thread(target=self._read, name=f"RobIR {name}", daemon=True).start()
 

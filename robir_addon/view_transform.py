@@ -5,6 +5,9 @@ from typing import Any
 
 import bpy
 
+from .engine.sentences import Sentence
+from .words import told
+
 
 def match_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> tuple[str, ...]:
     """Show the scene as the photographs do.
@@ -27,8 +30,11 @@ def match_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> 
     if wanted:
         return ()
     return (
-        f"the recovered tone curve ({tone_curve['family']}) is none of Blender's view transforms: "
-        "the viewport shows Standard; rendered files go through export/tone_curve.cube",
+        Sentence(
+            "the recovered tone curve ({family}) is none of Blender's view transforms: the "
+            "viewport shows Standard; rendered files go through export/tone_curve.cube",
+            family=tone_curve["family"],
+        ),
     )
 
 
@@ -46,8 +52,8 @@ def view_name(tone_curve: dict[str, Any]) -> str:
     """The recovered curve in the terms of Blender's colour management."""
     named, gamma = tone_curve["blender_view_transform"], _gamma(tone_curve)
     if not named:
-        return "another curve"
-    return named if gamma == 1.0 else f"{named} with gamma {gamma:g}"
+        return told("another curve")
+    return named if gamma == 1.0 else told("{name} with gamma {gamma:g}", name=named, gamma=gamma)
 
 
 def _gamma(tone_curve: dict[str, Any]) -> float:

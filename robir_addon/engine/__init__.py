@@ -8,6 +8,7 @@ here imports Blender, and nothing ever installs into Blender's Python.
 from .errors import EngineError
 from .existing import Facts, inspect, interpreter
 from .places import (
+    CHOOSE_EXISTING,
     Place,
     base_python,
     bundled_wheel,
@@ -15,12 +16,15 @@ from .places import (
     constraints,
     worker_command,
 )
+from .sentences import Sentence
 from .states import Status, read_record, status, wheel_version
 
 __all__ = [
+    "CHOOSE_EXISTING",
     "EngineError",
     "Facts",
     "Place",
+    "Sentence",
     "Status",
     "base_python",
     "bundled_wheel",

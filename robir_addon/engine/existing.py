@@ -14,6 +14,8 @@ QUIETLY = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 _SECONDS = 60
 
+_ANOTHER = "choose another one in the add-on's preferences"
+
 _PROBE = """
 import json, sys
 from importlib.metadata import PackageNotFoundError, version
@@ -61,8 +63,10 @@ def interpreter(given: Path) -> Path:
         return found
     name = "Scripts\\python.exe" if IS_WINDOWS else "bin/python"
     raise EngineError(
-        f"{found} does not exist",
-        f"choose the environment's {name} in the add-on's preferences",
+        "{found} does not exist",
+        "choose the environment's {name} in the add-on's preferences",
+        found=found,
+        name=name,
     )
 
 
@@ -80,28 +84,44 @@ def inspect(python: Path, version: str) -> Facts:
     release = ".".join(map(str, facts["python"]))
     if tuple(facts["python"]) < OLDEST:
         raise EngineError(
-            f"{python} is Python {release}, RobIR needs {'.'.join(map(str, OLDEST))} or newer",
+            "{python} is Python {release}, RobIR needs {oldest} or newer",
             "choose another environment",
+            python=python,
+            release=release,
+            oldest=".".join(map(str, OLDEST)),
         )
     pip = f'"{python}" -m pip install'
     if facts["robir"] is None:
         raise EngineError(
-            f"{python} has no robir", f"install it there: {pip} and the robir {version} wheel"
+            "{python} has no robir",
+            "install it there: {pip} and the robir {version} wheel",
+            python=python,
+            pip=pip,
+            version=version,
         )
     if facts["robir"] != version:
         raise EngineError(
-            f"{python} has robir {facts['robir']}, this add-on needs {version}",
-            f"install the same version there: {pip} and the robir {version} wheel",
+            "{python} has robir {found}, this add-on needs {version}",
+            "install the same version there: {pip} and the robir {version} wheel",
+            python=python,
+            found=facts["robir"],
+            version=version,
+            pip=pip,
         )
     for name in ("torch", "numpy"):
         if facts[name] is None:
-            raise EngineError(f"{python} has no {name}", f"install it there: {pip} {name}")
+            raise EngineError(
+                "{python} has no {name}",
+                "install it there: {pip} {name}",
+                python=python,
+                name=name,
+                pip=pip,
+            )
     return Facts(release, facts["robir"], facts["torch"], facts["numpy"])
 
 
 def _probe(python: Path) -> dict:
     """What the interpreter says of itself."""
-    cure = "choose another one in the add-on's preferences"
     try:
         done = subprocess.run(
             [python, "-c", _PROBE],
@@ -115,11 +135,17 @@ def _probe(python: Path) -> dict:
             creationflags=QUIETLY,
         )
     except subprocess.TimeoutExpired:
-        raise EngineError(f"{python} gives no answer in {_SECONDS} s", cure) from None
+        raise EngineError(
+            "{python} gives no answer in {seconds} s", _ANOTHER, python=python, seconds=_SECONDS
+        ) from None
     except OSError as fault:
-        raise EngineError(f"{python} cannot be run ({fault.strerror})", cure) from fault
+        raise EngineError(
+            "{python} cannot be run ({fault})", _ANOTHER, python=python, fault=fault.strerror
+        ) from fault
     try:
         return json.loads(done.stdout)
     except ValueError:
         said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-        raise EngineError(f"{python} is not a Python that works ({said})", cure) from None
+        raise EngineError(
+            "{python} is not a Python that works ({said})", _ANOTHER, python=python, said=said
+        ) from None

@@ -164,10 +164,11 @@ def base_python() -> Path:
             return found
     release, newest = ("{}.{}".format(*version) for version in (sys.version_info, NEWEST))
     raise EngineError(
-        f"the engine's parts are not offered for Python {release}, Blender's own",
-        f"install Python {newest} beside it (on Debian and Ubuntu the package "
-        f"python{newest}-venv, else from python.org), then press Install Engine, or "
-        f"{CHOOSE_EXISTING}",
+        "the engine's parts are not offered for Python {release}, Blender's own",
+        "install Python {newest} beside it (on Debian and Ubuntu the package python{newest}-venv, "
+        "else from python.org), then press Install Engine",
+        release=release,
+        newest=newest,
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from .places import Place
+from .sentences import Sentence
 
 State = Literal["missing", "incomplete", "outdated", "ready"]
 Build = Literal["CPU", "CUDA"]
@@ -78,17 +79,25 @@ def status(place: Place, wheel: Path, build: Build) -> Status:
         )
     version = wheel_version(wheel)
     if record.robir != version:
-        text = f"The engine was made by RobIR {record.robir}, the add-on is RobIR {version}"
+        text = Sentence(
+            "The engine was made by RobIR {made_by}, the add-on is RobIR {version}",
+            made_by=record.robir,
+            version=version,
+        )
         return Status("outdated", text, UPDATE)
     if record.wheel_sha256 != wheel_hash(wheel):
-        text = f"The engine was made by another build of RobIR {version}"
+        text = Sentence("The engine was made by another build of RobIR {version}", version=version)
         return Status("outdated", text, UPDATE)
     if record.torch_build != build:
-        text = f"The engine computes with {record.torch_build}, chosen is {build}"
+        text = Sentence(
+            "The engine computes with {made_for}, chosen is {chosen}",
+            made_for=record.torch_build,
+            chosen=build,
+        )
         return Status("outdated", text, UPDATE)
-    text = (
-        f"Engine ready: RobIR {record.robir}, torch {record.torch}, numpy {record.numpy}, "
-        f"Python {record.python}"
+    text = Sentence(
+        "Engine ready: RobIR {robir}, torch {torch}, numpy {numpy}, Python {python}",
+        **{name: getattr(record, name) for name in ("robir", "torch", "numpy", "python")},
     )
     return Status("ready", text, python=place.python)
 

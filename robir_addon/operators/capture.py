@@ -15,6 +15,7 @@ from ..photographs import list_photographs
 from ..preferences import engine_python
 from ..recent import result_of
 from ..startup import bring_back
+from ..words import reported, told
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
 
 _FORMATS = {
@@ -83,13 +84,12 @@ class _Look:
         _forget(state)
         if self._facts is None:
             if code == 130:
-                self.problem = "The look at the capture was stopped"
+                self.problem = told("The look at the capture was stopped")
                 state.message = self.problem
             else:
-                last = (said.splitlines() or [f"it ended with code {code}"])[-1]
-                self.problem = (
-                    f"the engine could not look at the capture ({last}); check the engine"
-                )
+                last = (said.splitlines() or [told("it ended with code {code}", code=code)])[-1]
+                text = "the engine could not look at the capture ({said}); check the engine"
+                self.problem = told(text, said=last)
                 monitor.show_problem(self.problem)
             return
         state.looked_at = scene.robir.capture
@@ -108,7 +108,8 @@ class _Look:
         try:
             monitor.do_in_steps(viewport.show_capture(scene, self._facts))
         except RuntimeError as fault:
-            self.problem = f"a photograph cannot be shown ({str(fault).strip()}); look again"
+            text = "a photograph cannot be shown ({fault}); look again"
+            self.problem = told(text, fault=str(fault).strip())
             monitor.show_problem(self.problem)
 
 
@@ -133,15 +134,21 @@ def _named(files: list[str]) -> str:
     """The first of the files concerned, in brackets."""
     if not files:
         return ""
-    more = len(files) - _MOST_NAMES
-    return f" ({', '.join(files[:_MOST_NAMES])}{f' and {more} more' if more > 0 else ''})"
+    names, more = ", ".join(files[:_MOST_NAMES]), len(files) - _MOST_NAMES
+    if more > 0:
+        names = told("{names} and {count} more", names=names, count=more)
+    return f" ({names})"
 
 
 def _recognised(facts: dict[str, Any]) -> str:
     name = _FORMATS.get(facts["format"], facts["format"])
-    count = facts["views"] + facts["held_out"]
-    width = 2.0 * facts["radius"]
-    return f"{name}, {count} photographs, {facts['held_out']} kept aside, {width:.3g} units wide"
+    return told(
+        "{name}, {count} photographs, {held_out} kept aside, {width:.3g} units wide",
+        name=name,
+        count=facts["views"] + facts["held_out"],
+        held_out=facts["held_out"],
+        width=2.0 * facts["radius"],
+    )
 
 
 class ROBIR_OT_choose_capture(bpy.types.Operator):
@@ -180,7 +187,8 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
         """Take the folder and look at it."""
         capture = absolute(self.directory)
         if capture is None or not capture.exists():
-            self.report({"ERROR"}, f"There is no folder {self.directory!r}; choose another")
+            text = "There is no folder {name!r}; choose another"
+            self.report({"ERROR"}, told(text, name=self.directory))
             return {"CANCELLED"}
         return take_capture(self, context, capture, self._way)
 
@@ -229,8 +237,8 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         try:
             words = program(engine_python(context))
         except EngineError as error:
-            monitor.show_problem(str(error))
-            self.report({"ERROR"}, str(error))
+            monitor.show_problem(told(error))
+            self.report({"ERROR"}, told(error))
             return None, []
         request = request_of(settings)
         command = [*words, "check", str(request.capture), "--json"]
@@ -244,11 +252,11 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         try:
             run("look", command, look.take, end)
         except AddonError as error:
-            monitor.show_problem(str(error))
-            self.report({"ERROR"}, str(error))
+            monitor.show_problem(told(error))
+            self.report({"ERROR"}, told(error))
             return {"CANCELLED"}
         if monitor.is_busy():
-            context.window_manager.robir.message = "Reading the photographs"
+            context.window_manager.robir.message = told("Reading the photographs")
         return {"FINISHED"}
 
 
@@ -324,7 +332,7 @@ def take_capture(
     try:
         return bpy.ops.robir.look_at_capture(way, is_chosen=True)
     except RuntimeError as fault:  # how Blender passes on what that operator reported
-        operator.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
+        operator.report({"ERROR"}, reported(fault))
         return {"CANCELLED"}
 
 
@@ -356,7 +364,7 @@ def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     """Whether a capture is chosen; says so as the operator's reason if none is."""
     chosen = bool(context.scene.robir.capture)
     if not chosen:
-        operator.poll_message_set("Choose a capture first")
+        operator.poll_message_set(told("Choose a capture first"))
     return chosen
 
 
@@ -371,7 +379,7 @@ def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) ->
 def why_wait(context: bpy.types.Context) -> str:
     """Why nothing else can begin now; empty where it can."""
     at_work = monitor.is_busy() or context.window_manager.robir.task
-    return "Wait until the work at hand is done, or cancel it" if at_work else ""
+    return told("Wait until the work at hand is done, or cancel it") if at_work else ""
 
 
 CLASSES = (

@@ -12,7 +12,7 @@ from typing import Any
 import bpy
 
 from .. import engine, monitor
-from ..engine import EngineError
+from ..engine import EngineError, Sentence
 from ..errors import AddonError
 from ..preferences import (
     engine_python,
@@ -21,6 +21,7 @@ from ..preferences import (
     managed_wheel,
     preferences_of,
 )
+from ..words import told
 from ..worker import in_panel_words
 from .capture import look_at_waiting, why_wait
 
@@ -39,7 +40,7 @@ Run = Callable[..., None]
 class _Task:
     """A subprocess of the engine: what it says goes to the window manager's state."""
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: Sentence) -> None:
         """Clear what the last task left.
 
         Args:
@@ -68,8 +69,9 @@ class _Task:
         elif self._last:
             self.succeed(self._last)
         else:
-            said = (complaint.splitlines() or [f"it ended with code {code}"])[-1]
-            _tell(f"{self._what} failed: {said}", "remove the engine and install it again")
+            said = (complaint.splitlines() or [told("it ended with code {code}", code=code)])[-1]
+            problem = told("{work} failed: {said}", work=self._what, said=said)
+            _tell(problem, told("remove the engine and install it again"))
 
     def succeed(self, outcome: dict[str, Any]) -> None:
         """Show the report that the process ended with."""
@@ -77,19 +79,20 @@ class _Task:
 
     def cancelled(self) -> None:
         """Show that the user stopped it."""
-        bpy.context.window_manager.robir.engine_text = f"{self._what} was cancelled"
+        text = told("{work} was cancelled", work=self._what)
+        bpy.context.window_manager.robir.engine_text = text
 
 
 class _Installation(_Task):
     def cancelled(self) -> None:
         status, state = engine_status(bpy.context), bpy.context.window_manager.robir
         state.engine_ok = False
-        state.engine_text = f"{status.text}; {status.cure}"
+        state.engine_text = f"{told(status.text)}; {told(status.cure)}"
 
     def succeed(self, outcome: dict[str, Any]) -> None:
         state = bpy.context.window_manager.robir
         state.engine_ok = False
-        state.engine_text = engine_status(bpy.context).text
+        state.engine_text = told(engine_status(bpy.context).text)
         if not bpy.app.background:
             _check(bpy.context, monitor.run_task)
 
@@ -107,13 +110,14 @@ class _Check(_Task):
 
 class _Removal(_Task):
     def cancelled(self) -> None:
-        _tell("The removal was stopped midway", "press Remove Engine again, or Install Engine")
+        cure = "press Remove Engine again, or Install Engine"
+        _tell(told("The removal was stopped midway"), told(cure))
 
     def succeed(self, outcome: dict[str, Any]) -> None:
         state = bpy.context.window_manager.robir
         state.engine_text, state.engine_ok = "", False
         left = ", ".join(outcome["left"])
-        _tell(f"Not RobIR's and left in place: {left}" if left else "", "")
+        _tell(told("Not RobIR's and left in place: {names}", names=left) if left else "", "")
 
 
 class ROBIR_OT_install_engine(bpy.types.Operator):
@@ -130,7 +134,7 @@ class ROBIR_OT_install_engine(bpy.types.Operator):
         """Only where there is something to install."""
         problem = _not_managed(context) or why_wait(context)
         if not problem and engine_status(context).state == "ready":
-            problem = "The engine is installed"
+            problem = told("The engine is installed")
         return _allowed(cls, problem)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -145,9 +149,9 @@ class ROBIR_OT_install_engine(bpy.types.Operator):
         try:
             command = _install_command(context)
         except EngineError as error:
-            _tell(error.message, error.cure)
+            _tell_error(error)
         else:
-            task = _Installation("The installation")
+            task = _Installation(Sentence("The installation"))
             _start(run, "install", command, task)
         return _outcome(self, context)
 
@@ -163,7 +167,7 @@ class ROBIR_OT_cancel_install(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only during an installation."""
         at_work = context.window_manager.robir.task == "install"
-        return _allowed(cls, "" if at_work else "No installation is at work")
+        return _allowed(cls, "" if at_work else told("No installation is at work"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Ask the process to end."""
@@ -185,8 +189,8 @@ class ROBIR_OT_check_engine(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is an engine."""
         status = engine_status(context)
-        problem = "" if status.state == "ready" else f"{status.text}: {status.cure}"
-        return _allowed(cls, problem or why_wait(context))
+        problem = f"{told(status.text)}: {told(status.cure)}"
+        return _allowed(cls, why_wait(context) if status.state == "ready" else problem)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Check while Blender stays usable."""
@@ -211,7 +215,7 @@ class ROBIR_OT_remove_engine(bpy.types.Operator):
         """Only where there is something of ours."""
         problem = _not_managed(context) or why_wait(context)
         if not problem and engine_status(context).state == "missing":
-            problem = "There is no engine to remove"
+            problem = told("There is no engine to remove")
         return _allowed(cls, problem)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -231,9 +235,9 @@ class ROBIR_OT_remove_engine(bpy.types.Operator):
         try:
             command = engine.worker_command(str(managed_place().root), module="remove")
         except EngineError as error:
-            _tell(error.message, error.cure)
+            _tell_error(error)
         else:
-            _start(run, "remove_engine", command, _Removal("The removal"))
+            _start(run, "remove_engine", command, _Removal(Sentence("The removal")))
         return _outcome(self, context)
 
 
@@ -241,8 +245,9 @@ def what_goes() -> str:
     """Folder and size of the managed engine, for whoever is asked whether it may go."""
     place = managed_place()
     record = engine.read_record(place)
-    size = f"{record.size / 2**30:.1f} GB in " if record is not None and record.size else ""
-    return f"{size}{place.root}"
+    if record is None or not record.size:
+        return str(place.root)
+    return told("{size:.1f} GB in {folder}", size=record.size / 2**30, folder=place.root)
 
 
 def describe(verdict: dict[str, Any]) -> str:
@@ -250,7 +255,8 @@ def describe(verdict: dict[str, Any]) -> str:
     facts = [verdict["message"]]
     if verdict["memory_bytes"]:
         free, total = (verdict[name] / 2**30 for name in ("free_memory_bytes", "memory_bytes"))
-        facts.append(f"{free:.1f} of {total:.1f} GB memory free" if free else f"{total:.1f} GB")
+        text = "{free:.1f} of {total:.1f} GB memory free" if free else "{total:.1f} GB"
+        facts.append(told(text, free=free, total=total))
     names = {"robir": "RobIR", "torch": "torch", "numpy": "numpy", "python": "Python"}
     versions = [f"{text} {verdict[name]}" for name, text in names.items() if verdict[name]]
     facts += [", ".join(versions), f"Cycles: {verdict['blender']}"]
@@ -266,8 +272,9 @@ def _install_command(context: bpy.types.Context) -> list[str]:
         folder = Path(bpy.path.abspath(chosen.wheels))
         if not folder.is_dir():
             raise EngineError(
-                f"The folder of wheels {folder} does not exist",
+                "The folder of wheels {folder} does not exist",
                 "choose another in the add-on's preferences, or empty the field to download",
+                folder=folder,
             )
         return engine.worker_command(*words, "--wheels", str(folder), python=engine.base_python())
     if not bpy.app.online_access:
@@ -279,9 +286,9 @@ def _check(context: bpy.types.Context, run: Run) -> None:
     try:
         python = engine_python(context)
     except EngineError as error:
-        _tell(error.message, error.cure)
+        _tell_error(error)
         return
-    task = _Check("The check of the engine")
+    task = _Check(Sentence("The check of the engine"))
     words = ["selftest", "--json", "--device", context.scene.robir.device]
     command = [str(python), "-P", "-m", "robir", *words]
     _start(run, "check_engine", command, task)
@@ -291,21 +298,21 @@ def _start(run: Run, name: str, command: list[str], task: _Task) -> None:
     try:
         run(name, command, task.on_line, task.on_end)
     except AddonError as error:
-        monitor.show_problem(str(error))
+        monitor.show_problem(told(error))
 
 
 def _not_managed(context: bpy.types.Context) -> str:
     """Why there is no managed engine to work on; empty if there is."""
     chosen = preferences_of(context)
     if chosen is None:
-        return "RobIR is not enabled as an add-on; the engine is this Python"
+        return told("RobIR is not enabled as an add-on; the engine is this Python")
     if chosen.engine != "MANAGED":
-        return "An existing environment is chosen in the preferences"
+        return told("An existing environment is chosen in the preferences")
     try:
         managed_place()
         managed_wheel()
     except EngineError as error:
-        return f"{_sentence(error.message)}: {error.cure}"
+        return f"{_sentence(told(error.message))}: {told(error.cure)}"
     return ""
 
 
@@ -313,6 +320,10 @@ def _allowed(operator: type[bpy.types.Operator], problem: str) -> bool:
     if problem:
         operator.poll_message_set(problem)
     return not problem
+
+
+def _tell_error(error: EngineError) -> None:
+    _tell(told(error.message), told(error.cure))
 
 
 def _tell(error: str, cure: str) -> None:

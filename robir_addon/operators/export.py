@@ -16,6 +16,7 @@ from ..errors import RequestError, ResultError
 from ..importer import asset_of, mark_of
 from ..lights import lamps_of
 from ..reducing import levels_of_detail, reduced
+from ..words import told
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 
 
@@ -38,7 +39,7 @@ class _SaveAs(ExportHelper):
     def target(self) -> Path:
         """The chosen file."""
         if not self.filepath:
-            raise RequestError(f"no file was given; name a {self.filename_ext} file")
+            raise RequestError("no file was given; name a {kind} file", kind=self.filename_ext)
         return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
 
 
@@ -101,17 +102,21 @@ class ROBIR_OT_export_glb(_SaveAs, _Sized, ResultOperator, bpy.types.Operator):
                     target = target.with_stem(f"{target.stem}_LOD{level}")
                 with reduced(asset, faces, int(self.texture_side)):
                     _write_glb(context.view_layer, asset, target)
-            more = f" and {len(levels) - 1} coarser ones" if len(levels) > 1 else ""
-            name = self.target().name
-            self.report({"INFO"}, f"Saved {name}, the object as it stands in the scene{more}")
+            text = "Saved {name}, the object as it stands in the scene"
+            if len(levels) > 1:
+                text = (
+                    "Saved {name}, the object as it stands in the scene, and {count} coarser ones"
+                )
+            words = {"name": self.target().name, "count": len(levels) - 1}
+            self.report({"INFO"}, told(text, **words))
             return
         if self.most_faces or self.texture_side != "0" or self.levels > 1:
             raise ResultError("import the result first; its own file is saved as it is")
         source = result_paths(context).asset
         if not source.is_file():
-            raise ResultError(f"{source.name} is missing; export the result again")
+            raise ResultError("{file} is missing; export the result again", file=source.name)
         copy_whole(source, self.target())
-        self.report({"INFO"}, f"Saved {self.target().name}")
+        self.report({"INFO"}, told("Saved {name}", name=self.target().name))
 
 
 def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path) -> None:
@@ -144,7 +149,7 @@ class ROBIR_OT_export_usd(_SaveAs, _Sized, ImportedOperator, bpy.types.Operator)
     def poll(cls, context: bpy.types.Context) -> bool:
         """Where Blender can write USD."""
         if not bpy.app.build_options.usd:
-            cls.poll_message_set("This Blender was built without USD")
+            cls.poll_message_set(told("This Blender was built without USD"))
             return False
         return super().poll(context)
 
@@ -172,8 +177,9 @@ class ROBIR_OT_export_usd(_SaveAs, _Sized, ImportedOperator, bpy.types.Operator)
                 **_textures_too(),
             )
         if not target.is_file():
-            raise ResultError(f"{target.name} was not written; is the folder writable?")
-        self.report({"INFO"}, f"Saved {target.name} with its textures beside it")
+            raise ResultError("{file} was not written; is the folder writable?", file=target.name)
+        text = "Saved {name} with its textures beside it"
+        self.report({"INFO"}, told(text, name=target.name))
 
 
 class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
@@ -213,11 +219,14 @@ class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
         there = [file.name for file in files if (folder / file.name).exists()]
         if there and not self.overwrite:
             raise RequestError(
-                f"{folder.name} already has {', '.join(there)}; tick Overwrite or choose another"
+                "{folder} already has {names}; tick Overwrite or choose another",
+                folder=folder.name,
+                names=", ".join(there),
             )
         for file in files:
             copy_whole(file, folder / file.name)
-        self.report({"INFO"}, f"Copied {len(files)} textures to {folder.name}")
+        text = "Copied {count} textures to {folder}"
+        self.report({"INFO"}, told(text, count=len(files), folder=folder.name))
 
 
 class ROBIR_OT_mark_asset(ImportedOperator, bpy.types.Operator):

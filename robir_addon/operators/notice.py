@@ -4,6 +4,7 @@
 import bpy
 
 from .. import monitor
+from ..words import told
 from .engine import OFFLINE
 
 
@@ -20,7 +21,7 @@ class ROBIR_OT_dismiss(bpy.types.Operator):
         state = context.window_manager.robir
         if state.error or (state.message and not state.task):
             return True
-        cls.poll_message_set("There is no notice")
+        cls.poll_message_set(told("There is no notice"))
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -46,7 +47,7 @@ class ROBIR_OT_allow_online(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Where the permission is missing and can be given."""
         if bpy.app.online_access_override or context.preferences.system.use_online_access:
-            cls.poll_message_set("Online access is decided already")
+            cls.poll_message_set(told("Online access is decided already"))
             return False
         return True
 
@@ -64,7 +65,7 @@ class ROBIR_OT_allow_online(bpy.types.Operator):
 
 def is_offline(state: bpy.types.AnyType) -> bool:
     """Whether the notice is that the permission to go online is missing."""
-    return state.error == OFFLINE
+    return state.error == told(OFFLINE)
 
 
 CLASSES = (ROBIR_OT_dismiss, ROBIR_OT_allow_online)

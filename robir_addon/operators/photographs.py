@@ -4,6 +4,7 @@
 import bpy
 from bpy.props import IntProperty
 
+from ..words import reported, told
 from .capture import has_capture, may_begin
 
 MISSING = "missing-images"
@@ -31,7 +32,7 @@ class ROBIR_OT_leave_out(bpy.types.Operator):
         if not (has_capture(cls, context) and may_begin(cls, context)):
             return False
         if not context.window_manager.robir.findings:
-            cls.poll_message_set("Look at the capture first")
+            cls.poll_message_set(told("Look at the capture first"))
             return False
         return True
 
@@ -56,7 +57,7 @@ class ROBIR_OT_leave_out(bpy.types.Operator):
         try:
             return bpy.ops.robir.look_at_capture(way)
         except RuntimeError as fault:  # how Blender passes on what that operator reported
-            self.report({"ERROR"}, str(fault).removeprefix("Error: ").strip())
+            self.report({"ERROR"}, reported(fault))
             return {"CANCELLED"}
 
 

@@ -18,6 +18,7 @@ from ..placing import (
     stand,
 )
 from ..ruler import Ruler
+from ..words import told, words
 from .shared import ImportedOperator, result_paths, result_root
 
 
@@ -71,8 +72,8 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
         try:
             self._asset_name = self.asset(context).name
         except ResultError as error:
-            return self.refuse(context, str(error))
-        self._ruler = Ruler("Click a point of the object; Esc leaves all as it is")
+            return self.refuse(context, told(error))
+        self._ruler = Ruler(words("Click a point of the object; Esc leaves all as it is"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
@@ -89,7 +90,7 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
             return {"RUNNING_MODAL"}
         self._ruler.add(point)
         if len(self._ruler.points) < 2:
-            self._ruler.say("Click the other point")
+            self._ruler.say(words("Click the other point"))
             return {"RUNNING_MODAL"}
         self.first, self.second = self._ruler.points
         self.length = (self._ruler.points[1] - self._ruler.points[0]).length
@@ -112,7 +113,8 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
             mark_as_imported(asset)
         context.view_layer.update()
         size = max(asset.dimensions)
-        self.report({"INFO"}, f"{asset.name} is {size:.4g} units in its longest direction")
+        text = "{name} is {size:.4g} units in its longest direction"
+        self.report({"INFO"}, told(text, name=asset.name, size=size))
 
 
 class ROBIR_OT_stand_on_floor(_PlacingOperator, bpy.types.Operator):

@@ -11,6 +11,7 @@ from ..engine import EngineError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
 from ..recent import remember
+from ..words import reported, told
 from ..worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
 
@@ -34,11 +35,13 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
         if not (may_begin(cls, context) and has_capture(cls, context)):
             return False
         if is_refused(absolute(context.scene.robir.capture)):
-            cls.poll_message_set("The capture has faults: mend what Check names and look again")
+            cls.poll_message_set(
+                told("The capture has faults: mend what Check names and look again")
+            )
             return False
         status = engine_status(context)
         if status.state != "ready":
-            cls.poll_message_set(f"{status.text}: {status.cure}")
+            cls.poll_message_set(f"{told(status.text)}: {told(status.cure)}")
             return False
         return True
 
@@ -67,8 +70,8 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
                 own_folder = str(request.out) if context.scene.robir.out else ""
                 remember(request.capture, own_folder)
         except (EngineError, *client.START_ERRORS) as error:
-            monitor.show_problem(str(error))
-            self.report({"ERROR"}, in_panel_words(str(error)))
+            monitor.show_problem(told(error))
+            self.report({"ERROR"}, in_panel_words(told(error)))
             return None
         return request.out
 
@@ -84,7 +87,7 @@ class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """While something is at work."""
         if not (monitor.is_busy() and context.window_manager.robir.task):
-            cls.poll_message_set("Nothing is at work")
+            cls.poll_message_set(told("Nothing is at work"))
             return False
         return True
 
@@ -108,7 +111,7 @@ class ROBIR_OT_attach(bpy.types.Operator):
         if not may_begin(cls, context):
             return False
         if result_folder(context.scene.robir) is None:
-            cls.poll_message_set("Choose a capture or a result folder first")
+            cls.poll_message_set(told("Choose a capture or a result folder first"))
             return False
         return True
 
@@ -130,7 +133,8 @@ class ROBIR_OT_attach(bpy.types.Operator):
     def _find(self, context: bpy.types.Context) -> Path | None:
         root = result_folder(context.scene.robir)
         if not client.snapshot(root).is_live:
-            self.report({"ERROR"}, f"No reconstruction is at work in {root.name}; start one")
+            text = "No reconstruction is at work in {name}; start one"
+            self.report({"ERROR"}, told(text, name=root.name))
             return None
         return root
 
@@ -159,8 +163,10 @@ def _bring_in(root: Path) -> None:
         bpy.context.scene.robir.result = str(root)
         if not bpy.ops.robir.import_result.poll():
             monitor.show_problem(
-                "the reconstruction is done and can only be imported in Object Mode; "
-                "leave the present mode and press Import Result"
+                told(
+                    "the reconstruction is done and can only be imported in Object Mode; leave "
+                    "the present mode and press Import Result"
+                )
             )
             return
         monitor.drop_steps()
@@ -168,7 +174,7 @@ def _bring_in(root: Path) -> None:
         try:
             bpy.ops.robir.import_result(directory=str(root))
         except RuntimeError as fault:  # how Blender passes on what that operator reported
-            monitor.show_problem(str(fault).removeprefix("Error: ").strip())
+            monitor.show_problem(reported(fault))
         bpy.ops.ed.undo_push(message="Import Result")
 
 

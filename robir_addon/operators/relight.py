@@ -23,6 +23,7 @@ from ..lights import (
     world_of,
 )
 from ..summary import read_shown
+from ..words import told
 from .shared import ImportedOperator, result_paths, result_root
 
 
@@ -71,7 +72,9 @@ class ROBIR_OT_use_environment(_OtherLight, bpy.types.Operator, ImportHelper):
         """Take the chosen file."""
         file = Path(bpy.path.abspath(self.filepath))
         if file.suffix.lower() not in (".exr", ".hdr"):
-            raise RequestError(f"{file.name or 'no file'} is no environment; choose .exr or .hdr")
+            if not file.name:
+                raise RequestError("no file was given; choose .exr or .hdr")
+            raise RequestError("{name} is no environment; choose .exr or .hdr", name=file.name)
         self.light_with(context, file)
 
 
@@ -100,8 +103,8 @@ class _RenderingOperator(ImportedOperator):
     task: str
     """As `ROBIR_PG_state.task` has it."""
 
-    noun: str
-    """What comes of it, as in "No film"."""
+    cancelled: str
+    """Said where nothing came of it because the user stopped it."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -109,7 +112,7 @@ class _RenderingOperator(ImportedOperator):
         if not super().poll(context):
             return False
         if monitor.is_busy():
-            cls.poll_message_set("Something is at work: wait for it or cancel it")
+            cls.poll_message_set(told("Something is at work: wait for it or cancel it"))
             return False
         return True
 
@@ -121,16 +124,16 @@ class _RenderingOperator(ImportedOperator):
         """Start rendering and return; the panel shows how far it is."""
         try:
             command, environment = blender_command(self.words(context))
-            made = _Made(self.noun)
+            made = _Made(self.cancelled)
             monitor.run_task(self.task, command, made.on_line, made.on_end, environment)
         except AddonError as error:
-            return self.refuse(context, str(error))
+            return self.refuse(context, told(error))
         return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> None:
         """Render and wait for it."""
         command, environment = blender_command(self.words(context))
-        made = _Made(self.noun)
+        made = _Made(self.cancelled)
         monitor.wait_task(self.task, command, made.on_line, made.on_end, environment)
         if made.problem:
             raise AddonError(made.problem)
@@ -148,7 +151,7 @@ class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    task, noun = "turntable", "film"
+    task, cancelled = "turntable", "No film: it was cancelled"
 
     view: StringProperty(
         name="View",
@@ -182,7 +185,7 @@ class ROBIR_OT_picture_lights(_RenderingOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    task, noun = "lights", "pictures"
+    task, cancelled = "lights", "No pictures: it was cancelled"
 
     def words(self, context: bpy.types.Context) -> list[str]:
         """All lights."""
@@ -193,15 +196,15 @@ class _Made:
     """What comes of the process that renders.
 
     Args:
-        noun: What is rendered.
+        cancelled: What to say where the user stopped it.
 
     Attributes:
         file: The last file that was written; None until it is there.
         problem: One sentence if there is none.
     """
 
-    def __init__(self, noun: str) -> None:
-        self._noun = noun
+    def __init__(self, cancelled: str) -> None:
+        self._cancelled = cancelled
         self.file: Path | None = None
         self.problem = ""
 
@@ -214,12 +217,13 @@ class _Made:
         """Say in the panel what there is, or why there is nothing."""
         state = bpy.context.window_manager.robir
         if code == 0 and self.file is not None:
-            state.message = f"{self.file.name} is in {self.file.parent.name}"
+            text = "{file} is in {folder}"
+            state.message = told(text, file=self.file.name, folder=self.file.parent.name)
             read_shown()  # the panel may have new pictures
         elif code == 130:
-            state.message = f"No {self._noun}: it was cancelled"
+            state.message = told(self._cancelled)
         else:
-            lines = said.splitlines() or [f"Blender ended with code {code}"]
+            lines = said.splitlines() or [told("Blender ended with code {code}", code=code)]
             ours = [line for line in lines if line.startswith("error: ")]
             self.problem = (ours or lines)[-1].removeprefix("error: ")
             monitor.show_problem(self.problem)

@@ -19,6 +19,7 @@ from ..pictures import put_image, read_codes, show_image
 from ..startup import bring_back
 from ..support import support_report
 from ..view_transform import match_view_transform
+from ..words import told, words
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 
 COMPARISON = "RobIR comparison"
@@ -109,7 +110,7 @@ def _is_edited(root: Path) -> bool:
 
 def _is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     if context.mode != "OBJECT":
-        operator.poll_message_set("Leave the present mode for Object Mode first")
+        operator.poll_message_set(told("Leave the present mode for Object Mode first"))
         return False
     return True
 
@@ -177,7 +178,7 @@ class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
         shown = getattr(context.space_data, "image", None)
         image = bpy.data.images.get(COMPARISON)
         if image is None or VIEW not in image or shown not in (None, image):
-            cls.poll_message_set("Press Compare first")
+            cls.poll_message_set(told("Press Compare first"))
             return False
         return True
 
@@ -195,11 +196,13 @@ def _show_comparison(
     """Show the four pictures of a view under their names; returns these for the report."""
     found = compare(paths, table, view)
     image = put_image(COMPARISON, found.codes, mark_of(paths.root))
-    names = ("Photograph", f"Re-render by {found.rendered_by}", "Albedo", "Roughness")
+    again = words("Re-render by {renderer}", renderer=found.rendered_by)
+    names = (words("Photograph"), again, words("Albedo"), words("Roughness"))
+    title = words("View {name}, arrow keys for others", name=found.view)
     image[VIEW] = found.view
-    image[CAPTIONS] = "\n".join((f"View {found.view}, arrow keys for others", *names))
+    image[CAPTIONS] = "\n".join((title, *names))
     show_image(context, image)
-    return f"View {found.view}: {', '.join(names)}"
+    return told("View {name}: {pictures}", name=found.view, pictures=", ".join(names))
 
 
 class ROBIR_OT_show_tone_curve(ResultOperator, bpy.types.Operator):
@@ -229,7 +232,7 @@ class ROBIR_OT_match_view_transform(ResultOperator, bpy.types.Operator):
         """Set the scene's colour management."""
         curve = read_tone_curve(result_paths(context))
         for note in match_view_transform(context.scene, curve):
-            self.report({"WARNING"}, note)
+            self.report({"WARNING"}, told(note))
 
 
 class ROBIR_OT_open_report(ResultOperator, bpy.types.Operator):
@@ -243,7 +246,7 @@ class ROBIR_OT_open_report(ResultOperator, bpy.types.Operator):
         """Hand the local file to the browser; without a window its path is said."""
         report = result_paths(context).report
         if not report.is_file():
-            raise ResultError(f"{report.name} is missing; export the result again")
+            raise ResultError("{file} is missing; export the result again", file=report.name)
         if bpy.app.background:
             self.report({"INFO"}, str(report))
         else:
@@ -263,7 +266,7 @@ class ROBIR_OT_copy_report(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Fill the clipboard."""
         context.window_manager.clipboard = support_report(context)
-        self.report({"INFO"}, "The report is on the clipboard")
+        self.report({"INFO"}, told("The report is on the clipboard"))
         return {"FINISHED"}
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from ..home import own_folder
+from ..words import told
 from .capture import may_choose, take_capture
 
 _SHIPPED = Path(__file__).parents[1] / "sample" / "truck"
@@ -40,7 +41,7 @@ class ROBIR_OT_try_sample(bpy.types.Operator):
         try:
             capture = _laid_out()
         except OSError as fault:
-            self.report({"ERROR"}, f"The sample cannot be laid out: {fault}")
+            self.report({"ERROR"}, told("The sample cannot be laid out: {fault}", fault=fault))
             return {"CANCELLED"}
         return take_capture(self, context, capture, self._way)
 

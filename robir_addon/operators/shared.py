@@ -9,6 +9,7 @@ from ..errors import AddonError
 from ..gateway import JobPaths
 from ..importer import mark_of
 from ..lights import world_of
+from ..words import told
 from ..worker import problem_and_cure
 
 
@@ -29,7 +30,7 @@ class ResultOperator:
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a result is shown."""
         if not context.scene.robir.result:
-            cls.poll_message_set("Import a result first")
+            cls.poll_message_set(told("Import a result first"))
             return False
         return True
 
@@ -42,7 +43,7 @@ class ResultOperator:
         try:
             self.work(context)
         except (AddonError, OSError) as error:
-            return self.refuse(context, str(error))
+            return self.refuse(context, told(error))
         return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> None:
@@ -70,6 +71,6 @@ class ImportedOperator(ResultOperator):
         if not super().poll(context):
             return False
         if world_of(mark_of(result_root(context))) is None:
-            cls.poll_message_set("The result is not in this file: import it again")
+            cls.poll_message_set(told("The result is not in this file: import it again"))
             return False
         return True

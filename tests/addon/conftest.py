@@ -37,7 +37,7 @@ def blender(request: pytest.FixtureRequest) -> blenders.Blender:
     return found
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def own_blender() -> blenders.Blender:
     """The Blender of the environment that runs the tests."""
     everyone = filter(None, map(blenders.find_blender, blenders.VERSIONS))

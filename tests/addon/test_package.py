@@ -271,7 +271,7 @@ def test_what_the_zip_holds(extension_zip):
     assert wheel.removeprefix("./") in files
     assert files["engine/constraints.txt"] == (ROOT / "constraints.txt").read_bytes()
     assert {"__init__.py", "gateway.py", "LICENSE"} <= set(files)
-    allowed = (".py", ".toml", ".txt", ".whl", "LICENSE", "sbom.cdx.json")
+    allowed = (".po", ".py", ".toml", ".txt", ".whl", "LICENSE", "sbom.cdx.json")
     code = [name for name in files if not name.startswith("sample/")]
     assert [name for name in code if not name.endswith(allowed)] == []
     pictures = {name.rpartition(".")[2] for name in files if name.startswith("sample/")}

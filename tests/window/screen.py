@@ -51,6 +51,10 @@ class Screen:
         """Press and release one key, by its X name: Return, Escape, ctrl+z."""
         self._xdotool("key", name)
 
+    def write(self, text: str) -> None:
+        """Type letters one by one."""
+        self._xdotool("type", "--delay", "60", text)
+
     def drop(self, path: Path, x: int, y: int) -> None:
         """Drag a file from another program and let go of it at a pixel."""
         self.clicks += 1

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The click path without a click: what Blender's search finds, and nothing but keys."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from window.blender_window import BlenderWindow
+from window.conftest import BUILD
+from window.screen import Screen
+
+pytestmark = pytest.mark.slow
+
+STATE = "bpy.context.window_manager.robir"
+SETTINGS = "bpy.context.scene.robir"
+
+
+@pytest.fixture(scope="module")
+def window(
+    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[BlenderWindow]:
+    """Blender with the add-on installed; its engine is the Python of this checkout."""
+    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures")
+    window.install(package)
+    window.start()
+    window.run(
+        "import bl_ext.user_default.robir as addon\n"
+        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
+        "chosen.engine = 'EXISTING'\n"
+        f"chosen.python = {sys.executable!r}"
+    )
+    place = window.view_centre()
+    screen.move(place.x, place.y)  # a search belongs to the editor that the mouse rests on
+    time.sleep(0.4)
+    yield window
+    window.quit()
+
+
+OPEN = """
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+region = next(r for r in area.regions if r.type == "WINDOW")
+with bpy.context.temp_override(window=window, area=area, region=region):
+    bpy.ops.wm.search_menu("INVOKE_DEFAULT")
+"""
+"""What F3 does; a virtual keyboard has no such key."""
+
+
+def search(window: BlenderWindow, words: str) -> None:
+    """Do what the search finds first; letters that come before its field is open are lost."""
+    window.run(OPEN)
+    time.sleep(2.5)
+    window.screen.write(words)
+    time.sleep(2.5)
+    window.picture(f"searched_{words.replace(' ', '_')}")
+    window.screen.key("Return")
+    time.sleep(1.5)
+
+
+def test_a_capture_is_chosen_and_looked_at(window: BlenderWindow) -> None:
+    search(window, "try the sample")
+    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 60.0)
+    assert Path(window.get(f"{SETTINGS}.capture")).name == "truck"
+
+
+def test_preset_and_device_are_chosen(window: BlenderWindow) -> None:
+    search(window, "preset high")
+    search(window, "device processor")
+    assert window.get(f"[{SETTINGS}.preset, {SETTINGS}.device]") == ["high", "cpu"]
+
+
+def test_a_reconstruction_is_started_and_stopped(window: BlenderWindow) -> None:
+    search(window, "robir reconstruct")
+    window.wait_until(f"{STATE}.task == 'reconstruct'", 20.0)
+    window.screen.key("Escape")
+    window.wait_until(f"not {STATE}.task", 30.0)
+
+
+def test_the_capture_is_let_go(window: BlenderWindow) -> None:
+    search(window, "clear capture")
+    window.wait_until(f"not {SETTINGS}.capture", 5.0)
