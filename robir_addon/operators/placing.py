@@ -29,7 +29,7 @@ class _PlacingOperator(ImportedOperator):
         if not super().poll(context):
             return False
         if context.mode != "OBJECT":
-            cls.poll_message_set("Leave the present mode for Object Mode first")
+            cls.poll_message_set(words("Leave the present mode for Object Mode first"))
             return False
         return True
 

@@ -11,6 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from .. import monitor
 from ..child import blender_command
+from ..engine import Sentence
 from ..errors import AddonError, RequestError
 from ..importer import mark_of
 from ..lights import (
@@ -103,7 +104,7 @@ class _RenderingOperator(ImportedOperator):
     task: str
     """As `ROBIR_PG_state.task` has it."""
 
-    cancelled: str
+    cancelled: Sentence
     """Said where nothing came of it because the user stopped it."""
 
     @classmethod
@@ -151,7 +152,7 @@ class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    task, cancelled = "turntable", "No film: it was cancelled"
+    task, cancelled = "turntable", Sentence("No film: it was cancelled")
 
     view: StringProperty(
         name="View",
@@ -185,7 +186,7 @@ class ROBIR_OT_picture_lights(_RenderingOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    task, cancelled = "lights", "No pictures: it was cancelled"
+    task, cancelled = "lights", Sentence("No pictures: it was cancelled")
 
     def words(self, context: bpy.types.Context) -> list[str]:
         """All lights."""
@@ -203,7 +204,7 @@ class _Made:
         problem: One sentence if there is none.
     """
 
-    def __init__(self, cancelled: str) -> None:
+    def __init__(self, cancelled: Sentence) -> None:
         self._cancelled = cancelled
         self.file: Path | None = None
         self.problem = ""
