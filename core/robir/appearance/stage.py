@@ -35,7 +35,7 @@ from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import make_tracer
 from robir.geometry.mesh.tracing import AbstractTracer
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import Mesh, mesh_for_light
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
@@ -86,7 +86,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     capture = load_settled(context.paths).normalised()
     mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
     transport = Transport.load(context.paths.stage("transport"))
-    tracer = make_tracer(mesh.vertices, mesh.faces, context.device)
+    solid = mesh_for_light(context.paths.stage("geometry"))
+    tracer = make_tracer(solid.vertices, solid.faces, context.device)
     started = time.process_time()
     photographs = Comparison.of(transport, tracer, capture, context.seed)
     compared = carry_out(COMPARISON, photographs, config.without)
