@@ -20,6 +20,7 @@ _MODULES = (
     "operators.photographs",
     "operators.notice",
     "operators.reconstruct",
+    "operators.delight",
     "operators.result",
     "operators.relight",
     "operators.export",

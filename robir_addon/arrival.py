@@ -47,7 +47,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
     centre = sum(corners, Vector()) / len(corners)
     frame(scene, centre, max((corner - centre).length for corner in corners))
-    _light_up(context)
+    light_up(context)
     notes = [f"Imported {imported.asset.name} with {len(imported.cameras)} cameras"]
     if view_transform_differs(scene, curve):
         notes.append(
@@ -65,7 +65,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     return notes
 
 
-def _light_up(context: bpy.types.Context) -> None:
+def light_up(context: bpy.types.Context) -> None:
     """Show the viewports of the scene lit by what the scene holds."""
     for window in context.window_manager.windows:
         if window.scene != context.scene:

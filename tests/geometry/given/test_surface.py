@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes handed in with photographs of a known shape: taken, turned, placed, or refused in words."""
+"""Meshes handed in with photographs of a known shape: taken, turned, placed, or refused."""
 
 from __future__ import annotations
 

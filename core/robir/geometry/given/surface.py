@@ -114,7 +114,7 @@ def hand_in(
     given = replace(given, vertices=(given.vertices - bounds.centre) / bounds.radius)
     given, agreement = _placed(given, captures, config, picture)
     given = _turned(given, capture)
-    mesh, light, notes = _finished(given, config, warn)
+    mesh, light, new = _finished(given, config, warn)
     is_guessed = any(finding.code == GUESSED_MASKS for finding in capture.findings)
     views = None
     if is_guessed:
@@ -130,8 +130,9 @@ def hand_in(
             "faces_for_light": len((light or mesh).faces),
             "outline_agreement": round(agreement.share, 4),
             "surface": "given",
+            "layout": "new" if new else "own",
         },
-        notes=notes,
+        notes=(*given.notes, *new),
     )
 
 
@@ -260,7 +261,10 @@ def _welded(given: Given) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 def _finished(
     given: Given, config: GeometryConfig, warn: Callable[[str], None]
 ) -> tuple[Mesh, Mesh | None, tuple[str, ...]]:
-    """The mesh for textures and, where that has many faces, another for light; and what to say."""
+    """The mesh for textures and, where that has many faces, another for light.
+
+    A sentence says where the mesh could not keep its own texture coordinates.
+    """
     budget = LIGHT_FACES * config.face_budget
     vertices, faces = _welded(given)
     light = None
@@ -272,14 +276,14 @@ def _finished(
     if fault is None:
         mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
         if light is None:
-            return with_creases(mesh), None, given.notes
-        return replace(mesh, normals=_normals_of(light, mesh)), light, given.notes
+            return with_creases(mesh), None, ()
+        return replace(mesh, normals=_normals_of(light, mesh)), light, ()
     note = f"The mesh gets new texture coordinates: {fault}."
     if light is not None:
         note = f"{note[:-1]}; with them it has {len(light.faces)} faces instead of {len(faces)}."
     bare = plain_mesh(vertices, faces) if light is None else compacted(light.vertices, light.faces)
     welded = _rewelded(bare)
-    return with_creases(unwrap(welded, config.unwrap_seconds, warn)), None, (*given.notes, note)
+    return with_creases(unwrap(welded, config.unwrap_seconds, warn)), None, (note,)
 
 
 def _rewelded(mesh: Mesh) -> Mesh:
