@@ -84,10 +84,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
     capture = load_settled(context.paths).normalised()
-    mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
+    mesh, tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
-    solid = mesh_for_light(context.paths.stage("geometry"))
-    tracer = make_tracer(solid.vertices, solid.faces, context.device)
     started = time.process_time()
     photographs = Comparison.of(transport, tracer, capture, context.seed)
     compared = carry_out(COMPARISON, photographs, config.without)
@@ -141,6 +139,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, AbstractTracer]:
+    """The mesh that textures belong to, and the tracer of that on which light is solved."""
+    folder = context.paths.stage("geometry")
+    solid = mesh_for_light(folder)
+    tracer = make_tracer(solid.vertices, solid.faces, context.device)
+    return Mesh.load(folder / "mesh.npz"), tracer
 
 
 def _told(other: frozenset[str], capture: Capture) -> str:
