@@ -260,5 +260,5 @@ def test_a_mesh_that_was_refused_may_be_mended(tmp_path):
         reconstruct(request(capture, out, mesh=mesh), Silent(), stages)
     mesh.write_bytes(b"mended")
     reconstruct(request(capture, out, mesh=mesh, is_resume=True), Silent(), stages)
-    assert calls(stages) == dict.fromkeys(STAGES, 1) | {"geometry": 2}
+    assert calls(stages) == dict.fromkeys(STAGES, 1) | {"capture": 2, "geometry": 2}
     assert read_json(JobPaths(out).run)["state"] == "done"

@@ -45,7 +45,7 @@ class StageContext(Generic[ConfigT]):
         seed: Seed of every random generator of the stage.
         device: Torch device, "cpu" or "cuda".
         reporter: Progress, warnings and the request to stop.
-        mesh: Mesh given by the user, or None; read by the geometry stage only.
+        mesh: Mesh given by the user, or None; read by the stages capture and geometry.
     """
 
     paths: JobPaths

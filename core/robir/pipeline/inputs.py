@@ -10,10 +10,10 @@ from pathlib import Path
 
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.decode import MAX_FILE_BYTES
+from robir.capture.mesh_file import mesh_parts
 from robir.capture.poses.register import is_video
 from robir.capture.poses.video import MAX_BYTES
 from robir.errors import CaptureError
-from robir.geometry.given.reading import mesh_parts
 from robir.jobs.names import leads_out, open_regular
 
 _POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")

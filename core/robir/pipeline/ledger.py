@@ -55,11 +55,9 @@ def stage_fingerprints(
         mesh: That of the mesh the user hands in; empty without one.
     """
     result: dict[str, str] = {}
-    upstream = capture
+    upstream = fingerprint(capture, mesh) if mesh else capture
     for stage in STAGES:
         settings = table_from_settings(getattr(config, stage))
-        if stage == "geometry" and mesh:
-            upstream = fingerprint(upstream, mesh)
         upstream = fingerprint(stage, settings, config.seed, revisions[stage], upstream)
         result[stage] = upstream
     return result

@@ -18,7 +18,8 @@ from PIL import Image
 from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 
-from robir.capture.capture import GUESSED_MASKS, Capture, View
+from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
+from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.placing import (
@@ -31,7 +32,6 @@ from robir.geometry.given.placing import (
     Similarity,
     better_place,
 )
-from robir.geometry.given.reading import Given, read_mesh
 from robir.geometry.given.sides import inside_out
 from robir.geometry.mesh.isosurface import compacted, plain_mesh
 from robir.geometry.mesh.simplify import decimate, with_creases
@@ -115,9 +115,9 @@ def hand_in(
     given, agreement = _placed(given, captures, config, picture)
     given = _turned(given, capture)
     mesh, light, new = _finished(given, config, warn)
-    is_guessed = any(finding.code == GUESSED_MASKS for finding in capture.findings)
+    codes = {finding.code for finding in capture.findings}
     views = None
-    if is_guessed:
+    if codes & {GUESSED_MASKS, MESH_MASKS}:
         tracer = EmbreeTracer((light or mesh).vertices, (light or mesh).faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
     return Handed(
@@ -153,7 +153,8 @@ def _placed(
     vertices, faces = given.vertices, given.faces
     tracer = EmbreeTracer(vertices.astype(np.float32), faces)
     now = Outlines(views, FINE).of(tracer, AS_IT_IS)
-    if now.share >= FITS and not config.fit_mesh:
+    is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
+    if not is_judge or (now.share >= FITS and not config.fit_mesh):
         return given, now
     place, then = better_place(vertices[np.unique(faces)], tracer, views)
     bounds = captures[0].bounds

@@ -11,10 +11,10 @@ import pytest
 import trimesh
 from evaluation import sphere_run
 
+from robir.capture.mesh_file import read_mesh
 from robir.errors import CaptureError
 from robir.export.gltf import write_glb
 from robir.export.textures import finished_textures
-from robir.geometry.given.reading import read_mesh
 
 CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
