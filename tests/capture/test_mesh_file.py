@@ -111,3 +111,32 @@ def test_what_holds_no_surface_is_refused_in_a_sentence(tmp_path, name, content,
 def test_a_missing_layout_is_no_number(tmp_path):
     given = read_mesh(write(tmp_path / "scan.ply"))
     assert np.isnan(given.uvs).all()
+
+
+def test_layouts_are_read_without_the_pictures_they_name(tmp_path):
+    """As scanning programs write them; materials may be missing and corners differ at seams."""
+    (tmp_path / "scan.obj").write_text(
+        "mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+        "vt .1 .1\nvt .9 .1\nvt .1 .9\nvt .9 .9\nvt .1 .8\n"
+        "usemtl one\nf 1/1 2/2 3/3\nusemtl two\nf 2/2 4/4 3/5\n"
+    )
+    corners = ["0 1 2 6 .1 .1 .9 .1 .1 .9", "1 3 2 6 .9 .1 .9 .9 .1 .8"]
+    lines = [
+        "ply", "format ascii 1.0", "comment TextureFile gone.png", "element vertex 4",
+        "property float x", "property float y", "property float z", "element face 2",
+        "property list uchar int vertex_indices", "property list uchar float texcoord",
+        "end_header", "0 0 0", "1 0 0", "0 1 0", "1 1 0", *(f"3 {line}" for line in corners), "",
+    ]  # fmt: skip
+    (tmp_path / "scan.ply").write_text("\n".join(lines))
+    places = {(0, 0): [0.1, 0.1], (1, 0): [0.9, 0.1], (1, 1): [0.9, 0.9]}
+    for name in ("scan.obj", "scan.ply"):
+        given = read_mesh(tmp_path / name)
+        assert len(given.faces) == 2
+        seam = []
+        for corner in given.faces.ravel():
+            x, y, _ = given.vertices[corner]
+            if (x, y) == (0, 1):
+                seam.append(round(float(given.uvs[corner][1]), 3))
+            else:
+                assert given.uvs[corner] == pytest.approx(places[x, y])
+        assert sorted(seam) == [0.8, 0.9]

@@ -92,7 +92,7 @@ def read_mesh(path: Path) -> Given:
     try:
         if suffix in ("gltf", "glb"):
             content = _without_pictures(content, is_binary=suffix == "glb")
-        words: dict[str, Any] = {"skip_materials": True} if suffix == "obj" else {}
+        words: dict[str, Any] = {"skip_materials": True} if suffix in ("obj", "ply") else {}
         scene = trimesh.load_scene(
             io.BytesIO(content), file_type=suffix, resolver=parts, process=False, **words
         )
