@@ -102,12 +102,11 @@ def _take(
     context: StageContext[GeometryConfig], mesh: Path, capture: Capture
 ) -> dict[str, float | str]:
     """Take the user's mesh instead of a surface of our own."""
-    context.reporter.progress(0.0, "reading the mesh")
-    folder, warn = context.paths.stage("geometry"), context.reporter.warn
+    folder = context.paths.stage("geometry")
     captures = (capture, capture.normalised())
-    handed = hand_in(mesh, captures, context.config, context.paths.mesh_fit, warn)
+    handed = hand_in(mesh, captures, context.config, context.paths.mesh_fit, context.reporter)
     for note in handed.notes:
-        warn(note)
+        context.reporter.warn(note)
     if handed.views is not None:
         save_masks(context.paths, handed.views)
     handed.mesh.save(folder / "mesh.npz")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 from capture.masks import scene
+from geometry.given.test_surface import Quiet
 
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import read_capture
@@ -29,7 +30,7 @@ def test_outlines_come_from_the_mesh_where_object_and_background_look_alike(tmp_
     assert len(capture.views) == len(shots)
     assert not (tmp_path / "masks").exists()
     handed = hand_in(
-        path, (capture, capture.normalised()), GeometryConfig(), tmp_path / "fit.png", print
+        path, (capture, capture.normalised()), GeometryConfig(), tmp_path / "fit.png", Quiet()
     )
     assert handed.views is not None
     for rough, view, shot in zip(capture.views, handed.views, shots, strict=True):

@@ -18,6 +18,19 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.given.surface import Handed, hand_in
 
 
+class Quiet:
+    """A reporter that nobody listens to."""
+
+    def progress(self, fraction, message):
+        assert 0.0 <= fraction <= 1.0
+
+    def warn(self, message):
+        raise AssertionError(message)
+
+    def metric(self, name, value):
+        raise AssertionError(name)
+
+
 def statue() -> trimesh.Trimesh:
     """A shape that looks alike from no two sides, and whose mirror image is another."""
     parts = []
@@ -62,7 +75,7 @@ def hand(capture, solid: trimesh.Trimesh, folder: Path, **changes) -> Handed:
     path.write_bytes(trimesh.exchange.ply.export_ply(solid))
     config = GeometryConfig(**changes)
     captures = (capture, capture.normalised())
-    return hand_in(path, captures, config, folder / "mesh_fit.png", lambda _: None)
+    return hand_in(path, captures, config, folder / "mesh_fit.png", Quiet())
 
 
 def test_a_mesh_in_its_place_is_taken_as_it_is(capture, tmp_path):
@@ -183,7 +196,7 @@ def test_a_good_layout_is_kept_and_any_other_replaced(capture, tmp_path, layout,
     (tmp_path / "scan.glb").write_bytes(y_up(solid).export(file_type="glb"))
     captures = (capture, capture.normalised())
     picture = tmp_path / "mesh_fit.png"
-    handed = hand_in(tmp_path / "scan.glb", captures, GeometryConfig(), picture, lambda _: None)
+    handed = hand_in(tmp_path / "scan.glb", captures, GeometryConfig(), picture, Quiet())
     mesh = handed.mesh
     kept = np.allclose(mesh.uvs[mesh.uv_faces].reshape(-1, 2), layout(len(mesh.faces)), atol=1e-6)
     assert kept == (fault is None)
@@ -206,7 +219,7 @@ def test_light_is_solved_on_a_copy_of_a_mesh_with_many_faces(capture, tmp_path):
     (tmp_path / "scan.glb").write_bytes(y_up(fine).export(file_type="glb"))
     handed = hand_in(
         tmp_path / "scan.glb", (capture, capture.normalised()), GeometryConfig(face_budget=budget),
-        tmp_path / "mesh_fit.png", lambda _: None,
+        tmp_path / "mesh_fit.png", Quiet(),
     )  # fmt: skip
     assert len(handed.mesh.faces) == len(solid.faces)
     assert handed.light is not None

@@ -38,6 +38,7 @@ from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
+from robir.jobs.context import Reporter
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
 
@@ -94,7 +95,7 @@ def hand_in(
     captures: tuple[Capture, Capture],
     config: GeometryConfig,
     picture: Path,
-    warn: Callable[[str], None],
+    reporter: Reporter,
 ) -> Handed:
     """Read, check, place and unwrap the user's mesh.
 
@@ -103,20 +104,24 @@ def hand_in(
         captures: The capture in its own frame and in the unit frame.
         config: Of the stage.
         picture: File in which a mesh that does not fit is shown.
-        warn: Told what is given up while unwrapping.
+        reporter: Told how far it is, and what is given up while unwrapping.
 
     Raises:
         CaptureError: If it cannot be read or does not fit the photographs; says how it would.
     """
     bounds, capture = captures[0].bounds, captures[1]
+    reporter.progress(0.0, "reading the mesh")
     given = read_mesh(path)
     faces = len(given.faces)
     given = replace(given, vertices=(given.vertices - bounds.centre) / bounds.radius)
+    reporter.progress(0.2, "holding the mesh against the photographs")
     given, agreement = _placed(given, captures, config, picture)
     given = _turned(given, capture)
-    mesh, light, new = _finished(given, config, warn)
+    reporter.progress(0.4, "making the mesh ready for textures")
+    mesh, light, new = _finished(given, config, reporter.warn)
     codes = {finding.code for finding in capture.findings}
     views = None
+    reporter.progress(0.8, "drawing the mesh's outlines")
     if codes & {GUESSED_MASKS, MESH_MASKS}:
         tracer = EmbreeTracer((light or mesh).vertices, (light or mesh).faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
