@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.tracing import Hits
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
@@ -63,6 +64,12 @@ class Similarity:
     def __call__(self, points: Array) -> Array:
         """Points (N, 3) where it brings them."""
         return self.scale * points @ self.turn.T + self.shift
+
+    def first_hits(self, tracer: EmbreeTracer, origins: Array, directions: Array) -> Hits:
+        """Where rays (N, 3) meet a mesh that stands at its place; distances are the mesh's own."""
+        origins = (origins - self.shift) @ self.turn / self.scale
+        directions = directions @ self.turn
+        return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
 
     def outside(self, centre: Array, radius: float) -> Similarity:
         """The same in the frame in which the unit sphere has a centre (3,) and a radius."""
@@ -123,10 +130,7 @@ class Outlines:
 
     def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
         """Agreement of the masks with a mesh that a similarity brings to its place."""
-        origins = (self.origins - place.shift) @ place.turn / place.scale
-        hits = tracer.first_hits(
-            origins.astype(np.float32), (self.directions @ place.turn).astype(np.float32)
-        )
+        hits = place.first_hits(tracer, self.origins, self.directions)
         shown = hits.face >= 0
         both = np.bincount(self._owner, shown & self.mask)
         either = np.bincount(self._owner, shown | self.mask)

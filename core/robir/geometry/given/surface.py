@@ -19,6 +19,7 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 
 from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
+from robir.capture.images.loading import size_within
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
@@ -65,6 +66,9 @@ LIKELY = 0.75
 
 SHOWN = 4
 """Photographs in the picture of a mesh that does not fit."""
+
+TILE = 240
+"""Longer side of each of them, pixels."""
 
 NORMAL_SCALE = 0.25
 """Distance, unit frame, that counts as much as two normals one unit apart."""
@@ -220,26 +224,21 @@ def _show(
     views: tuple[View, ...],
     picture: Path,
 ) -> None:
-    """Write photographs with the mesh over them, red, as it is (left) and as it would fit."""
+    """Write photographs with the mesh over them, red: as it is, and below as it would fit."""
     chosen = farthest_points(np.stack([view.camera.position for view in views]), SHOWN)
-    rows = []
-    for view in (views[k] for k in chosen):
-        small = view.camera.resized(240, 240)
-        photo = np.array(Image.fromarray(view.image_display).resize((240, 240)))
-        row = []
-        for place in places:
-            origins, directions = small.rays(small.pixel_centres())
-            local = (origins - place.shift) @ place.turn / place.scale
-            hits = tracer.first_hits(
-                local.astype(np.float32), (directions @ place.turn).astype(np.float32)
-            )
-            shown = (hits.face >= 0).reshape(240, 240)
+    sheet = Image.new("RGB", (TILE * len(chosen), TILE * len(places)))
+    for column, view in enumerate(views[k] for k in chosen):
+        size = size_within((view.camera.width, view.camera.height), TILE)
+        small = view.camera.resized(*size)
+        photo = np.array(Image.fromarray(view.image_display).resize(size))
+        rays = small.rays(small.pixel_centres())
+        for row, place in enumerate(places):
+            shown = place.first_hits(tracer, *rays).face.reshape(photo.shape[:2]) >= 0
             over = photo.copy()
             over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
-            row.append(over)
-        rows.append(np.hstack(row))
+            sheet.paste(Image.fromarray(over), (TILE * column, TILE * row))
     with replacing(picture) as temporary:
-        Image.fromarray(np.vstack(rows)).save(temporary, format="PNG")
+        sheet.save(temporary, format="PNG")
 
 
 def _turned(given: Given, capture: Capture) -> Given:
