@@ -180,6 +180,8 @@ def _settings(
     config = resolve(base or PRESETS[preset](), options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
+    if config.geometry.fit_mesh and mesh is None:
+        raise UsageError("--fit-mesh moves the mesh that --mesh FILE names; give that too")
     return preset, config, (masks, mesh)
 
 
