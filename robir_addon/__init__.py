@@ -22,6 +22,7 @@ _MODULES = (
     "operators.photographs",
     "operators.notice",
     "operators.reconstruct",
+    "operators.delight",
     "operators.result",
     "operators.placing",
     "operators.relight",

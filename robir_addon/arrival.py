@@ -49,7 +49,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
     centre = sum(corners, Vector()) / len(corners)
     frame(scene, centre, max((corner - centre).length for corner in corners))
-    _light_up(context)
+    light_up(context)
     name, count = imported.asset.name, len(imported.cameras)
     notes = [told("Imported {name} with {count} cameras", name=name, count=count)]
     if view_transform_differs(scene, curve):
@@ -72,7 +72,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     return notes
 
 
-def _light_up(context: bpy.types.Context) -> None:
+def light_up(context: bpy.types.Context) -> None:
     """Show the viewports of the scene lit by what the scene holds."""
     for window in context.window_manager.windows:
         if window.scene != context.scene:

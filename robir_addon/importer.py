@@ -133,6 +133,37 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     return Imported(collection, asset, cameras, lamps, world)
 
 
+def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> None:
+    """Bring the recovered light of a finished result folder into a scene, without its object.
+
+    Args:
+        root: The result folder.
+        scene: Scene to light.
+        use_sun_lamp: As for `import_result`.
+
+    Raises:
+        ResultError: If the folder holds no finished export; then nothing has changed.
+    """
+    mark = mark_of(root)
+    paths = JobPaths(Path(mark))
+    if fault := special_fault(paths):
+        raise ResultError(fault)
+    table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
+    for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):
+        if not file.is_file():
+            raise ResultError("{file} is missing; export the result again", file=file)
+    bpy.data.batch_remove(lamps_of(mark))
+    world = world_of(mark)
+    if world is None:
+        world = make_world(paths.root.name, paths, mark)
+    else:
+        refresh_world(world, paths)
+    collection = _collection(paths.root.name, "result", mark, scene.collection)
+    _add_lamps(suns, paths, table["bounds"], collection)
+    show_recovered_light(scene, world, use_sun_lamp)
+    turn_light(scene, scene.robir.rotation)
+
+
 def _refresh(
     paths: JobPaths,
     scene: bpy.types.Scene,

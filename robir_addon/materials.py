@@ -39,7 +39,7 @@ def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
 def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types.Object:
     """The object in the capture's frame, not yet linked to a collection."""
     data = _mesh(mesh, mark)
-    data.materials.append(_material(name, mesh.specular, paths, mark))
+    data.materials.append(new_material(name, mesh.specular, paths, mark))
     asset = bpy.data.objects.new(mesh.name, data)
     asset[MARK] = mark
     return asset
@@ -119,8 +119,18 @@ def _digest(data: bpy.types.Mesh) -> str:
     return digest.hexdigest()
 
 
-def _material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.types.Material:
-    """Principled material from the texture files; IOR stays Blender's 1.5, specular is a share."""
+def new_material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.types.Material:
+    """Principled material from the texture files of a result.
+
+    Args:
+        name: Its name.
+        specular: Share of the reflection that an IOR of 1.5, Blender's default, has.
+        paths: Of the result folder.
+        mark: What its data-blocks are marked with.
+
+    Raises:
+        ResultError: If a texture is missing or damaged.
+    """
     material = bpy.data.materials.new(name)
     material[MARK] = mark
     enable_nodes(material)

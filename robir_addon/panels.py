@@ -153,6 +153,7 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
         row = big(layout)
         row.operator("robir.reconstruct", icon="PLAY")
         row.operator("robir.attach", text="", icon="LINKED")
+        layout.operator("robir.delight", icon="SHADING_TEXTURE")
 
     def _draw_running(self, context: bpy.types.Context) -> None:
         state, layout = context.window_manager.robir, self.layout

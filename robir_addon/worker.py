@@ -36,6 +36,8 @@ _WORDS = (
     (", or try another --seed", ""),
     ("run `robir check` on the capture", "look at the findings under Check"),
     ("Run `robir check` and look", "Look"),
+    ("have that done with --fit-mesh and --resume, or export the mesh in the cameras' frame",
+     "move the object there"),
     ("use --device cpu", "choose the processor as Device"),
 )  # fmt: skip
 """What the command line calls a thing, and what it is called in the panel."""

@@ -104,6 +104,20 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     parser.add_argument(
         "--masks", type=path_argument, metavar="DIR", help="masks named like the images"
     )
+    parser.add_argument(
+        "--mesh",
+        type=path_argument,
+        metavar="FILE",
+        help="take this mesh, in the capture's frame, instead of reconstructing one: .glb, .gltf, "
+        ".obj, .ply, .stl or .off",
+    )
+    parser.add_argument(
+        "--fit-mesh",
+        action="append_const",
+        const="geometry.fit_mesh=true",
+        dest="assignments",
+        help="turn, scale and shift the mesh to where the photographs show it",
+    )
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
     parser.add_argument("--threads", type=positive, help="threads of torch, default one")
     parser.add_argument(

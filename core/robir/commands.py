@@ -31,7 +31,7 @@ def reconstruct(options: Namespace) -> int:
     from robir.pipeline.runner import reconstruct as run
 
     keep_freed_memory()
-    preset, config, masks = _settings(options)
+    preset, config, (masks, mesh) = _settings(options)
     with display_for(options.progress) as display:
         request = RunRequest(
             source=options.capture,
@@ -41,6 +41,7 @@ def reconstruct(options: Namespace) -> int:
             config=config,
             execution=choose_execution(options.device, options.threads),
             is_resume=options.resume,
+            mesh=mesh,
         )
         doubt = judged(run(request, display, load_stages()))
     if doubt is None and options.progress != "json":
@@ -161,21 +162,27 @@ def selftest(options: Namespace) -> int:
     return code
 
 
-def _settings(options: Namespace) -> tuple[str, RunConfig, Path | None]:
-    """Preset name, configuration and masks; with --resume those of the folder are the default."""
+def _settings(
+    options: Namespace,
+) -> tuple[str, RunConfig, tuple[Path | None, Path | None]]:
+    """Preset name, configuration, masks and mesh; with --resume the folder's are the default."""
     from robir.pipeline import folder
 
     paths = JobPaths(options.out)
     before = folder.read_run(paths) if options.resume else None
-    preset, base, masks = options.preset or "draft", None, options.masks
+    preset, base, masks, mesh = options.preset or "draft", None, options.masks, options.mesh
     if before is not None and masks is None and before["capture"]["masks"] is not None:
         masks = Path(before["capture"]["masks"])
+    if before is not None and mesh is None and before["capture"].get("mesh") is not None:
+        mesh = Path(before["capture"]["mesh"]["path"])
     if before is not None and options.preset is None and paths.config.exists():
         preset, base = before["preset"], folder.read_config(paths)
     config = resolve(base or PRESETS[preset](), options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
-    return preset, config, masks
+    if config.geometry.fit_mesh and mesh is None:
+        raise UsageError("--fit-mesh moves the mesh that --mesh FILE names; give that too")
+    return preset, config, (masks, mesh)
 
 
 def _finished(out: Path) -> JobPaths:

@@ -7,7 +7,9 @@ import bpy
 
 from .. import monitor, viewport
 from ..command_line import worker_environment
+from ..delight import target_of
 from ..engine import EngineError
+from ..errors import AddonError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
 from ..recent import remember
@@ -18,16 +20,8 @@ from .capture import has_capture, is_refused, may_begin
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
-class ROBIR_OT_reconstruct(bpy.types.Operator):
-    """From the photographs to an object in the scene."""
-
-    bl_idname = "robir.reconstruct"
-    bl_label = "Reconstruct"
-    bl_description = (
-        "Reconstruct the captured object and import it when it is done; an unfinished "
-        "reconstruction is continued, and Blender may be closed meanwhile"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+class WorkerOperator:
+    """Starts a worker on the chosen capture; what of it is asked, `request` says."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -63,17 +57,41 @@ class ROBIR_OT_reconstruct(bpy.types.Operator):
     def _start(self, context: bpy.types.Context) -> Path | None:
         """Result folder of a worker that was started; None where it was not."""
         try:
-            request = request_of(context.scene.robir)
+            request = self.request(context)
             if not client.snapshot(request.out).is_live:
                 words = program(engine_python(context))
                 client.start(words, request, worker_environment())
-                own_folder = str(request.out) if context.scene.robir.out else ""
+                own_folder = context.scene.robir.out and str(result_folder(context.scene.robir))
                 remember(request.capture, own_folder)
-        except (EngineError, *client.START_ERRORS) as error:
+        except (AddonError, EngineError, OSError, *client.START_ERRORS) as error:
             monitor.show_problem(told(error))
             self.report({"ERROR"}, in_panel_words(told(error)))
             return None
         return request.out
+
+    def request(self, context: bpy.types.Context) -> client.Request:
+        """What to ask of the worker.
+
+        Raises:
+            AddonError: With a sentence for the user.
+        """
+        raise NotImplementedError
+
+
+class ROBIR_OT_reconstruct(WorkerOperator, bpy.types.Operator):
+    """From the photographs to an object in the scene."""
+
+    bl_idname = "robir.reconstruct"
+    bl_label = "Reconstruct"
+    bl_description = (
+        "Reconstruct the captured object and import it when it is done; an unfinished "
+        "reconstruction is continued, and Blender may be closed meanwhile"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def request(self, context: bpy.types.Context) -> client.Request:
+        """The capture as it is chosen."""
+        return request_of(context.scene.robir)
 
 
 class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
@@ -170,7 +188,8 @@ def _bring_in(root: Path) -> None:
             )
             return
         monitor.drop_steps()
-        viewport.clear_capture()  # the result brings the same cameras
+        if target_of(root) is None:
+            viewport.clear_capture()  # the result brings the same cameras
         try:
             bpy.ops.robir.import_result(directory=str(root))
         except RuntimeError as fault:  # how Blender passes on what that operator reported

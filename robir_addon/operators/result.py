@@ -11,6 +11,7 @@ from ..arrival import bring_in
 from ..cameras import VIEW
 from ..captions import CAPTIONS
 from ..comparison import compare, neighbour
+from ..delight import give_back, target_of
 from ..errors import ResultError
 from ..gateway import JobPaths
 from ..importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
@@ -116,7 +117,7 @@ def _is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Co
 
 
 def _bring_in(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:
-    notes = bring_in(context, root)
+    notes = (bring_in if target_of(root) is None else give_back)(context, root)
     for note in notes:
         operator.report({"INFO"}, note)
     context.window_manager.robir.message = ". ".join(notes)

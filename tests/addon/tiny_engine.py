@@ -10,9 +10,13 @@ import os
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
-from robir import cli, presets
-from robir.pipeline.reporter import RunReporter
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT / "core"), str(ROOT)]  # this checkout, whichever is installed
+
+from robir import cli, presets  # noqa: E402
+from robir.pipeline.reporter import RunReporter  # noqa: E402
 
 
 def tiny():

@@ -37,7 +37,7 @@ from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
 from robir.jobs.records import DamagedFileError, check
 from robir.jobs.status import StatusWriter
 from robir.pipeline.faults import translated
-from robir.pipeline.folder import new_run, read_config, read_run
+from robir.pipeline.folder import capture_facts, new_run, read_config, read_run
 from robir.pipeline.ledger import clear_for_rerun, stage_state
 from robir.pipeline.reporter import RunReporter
 from tests.pipeline.fakes import Silent
@@ -306,8 +306,8 @@ def test_new_runs_are_read_again(tmp_path):
     paths = JobPaths(tmp_path)
     execution = Execution(device="cpu", threads=1)
     run = new_run(
-        source=tmp_path, masks=None, capture="0", preset="draft", config=RunConfig(),
-        execution=execution,
+        capture=capture_facts(tmp_path, None, tmp_path / "a.ply", ("0", "1")), preset="draft",
+        config=RunConfig(), execution=execution,
     )  # fmt: skip
     write_json(paths.run, run)
     assert read_run(paths) == run

@@ -168,6 +168,20 @@ def test_resume_keeps_the_settings_and_masks_of_the_folder(stages, capture, tmp_
     assert folder.read_config(JobPaths(out)).seed == 7
 
 
+def test_resume_keeps_the_mesh_of_the_folder(stages, capture, tmp_path, capsys):
+    (tmp_path / "scan.obj").write_text("read by no fake")
+    mesh = ["--mesh", str(tmp_path / "scan.obj")]
+    assert reconstruct(capture, tmp_path / "out", *mesh) == 0
+    assert reconstruct(capture, tmp_path / "out", "--resume") == 0
+    assert all(stage.calls == 1 for stage in stages.values())
+    assert reconstruct(capture, tmp_path / "out", "--resume", "--fit-mesh") == 0
+    assert (stages["capture"].calls, stages["geometry"].calls) == (1, 2)
+    assert reconstruct(capture, tmp_path / "other", "--fit-mesh") == 2
+    assert "--mesh FILE" in capsys.readouterr().err
+    assert reconstruct(capture, tmp_path / "other", "--mesh", str(tmp_path / "gone.glb")) == 3
+    assert "gone.glb does not exist" in capsys.readouterr().err
+
+
 def test_what_is_not_finished_is_neither_judged_nor_relit(tmp_path, capsys):
     assert cli.main(["evaluate", str(tmp_path)]) == 2
     environment = tmp_path / "sky.exr"

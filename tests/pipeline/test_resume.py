@@ -226,3 +226,39 @@ def test_kill_at_any_moment_then_resume_equals_an_unbroken_run(tmp_path):
         assert contents(out) == contents(tmp_path / "whole")
         assert not [path for path in out.rglob(".*") if path.is_file()]
     assert killed >= 4
+
+
+def test_a_mesh_belongs_to_the_folder_it_went_into(tmp_path):
+    """Its contents make the surface and what follows stale; another is refused, and so is none."""
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    mesh = tmp_path / "scan.ply"
+    mesh.write_bytes(b"a mesh that the fakes do not read")
+    stages = fake_stages()
+    reconstruct(request(capture, out, mesh=mesh), Silent(), stages)
+    reconstruct(request(capture, out, mesh=mesh), Silent(), stages)
+    assert calls(stages) == dict.fromkeys(STAGES, 1)
+    facts = read_json(JobPaths(out).run)["capture"]
+    assert facts["mesh"]["path"] == str(mesh)
+    for other in (None, mesh):
+        mesh.write_bytes(b"another")
+        with pytest.raises(UsageError, match=r"scan\.ply"):
+            reconstruct(request(capture, out, mesh=other, is_resume=True), Silent(), stages)
+    assert calls(stages) == dict.fromkeys(STAGES, 1)
+
+
+def test_a_mesh_that_was_refused_may_be_mended(tmp_path):
+    capture, out, mesh = make_capture(tmp_path / "capture"), tmp_path / "out", tmp_path / "scan.ply"
+    mesh.write_bytes(b"misplaced")
+    stages = fake_stages()
+
+    def refuse(context):
+        if context.mesh.read_bytes() == b"misplaced":
+            raise CaptureError("it does not fit")
+
+    stages["geometry"].mischief = refuse
+    with pytest.raises(CaptureError):
+        reconstruct(request(capture, out, mesh=mesh), Silent(), stages)
+    mesh.write_bytes(b"mended")
+    reconstruct(request(capture, out, mesh=mesh, is_resume=True), Silent(), stages)
+    assert calls(stages) == dict.fromkeys(STAGES, 1) | {"capture": 2, "geometry": 2}
+    assert read_json(JobPaths(out).run)["state"] == "done"

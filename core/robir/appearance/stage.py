@@ -32,7 +32,8 @@ from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import make_tracer
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.triangles import Mesh, mesh_for_light
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.steps import Course, Step, check_left_out
@@ -75,9 +76,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     check_left_out(STEPS, config.without, "appearance.without")
     course = Course(config.without)
     capture = load_settled(context.paths).normalised()
-    mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
+    mesh, tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
-    tracer = make_tracer(mesh.vertices, mesh.faces, context.device)
     started = time.process_time()
     photographs = Comparison.of(transport, tracer, capture, context.seed)
     compared = course.carry_out(COMPARISON, photographs)
@@ -134,6 +134,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, AbstractTracer]:
+    """The mesh that textures belong to, and the tracer of that on which light is solved."""
+    folder = context.paths.stage("geometry")
+    solid = mesh_for_light(folder)
+    tracer = make_tracer(solid.vertices, solid.faces, context.device)
+    return Mesh.load(folder / "mesh.npz"), tracer
 
 
 def _told(other: frozenset[str], capture: Capture) -> str:

@@ -78,8 +78,8 @@ class Finding:
         return cls(**{**plain, "files": tuple(plain["files"])})
 
 
-GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
-"""Codes of findings about masks that we cut."""
+GUESSED_MASKS, KEPT_GROUND, MESH_MASKS = "guessed-masks", "kept-ground", "mesh-masks"
+"""Codes of findings about masks that we cut; the last, roughly about a mesh that was handed in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

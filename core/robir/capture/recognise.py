@@ -243,6 +243,7 @@ def read_capture(
     progress: Progress = unheard,
     workshop: Workshop | None = None,
     guesses: Path | None = None,
+    mesh: Path | None = None,
 ) -> Capture:
     """Read a capture of any known format and check it.
 
@@ -254,6 +255,7 @@ def read_capture(
         workshop: Where missing poses are worked out; None refuses captures without poses.
         guesses: Folder to write masks to where the capture has none and they are guessed, or None
             to keep no files of them.
+        mesh: Mesh of the object that the user hands in: cuts it out where nothing else can.
 
     Returns:
         Views in the capture's own frame, the object's bounds, and findings without errors.
@@ -276,7 +278,7 @@ def read_capture(
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
     try:
-        return _read_posed(source, (frames, findings), masks, (config, guesses), progress)
+        return _read_posed(source, (frames, findings), masks, (config, guesses, mesh), progress)
     except CaptureRefusedError as refusal:
         raise PosedRefusedError(refusal.findings, frames) from None
 
@@ -285,11 +287,11 @@ def _read_posed(
     source: Path,
     posed: tuple[FrameSet, list[Finding]],
     masks: Path | None,
-    how: tuple[CaptureConfig, Path | None],
+    how: tuple[CaptureConfig, Path | None, Path | None],
     progress: Progress,
 ) -> Capture:
     """The rest of `read_capture`, once poses are known to be sound."""
-    (frames, findings), (config, _) = posed, how
+    (frames, findings), (config, *_) = posed, how
     findings += check_settings([frame.image for frame in frames.frames])
     chosen = splits(frames.frames, config)
     given = () if masks is None else (masks,)
@@ -335,11 +337,11 @@ def _load_masked(
     frames: FrameSet,
     chosen: list[tuple[Frame, Split]],
     drawn: dict[str, Path],
-    how: tuple[CaptureConfig, Path | None],
+    how: tuple[CaptureConfig, Path | None, Path | None],
     progress: Progress,
 ) -> tuple[Loaded, list[Finding]]:
     """The photographs with their masks, guessed if none has any, and findings."""
-    config, guesses = how
+    config = how[0]
     has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
     has_masks = has_masks or any(frame.mask for frame, _ in chosen)
     first = _READING if has_masks else _FIRST_READING
@@ -358,7 +360,7 @@ def _load_masked(
         frames,
         chosen,
         loaded,
-        (config, guesses),
+        how,
         lambda share, text: progress(first + (_READING - first) * share, text),
     )
     return loaded, findings + about

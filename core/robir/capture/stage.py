@@ -38,6 +38,7 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
         lambda fraction, message: context.reporter.progress(0.85 * fraction, message),
         Workshop(folder=context.paths.registration, seed=context.seed),
         context.paths.masks,
+        context.mesh,
     )
     if context.config.adjust_cameras:
         context.reporter.progress(0.85, "holding the cameras against the photographs")

@@ -25,6 +25,8 @@ class GeometryConfig:
         face_budget: Most triangles of the final mesh.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
         refine_poses: Whether given cameras are turned where the photographs ask for it.
+        fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
+            photographs show it.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
         without: Names of steps that are left out, to see what they are worth.
@@ -40,6 +42,7 @@ class GeometryConfig:
     face_budget: int = 8000
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
+    fit_mesh: bool = False
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     without: tuple[str, ...] = ()

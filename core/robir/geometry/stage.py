@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from robir.geometry.fit.field_preview import Preview, Renderer
 from robir.geometry.fit.held_out import save_field_views
 from robir.geometry.fit.optimise import fit
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
+from robir.geometry.given.surface import hand_in
 from robir.geometry.ground.plane import SupportPlane
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import LIGHT, Mesh
 from robir.geometry.rays import RaySampler
 from robir.geometry.remask import remasked
 from robir.geometry.rival import smooth_surface
@@ -50,7 +52,10 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         Metrics for the stage's manifest.
     """
     check_left_out(STEPS, context.config.without, "geometry.without")
-    capture = load_capture(context.paths.stage("capture")).normalised()
+    stored = load_capture(context.paths.stage("capture"))
+    if context.mesh is not None:
+        return _take(context, context.mesh, stored)
+    capture = stored.normalised()
     if capture.has_guessed_masks and context.config.stereo.image_side:
         capture = remasked(
             capture,
@@ -94,6 +99,24 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         metrics |= _tell(context, trial)
     context.reporter.progress(1.0, "surface done")
     return metrics
+
+
+def _take(
+    context: StageContext[GeometryConfig], mesh: Path, capture: Capture
+) -> dict[str, float | str]:
+    """Take the user's mesh instead of a surface of our own."""
+    folder = context.paths.stage("geometry")
+    captures = (capture, capture.normalised())
+    handed = hand_in(mesh, captures, context.config, context.paths.mesh_fit, context.reporter)
+    for note in handed.notes:
+        context.reporter.warn(note)
+    if handed.views is not None:
+        save_masks(context.paths, handed.views)
+    handed.mesh.save(folder / "mesh.npz")
+    if handed.light is not None:
+        handed.light.save(folder / LIGHT)
+    context.reporter.progress(1.0, "mesh taken")
+    return handed.metrics
 
 
 def _tell(context: StageContext[GeometryConfig], trial: PoseTrial) -> dict[str, float | str]:

@@ -66,6 +66,7 @@ class Request:
             for it.
         skips_missing: Whether photographs that are not there are done without.
         left_out: Photographs to do without, as the setting `capture.leave_out`.
+        mesh: Mesh that takes the place of a surface of the engine's, or None.
     """
 
     capture: Path
@@ -76,11 +77,13 @@ class Request:
     box: tuple[float, ...] = ()
     skips_missing: bool = False
     left_out: tuple[str, ...] = ()
+    mesh: Path | None = None
 
     def words(self) -> list[str]:
         """The command line without the program."""
         masks = [] if self.masks is None else ["--masks", str(self.masks)]
         choices = ["--preset", self.preset, "--device", self.device]
+        choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
         return [
             "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
             *self.choice_words(),

@@ -45,6 +45,7 @@ class StageContext(Generic[ConfigT]):
         seed: Seed of every random generator of the stage.
         device: Torch device, "cpu" or "cuda".
         reporter: Progress, warnings and the request to stop.
+        mesh: Mesh given by the user, or None; read by the stages capture and geometry.
     """
 
     paths: JobPaths
@@ -54,3 +55,4 @@ class StageContext(Generic[ConfigT]):
     seed: int
     device: str
     reporter: Reporter
+    mesh: Path | None = None

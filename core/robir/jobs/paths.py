@@ -64,6 +64,11 @@ class JobPaths:
         return self.root / "masks"
 
     @property
+    def mesh_fit(self) -> Path:
+        """Photographs with a handed-in mesh that does not fit, as it is and as it would."""
+        return self.root / "mesh_fit.png"
+
+    @property
     def cancel(self) -> Path:
         """Touch this file to ask the run to stop."""
         return self.root / "cancel"

@@ -23,7 +23,11 @@ from robir.settings import (
 )
 
 _RUN = {
-    "state": str, "preset": str, "capture": {"path": str, "masks": (None, str), "fingerprint": str},
+    "state": str, "preset": str,
+    "capture": {
+        "path": str, "masks": (None, str), "fingerprint": str,
+        "mesh?": (None, {"path": str, "fingerprint": str}),
+    },
     "seconds": {...: {"wall": float, "cpu": float}}, "peak_memory_bytes": {...: int},
     "warnings": [{"stage": str, "message": str}],
 }  # fmt: skip
@@ -56,9 +60,7 @@ def read_config(paths: JobPaths) -> RunConfig:
 
 def new_run(
     *,
-    source: Path,
-    masks: Path | None,
-    capture: str,
+    capture: dict[str, Any],
     preset: str,
     config: RunConfig,
     execution: Execution,
@@ -66,9 +68,7 @@ def new_run(
     """Contents of `run.json` before the first stage.
 
     Args:
-        source: Capture as given.
-        masks: Masks folder as given.
-        capture: Fingerprint of the capture's contents.
+        capture: What `capture_facts` says.
         preset: Name of the preset the configuration came from.
         config: Resolved configuration.
         execution: Device and threads.
@@ -83,15 +83,48 @@ def new_run(
         "preset": preset,
         "seed": config.seed,
         "state": "running",
-        "capture": {
-            "path": str(source.resolve()),
-            "masks": None if masks is None else str(masks.resolve()),
-            "fingerprint": capture,
-        },
+        "capture": capture,
         "seconds": {},
         "peak_memory_bytes": {},
         "warnings": [],
     }
+
+
+def capture_facts(
+    source: Path, masks: Path | None, mesh: Path | None, fingerprints: tuple[str, str]
+) -> dict[str, Any]:
+    """What `run.json` says of a run's inputs.
+
+    Args:
+        source: Capture as given.
+        masks: Masks folder as given.
+        mesh: Mesh as given.
+        fingerprints: Of the capture's contents and of the mesh's.
+    """
+    capture, shape = fingerprints
+    return {
+        "path": str(source.resolve()),
+        "masks": None if masks is None else str(masks.resolve()),
+        "mesh": None if mesh is None else {"path": str(mesh.resolve()), "fingerprint": shape},
+        "fingerprint": capture,
+    }
+
+
+def refuse_other_mesh(
+    paths: JobPaths, run: Mapping[str, Any], mesh: Path | None, fingerprint: str
+) -> None:
+    """Refuse to put another mesh, or the first one, into a folder that has a surface already.
+
+    Raises:
+        UsageError: If the surface was made with another mesh or with none; names both.
+    """
+    before = run["capture"].get("mesh") or {"path": "no mesh", "fingerprint": ""}
+    if before["fingerprint"] != fingerprint and paths.manifest("geometry").exists():
+        raise UsageError(
+            f"{paths.root} was made with {before['path']}, not with "
+            f"{'no mesh' if mesh is None else mesh.resolve()} as it is now; "
+            "give another output folder with -o"
+        )
 
 
 def refuse_other_capture(

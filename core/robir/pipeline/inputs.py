@@ -10,6 +10,7 @@ from pathlib import Path
 
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.decode import MAX_FILE_BYTES
+from robir.capture.mesh_file import mesh_parts
 from robir.capture.poses.register import is_video
 from robir.capture.poses.video import MAX_BYTES
 from robir.errors import CaptureError
@@ -34,6 +35,22 @@ def file_hash(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def mesh_fingerprint(mesh: Path | None) -> str:
+    """SHA-256 of the files of a mesh that the user hands in; empty without one.
+
+    Raises:
+        CaptureError: If it does not exist or cannot be read.
+    """
+    if mesh is None:
+        return ""
+    if not mesh.is_file():
+        raise CaptureError(f"the mesh {mesh} does not exist; check the path")
+    digest = hashlib.sha256()
+    for name, content in sorted(mesh_parts(mesh).items()):
+        digest.update(os.fsencode(name) + b"\0" + hashlib.sha256(content).digest())
+    return digest.hexdigest()
 
 
 def capture_fingerprint(

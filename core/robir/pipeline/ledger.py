@@ -44,7 +44,7 @@ class StageModule(Protocol):
 
 
 def stage_fingerprints(
-    config: RunConfig, revisions: Mapping[str, int], capture: str
+    config: RunConfig, revisions: Mapping[str, int], capture: str, mesh: str = ""
 ) -> dict[str, str]:
     """Fingerprint of each stage: its settings, seed, revision and all that came before it.
 
@@ -52,9 +52,10 @@ def stage_fingerprints(
         config: The resolved configuration.
         revisions: REVISION of each stage's module.
         capture: Fingerprint of the capture's contents.
+        mesh: That of the mesh the user hands in; empty without one.
     """
     result: dict[str, str] = {}
-    upstream = capture
+    upstream = fingerprint(capture, mesh) if mesh else capture
     for stage in STAGES:
         settings = table_from_settings(getattr(config, stage))
         upstream = fingerprint(stage, settings, config.seed, revisions[stage], upstream)

@@ -22,7 +22,7 @@ from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
 from robir.pipeline.device import Execution
 from robir.pipeline.faults import refuse_nan, stop_requested, translated
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.inputs import capture_fingerprint, mesh_fingerprint
 from robir.pipeline.ledger import (
     StageModule,
     StageState,
@@ -50,6 +50,7 @@ class RunRequest:
         config: Resolved configuration.
         execution: Device and threads.
         is_resume: Whether an unfinished or outdated folder may be worked on.
+        mesh: Mesh that takes the place of a surface of our own, or None.
     """
 
     source: Path
@@ -59,6 +60,7 @@ class RunRequest:
     config: RunConfig
     execution: Execution
     is_resume: bool
+    mesh: Path | None = None
 
 
 def load_stages() -> dict[str, StageModule]:
@@ -95,10 +97,11 @@ def reconstruct(
     paths = JobPaths(request.out)
     follows_links = request.config.capture.outside == "take"
     capture = capture_fingerprint(request.source, request.masks, request.out, follows_links)
+    mesh = mesh_fingerprint(request.mesh)
     create(paths)
     try:
         with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
-            _bring_up_to_date(request, paths, display, stages, capture)
+            _bring_up_to_date(request, paths, display, stages, (capture, mesh))
     except OSError as error:
         raise translated(error, "", paths.root) from error
     return paths
@@ -109,17 +112,19 @@ def _bring_up_to_date(
     paths: JobPaths,
     display: Display,
     stages: Mapping[str, StageModule],
-    capture: str,
+    inputs: tuple[str, str],
 ) -> None:
     """Look at what is there, refuse what must not be touched, and run the rest."""
+    capture, mesh = inputs
     revisions = {name: stages[name].REVISION for name in STAGES}
-    expected = stage_fingerprints(request.config, revisions, capture)
+    expected = stage_fingerprints(request.config, revisions, capture, mesh)
     states: dict[str, StageState] = {
         stage: stage_state(paths, stage, expected[stage]) for stage in STAGES
     }
     run = folder.read_run(paths)
     if run is not None:
         folder.refuse_other_capture(paths, run, request.source, capture)
+        folder.refuse_other_mesh(paths, run, request.mesh, mesh)
     pending = [stage for stage in STAGES if states[stage] != "done"]
     reporter = RunReporter(paths, display, pending)
     if run is not None and not pending:
@@ -128,7 +133,7 @@ def _bring_up_to_date(
     is_worth_keeping = any(state in ("done", "stale") for state in states.values())
     if run is not None and is_worth_keeping and not request.is_resume:
         folder.refuse_without_resume(paths, run, capture, request.config)
-    _Run(request, paths, reporter, run, capture).work(stages, states, expected)
+    _Run(request, paths, reporter, run, inputs).work(stages, states, expected)
 
 
 def _finish(paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str) -> None:
@@ -148,15 +153,13 @@ class _Run:
         paths: JobPaths,
         reporter: RunReporter,
         before: dict[str, Any] | None,
-        capture: str,
+        inputs: tuple[str, str],
     ) -> None:
         self._request = request
         self._paths = paths
         self._reporter = reporter
         self._facts = folder.new_run(
-            source=request.source,
-            masks=request.masks,
-            capture=capture,
+            capture=folder.capture_facts(request.source, request.masks, request.mesh, inputs),
             preset=request.preset,
             config=request.config,
             execution=request.execution,
@@ -211,6 +214,7 @@ class _Run:
             seed=request.config.seed,
             device=request.execution.device,
             reporter=self._reporter,
+            mesh=request.mesh,
         )
         metrics = dict(module.run(context))
         refuse_nan(stage, metrics, paths.stage(stage))

@@ -9,7 +9,7 @@ import numpy as np
 
 from robir.capture.store import load_settled
 from robir.errors import CaptureError
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import mesh_for_light
 from robir.jobs.context import StageContext
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
@@ -31,7 +31,7 @@ def run(context: StageContext[TransportConfig]) -> dict[str, Any]:
     """
     context.reporter.progress(0.0, "reading the mesh and the photographs")
     capture = load_settled(context.paths).normalised()
-    mesh = Mesh.load(context.paths.stage("geometry") / "mesh.npz")
+    mesh = mesh_for_light(context.paths.stage("geometry"))
     context.reporter.progress(0.1, "tracing what every surface sample sees")
     transport = bake(mesh, capture.train, context.config, context.seed, context.device)
     seen = (transport.observations.weight > 0).sum(1)

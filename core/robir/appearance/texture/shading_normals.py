@@ -78,6 +78,8 @@ def shading_normals(
     """
     usable = (values.coverage > 0) & (values.metallic < 0.5)
     rows = np.flatnonzero(usable)[::TEXEL_STEP]
+    if len(rows) < len(mesh.normals):  # of a finer mesh than the texels hardly a normal is asked
+        return mesh.normals
     face, barycentric = atlas[0][rows], atlas[1][rows]
     position, normal = interpolate(mesh, face, barycentric)
     slope = _log_slope(problem, light, Texels(position=position, normal=normal))

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from robir.capture.camera import Camera
-from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Finding, Split, View
+from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, MESH_MASKS, Finding, Split, View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Array, Distortion, Frame, FrameSet, Lens, posed_otherwise
 from robir.capture.images.loading import Bytes, Photo
@@ -23,9 +23,13 @@ from robir.capture.masks.guess import Guess, guess_masks
 from robir.capture.masks.region import find_region, region_of_box
 from robir.capture.masks.sight import Layer
 from robir.capture.masks.table_disc import disc_about, disc_picture
+from robir.capture.mesh_file import read_mesh
 from robir.capture.refusal import error, note, warning
 from robir.capture.views import Loaded, Progress, load_views, unheard
 from robir.jobs.paths import replacing
+
+_LEAST_PIXELS = 200
+"""Pixels of a small photograph that a mesh has to cover to be what it shows."""
 
 _ENOUGH_POINTS = 200
 """Sparse points of a format that make a search for more needless."""
@@ -35,7 +39,7 @@ def with_guessed_masks(
     frames: FrameSet,
     chosen: Sequence[tuple[Frame, Split]],
     loaded: Loaded,
-    how: tuple[CaptureConfig, Path | None],
+    how: tuple[CaptureConfig, Path | None, Path | None],
     progress: Progress = unheard,
 ) -> tuple[Loaded, list[Finding]]:
     """Guess the masks of photographs that have none, and read the photographs again with them.
@@ -44,17 +48,33 @@ def with_guessed_masks(
         frames: What the format says.
         chosen: Frames that were read, with their split.
         loaded: The photographs read from them, none with a mask.
-        how: Settings of the stage, and the folder where the masks are written, or None to keep no
-            files.
+        how: Settings of the stage, the folder where the masks are written, or None to keep no
+            files, and the mesh that the user hands in, or None.
         progress: Told the share of this work.
 
     Returns:
         Photographs with masks, and findings; an error among them where no masks could be made,
         and the photographs are then as they came.
     """
-    config, folder = how
+    config, folder, mesh = how
     progress(0.0, "looking for the object")
     seen, guess, fault = _guess(frames, loaded.views, config, progress)
+    if guess is None and mesh is not None:
+        cuts = about_mesh(read_mesh(mesh).vertices, chosen, loaded.views)
+        if 2 * len(cuts) > len(chosen):
+            again = load_views(
+                [pair for pair in chosen if pair[0].name in cuts],
+                cuts,
+                config.max_side,
+                lambda share, text: progress(0.6 + 0.4 * share, text),
+            )
+            return again, [
+                note(
+                    MESH_MASKS,
+                    f"The photographs have no masks and none could be guessed ({fault}), so the "
+                    "mesh says where the object is; nothing says whether it stands where it should",
+                )
+            ]
     if guess is None:
         return loaded, [
             error(
@@ -91,6 +111,36 @@ def with_guessed_masks(
     return replace(again, table=plane), account
 
 
+def about_mesh(
+    vertices: Array, chosen: Sequence[tuple[Frame, Split]], views: Sequence[View]
+) -> dict[str, GuessedMask]:
+    """Rough masks by name: the convex hull of what shows a mesh, in photographs that show it whole.
+
+    Args:
+        vertices: (N, 3) of the mesh, capture frame.
+        chosen: Frames with their split.
+        views: The photographs, uncut.
+    """
+    cuts = {}
+    for (frame, _), view in zip(chosen, views, strict=True):
+        pixels, depth = view.camera.project(vertices)
+        if not view.camera.in_picture(pixels, depth).all():
+            continue
+        hull = cv2.convexHull(pixels.astype(np.float32)[:, None])
+        layer = np.zeros(view.mask.shape, np.uint8)
+        cv2.fillConvexPoly(layer, np.rint(hull).astype(np.int32), 1)
+        if layer.sum() < _LEAST_PIXELS:
+            continue
+        cuts[view.name] = GuessedMask(
+            lens=frame.lens,
+            camera=view.camera,
+            belief=np.zeros(layer.shape, np.float32),
+            disc=layer.astype(np.float32),
+            path=None,
+        )
+    return cuts
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuessedMask:
     """A guess that is finished once its photograph is decoded.
@@ -99,7 +149,7 @@ class GuessedMask:
         lens: Lens of the photograph.
         camera: Camera of the layers, undistorted.
         belief: (h, w) in [0, 1].
-        disc: (h, w), the ground that is kept, or None.
+        disc: (h, w), ground that is kept, or what is taken without a look at colours; or None.
         path: File the mask is written to, or None.
     """
 

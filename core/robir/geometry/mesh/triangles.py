@@ -13,6 +13,9 @@ from robir.capture.arrays import stored_arrays
 from robir.errors import StorageError
 from robir.jobs.paths import replacing
 
+LIGHT = "light.npz"
+"""File of the mesh for light in the geometry stage's folder, beside mesh.npz; often absent."""
+
 _FORM = {
     "vertices": "f V 3", "faces": "i F 3", "normals": "f V 3", "uvs": "f + 2", "uv_faces": "i F 3",
 }  # fmt: skip
@@ -73,6 +76,15 @@ class Mesh:
             for corners, points in pairs
         )
         return are_there and len(self.normals) == len(self.vertices)
+
+
+def mesh_for_light(folder: Path) -> Mesh:
+    """The mesh of the geometry stage's folder that light is solved on.
+
+    It is a copy with fewer faces where the user handed in one with many, else the mesh itself.
+    """
+    light = folder / LIGHT
+    return Mesh.load(light if light.exists() else folder / "mesh.npz")
 
 
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:

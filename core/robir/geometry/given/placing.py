@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a mesh stands where the photographs show it, and if not, how it would.
+
+The outline of the mesh is held against the masks at some pixels of a few photographs. What fits
+better is looked for among turns, scales and shifts: the axes that programs swap, then turns of all
+kinds, each with the mesh's bounding sphere on that of the masks; the best are followed downhill.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from robir.capture.bounds import MARGIN, enclosing_sphere
+from robir.capture.capture import View
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.tracing import Hits
+from robir.maths.vectors import farthest_points
+
+Array = NDArray[np.float64]
+
+VIEWS = 12
+"""Photographs that are looked at."""
+
+COARSE, FINE = 28, 80
+"""Pixels along a photograph's longer side that are looked at, to search and to judge."""
+
+PAD = 0.5
+"""Of a photograph's sides: how far beyond its cut the mesh is looked for as well."""
+
+TURNS = 500
+"""Turns of all kinds that are tried, about 25 degrees from each other."""
+
+FOLLOWED = 5
+"""Of them, those that are followed downhill."""
+
+FITS = 0.9
+"""Share of outline and mask that both have, from which a mesh stands right; of its own masks a mesh
+of ours has 0.97."""
+
+BETTER = 0.05
+"""Of that share: by how much another place has to be better to be believed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Similarity:
+    """x -> scale * turn @ x + shift.
+
+    Attributes:
+        turn: (3, 3) rotation; with a determinant of -1 it mirrors as well.
+        scale: Above 0.
+        shift: (3,).
+    """
+
+    turn: Array
+    scale: float
+    shift: Array
+
+    def __call__(self, points: Array) -> Array:
+        """Points (N, 3) where it brings them."""
+        return self.scale * points @ self.turn.T + self.shift
+
+    def first_hits(self, tracer: EmbreeTracer, origins: Array, directions: Array) -> Hits:
+        """Where rays (N, 3) meet a mesh that stands at its place; distances are the mesh's own."""
+        origins = (origins - self.shift) @ self.turn / self.scale
+        directions = directions @ self.turn
+        return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+
+    def outside(self, centre: Array, radius: float) -> Similarity:
+        """The same in the frame in which the unit sphere has a centre (3,) and a radius."""
+        shift = centre + radius * self.shift - self.scale * self.turn @ centre
+        return Similarity(turn=self.turn, scale=self.scale, shift=shift)
+
+    def described(self) -> str:
+        """In words, for the user."""
+        axis = Rotation.from_matrix(self.turn).as_rotvec(degrees=True)
+        angle = float(np.linalg.norm(axis))
+        about = ", ".join(f"{x:.3f}" for x in axis / max(angle, 1e-9))
+        by = ", ".join(f"{x:.5g}" for x in self.shift)
+        return (
+            f"turned by {angle:.2f} degrees about ({about}), scaled by {self.scale:.6g} and "
+            f"shifted by ({by})"
+        )
+
+
+AS_IT_IS = Similarity(turn=np.eye(3), scale=1.0, shift=np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """How an outline and the masks go together.
+
+    Attributes:
+        share: Of what either has, what both have, mean over the photographs, in [0, 1].
+        missing: Share of the masks that the outline leaves free.
+        beyond: Share of the outline that lies outside the masks.
+    """
+
+    share: float
+    missing: float
+    beyond: float
+
+
+class Outlines:
+    """Masks of a few photographs at some pixels.
+
+    Args:
+        views: Training views, unit frame.
+        side: Pixels along the longer side that are looked at.
+    """
+
+    def __init__(self, views: Sequence[View], side: int) -> None:
+        chosen = farthest_points(np.stack([view.camera.position for view in views]), VIEWS)
+        origins, directions, masks, owners = [], [], [], []
+        for number, index in enumerate(chosen):
+            view = views[index]
+            places, mask = _looked_at(view, side)
+            origin, direction = view.camera.rays(places)
+            origins.append(origin)
+            directions.append(direction)
+            masks.append(mask)
+            owners.append(np.full(len(mask), number))
+        self.origins, self.directions = np.concatenate(origins), np.concatenate(directions)
+        self.mask, self._owner = np.concatenate(masks), np.concatenate(owners)
+
+    def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
+        """Agreement of the masks with a mesh that a similarity brings to its place."""
+        hits = place.first_hits(tracer, self.origins, self.directions)
+        shown = hits.face >= 0
+        both = np.bincount(self._owner, shown & self.mask)
+        either = np.bincount(self._owner, shown | self.mask)
+        masked, seen = np.bincount(self._owner, self.mask), np.bincount(self._owner, shown)
+        return Agreement(
+            share=float((both / np.maximum(either, 1)).mean()),
+            missing=float(1 - both.sum() / max(masked.sum(), 1)),
+            beyond=float(1 - both.sum() / max(seen.sum(), 1)) if seen.sum() else 0.0,
+        )
+
+
+def better_place(
+    vertices: Array, tracer: EmbreeTracer, views: Sequence[View]
+) -> tuple[Similarity, Agreement]:
+    """The similarity that brings a mesh where its outline fits the masks best.
+
+    Args:
+        vertices: (N, 3) of the mesh, unit frame.
+        tracer: Of the mesh where it is.
+        views: Training views, unit frame.
+
+    Returns:
+        What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
+    """
+    coarse, fine = Outlines(views, COARSE), Outlines(views, FINE)
+    centre, radius = enclosing_sphere(vertices)
+    found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
+    if best.share > 0.5:  # nearly right: what is off by a little is not searched for far away
+        found, best = _finished(found, tracer, fine)
+    for handed in (1.0, -1.0):
+        if best.share >= FITS:
+            break
+        tried = [
+            Similarity(turn=turn, scale=scale, shift=-scale * turn @ centre)
+            for turn in handed * _turns()
+            for scale in [1 / (MARGIN * radius)]
+        ]
+        shares = np.array([coarse.of(tracer, place).share for place in tried])
+        followed = [_downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
+        start = max(followed, key=lambda pair: pair[1])[0]
+        place, agreement = _finished(start, tracer, fine)
+        if agreement.share > best.share + BETTER:
+            found, best = place, agreement
+    return found, best
+
+
+def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Centres (N, 2) of pixels in and about a photograph, and whether they show the object."""
+    camera = view.camera
+    height, width = view.mask.shape
+    step = max(1, max(height, width) // side)
+    rows, columns = (
+        np.arange(-int(PAD * n) // step * step + step // 2, n + int(PAD * n), step)
+        for n in (height, width)
+    )
+    row, column = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    mask = np.zeros(len(row), bool)
+    mask[inside] = view.mask[row[inside], column[inside]] > 127
+    places = np.stack([column + 0.5, row + 0.5], axis=1)
+    known = inside | camera.in_photograph(places, np.ones(len(places)))
+    return places[known], mask[known]
+
+
+def _turns() -> Array:
+    """Turns that are tried, (N, 3, 3): all that bring axes onto axes, and many others."""
+    axes = Rotation.create_group("O").as_matrix()
+    return np.concatenate([axes, Rotation.random(TURNS, random_state=0).as_matrix()])
+
+
+def _finished(
+    start: Similarity, tracer: EmbreeTracer, fine: Outlines
+) -> tuple[Similarity, Agreement]:
+    place, _ = _downhill(start, tracer, fine)
+    return place, fine.of(tracer, place)
+
+
+def _downhill(
+    start: Similarity, tracer: EmbreeTracer, outlines: Outlines
+) -> tuple[Similarity, float]:
+    """The best place near another, and the share there (Nelder and Mead 1965)."""
+
+    def moved(x: Array) -> Similarity:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
+        return Similarity(
+            turn=turn,
+            scale=start.scale * float(np.exp(x[3])),
+            # about the middle of the unit sphere, so that turn and shift hardly disturb each other
+            shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
+        )
+
+    simplex = np.concatenate([np.zeros((1, 7)), np.diag([0.15] * 3 + [0.1] + [0.08] * 3)])
+    found = minimize(
+        lambda x: -outlines.of(tracer, moved(x)).share,
+        np.zeros(7),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": 250, "xatol": 1e-4, "fatol": 1e-4},
+    )
+    return moved(found.x), -float(found.fun)

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The geometry stage's work where the user hands in a mesh: no fit, but looks and repairs.
+
+Two meshes may come of it. Textures belong to the user's: its faces in their order and, where they
+are any good, its texture coordinates. Light is solved on a copy with few faces where it has many,
+which is faster and does not know the noise of a scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import uniform_filter
+from scipy.spatial import cKDTree
+
+from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
+from robir.capture.images.loading import size_within
+from robir.capture.mesh_file import Given, read_mesh
+from robir.errors import CaptureError
+from robir.geometry.config import GeometryConfig
+from robir.geometry.given.placing import (
+    AS_IT_IS,
+    BETTER,
+    FINE,
+    FITS,
+    Agreement,
+    Outlines,
+    Similarity,
+    better_place,
+)
+from robir.geometry.given.sides import inside_out
+from robir.geometry.mesh.isosurface import compacted, plain_mesh
+from robir.geometry.mesh.simplify import decimate, with_creases
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
+from robir.jobs.context import Reporter
+from robir.jobs.paths import replacing
+from robir.maths.vectors import farthest_points
+
+LIGHT_FACES = 4
+"""Faces of the copy on which light is solved, over the face budget of a surface of our own."""
+
+OUTSIDE = 1e-3
+"""Of the texture's side: as far as texture coordinates may leave it by rounding."""
+
+OVERLAP = 0.03
+"""Share of a layout that may lie on itself: charts' rims do."""
+
+ATLAS = 1024
+"""Texels along a side by which a layout is judged."""
+
+UNRELATED = 0.5
+"""Share of outline and mask that both have, below which a mesh shows something else."""
+
+MOST_APART = 0.8
+"""Share of the masks that a mesh within them may lack, or of it that may lie beyond them all."""
+
+LIKELY = 0.75
+"""Share that a place has at least which is proposed."""
+
+SHOWN = 4
+"""Photographs in the picture of a mesh that does not fit."""
+
+TILE = 240
+"""Longer side of each of them, pixels."""
+
+NORMAL_SCALE = 0.25
+"""Distance, unit frame, that counts as much as two normals one unit apart."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Handed:
+    """What was made of the user's mesh, unit frame.
+
+    Attributes:
+        mesh: Unwrapped; textures belong to it.
+        light: A copy on which light is solved, or None where the mesh itself serves.
+        views: All views of the capture; with the outlines of the mesh as masks where these had been
+            guessed.
+        metrics: For the stage's manifest.
+        notes: Sentences for the user.
+    """
+
+    mesh: Mesh
+    light: Mesh | None
+    views: tuple[View, ...] | None
+    metrics: dict[str, float | str]
+    notes: tuple[str, ...]
+
+
+def hand_in(
+    path: Path,
+    captures: tuple[Capture, Capture],
+    config: GeometryConfig,
+    picture: Path,
+    reporter: Reporter,
+) -> Handed:
+    """Read, check, place and unwrap the user's mesh.
+
+    Args:
+        path: Its file.
+        captures: The capture in its own frame and in the unit frame.
+        config: Of the stage.
+        picture: File in which a mesh that does not fit is shown.
+        reporter: Told how far it is, and what is given up while unwrapping.
+
+    Raises:
+        CaptureError: If it cannot be read or does not fit the photographs; says how it would.
+    """
+    bounds, capture = captures[0].bounds, captures[1]
+    reporter.progress(0.0, "reading the mesh")
+    given = read_mesh(path)
+    faces = len(given.faces)
+    given = replace(given, vertices=(given.vertices - bounds.centre) / bounds.radius)
+    reporter.progress(0.2, "holding the mesh against the photographs")
+    given, agreement = _placed(given, captures, config, picture)
+    given = _turned(given, capture)
+    reporter.progress(0.4, "making the mesh ready for textures")
+    mesh, light, new = _finished(given, config, reporter.warn)
+    codes = {finding.code for finding in capture.findings}
+    views = None
+    reporter.progress(0.8, "drawing the mesh's outlines")
+    if codes & {GUESSED_MASKS, MESH_MASKS}:
+        tracer = EmbreeTracer((light or mesh).vertices, (light or mesh).faces)
+        views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
+    return Handed(
+        mesh=mesh,
+        light=light,
+        views=views,
+        metrics={
+            "faces": len(mesh.faces),
+            "faces_given": faces,
+            "faces_for_light": len((light or mesh).faces),
+            "outline_agreement": round(agreement.share, 4),
+            "surface": "given",
+            "layout": "new" if new else "own",
+        },
+        notes=(*given.notes, *new),
+    )
+
+
+def outline(tracer: EmbreeTracer, view: View) -> NDArray[np.uint8]:
+    """Mask (H, W) of what a view shows of a mesh, its rim half covered."""
+    camera = view.camera
+    origins, directions = camera.rays(camera.pixel_centres())
+    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+    shown = (hits.face >= 0).reshape(camera.height, camera.width).astype(np.float32)
+    return np.rint(255 * uniform_filter(shown, 3, mode="nearest")).astype(np.uint8)
+
+
+def _placed(
+    given: Given, captures: tuple[Capture, Capture], config: GeometryConfig, picture: Path
+) -> tuple[Given, Agreement]:
+    """The mesh where the photographs show it, as it is or, if that is asked for, moved."""
+    views = captures[1].train
+    vertices, faces = given.vertices, given.faces
+    tracer = EmbreeTracer(vertices.astype(np.float32), faces)
+    now = Outlines(views, FINE).of(tracer, AS_IT_IS)
+    is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
+    if not is_judge or (now.share >= FITS and not config.fit_mesh):
+        return given, now
+    place, then = better_place(vertices[np.unique(faces)], tracer, views)
+    bounds = captures[0].bounds
+    own = place.outside(bounds.centre, bounds.radius)
+    how = f"its outline and the masks share {now.share:.0%} of what either has"
+    gain = 0.0 if config.fit_mesh else BETTER
+    if then.share < LIKELY or then.share <= now.share + gain:
+        if _is_related(now):
+            return given.noted(*_poor_fit(now)), now
+        _show(tracer, (AS_IT_IS, place), views, picture)
+        raise CaptureError(
+            f"the mesh does not belong to these photographs: {how}, and no turn, scale and shift "
+            f"makes it more than {then.share:.0%}; give the mesh of this object, and look at "
+            f"{picture} and at the masks"
+        )
+    if np.linalg.det(place.turn) < 0:
+        _show(tracer, (AS_IT_IS, place), views, picture)
+        raise CaptureError(
+            f"the mesh is mirrored: {how}, its mirror image {then.share:.0%}; export it with the "
+            f"axes of the capture, without a negative scale; {picture} shows both"
+        )
+    if config.fit_mesh:
+        moved = replace(given, vertices=place(vertices))
+        return moved.noted(f"The mesh was {own.described()}.", *_poor_fit(then)), then
+    _show(tracer, (AS_IT_IS, place), views, picture)
+    raise CaptureError(
+        f"the mesh does not fit the photographs: {how}. {own.described().capitalize()} it shares "
+        f"{then.share:.0%}; have that done with --fit-mesh and --resume, or export the mesh in the "
+        f"cameras' frame. {picture} shows both"
+    )
+
+
+def _is_related(agreement: Agreement) -> bool:
+    """Whether a mesh shows the object, or a part of it, or it and more, at the right place."""
+    wrong = sorted((agreement.missing, agreement.beyond))
+    return agreement.share >= UNRELATED or (wrong[0] <= 1 - FITS and wrong[1] < MOST_APART)
+
+
+def _poor_fit(agreement: Agreement) -> tuple[str, ...]:
+    """What is to be said of a mesh that stands right and yet is not what the masks show."""
+    if agreement.share >= FITS:
+        return ()
+    parts = []
+    if agreement.missing > 1 - FITS:
+        parts.append(
+            f"it lacks {agreement.missing:.0%} of what the masks show, of which nothing is made"
+        )
+    if agreement.beyond > 1 - FITS:
+        parts.append(
+            f"{agreement.beyond:.0%} of its outline lies beyond the masks; that part only shades"
+        )
+    return (f"The mesh fits the masks by {agreement.share:.0%} only: {' and '.join(parts)}.",)
+
+
+def _show(
+    tracer: EmbreeTracer,
+    places: tuple[Similarity, Similarity],
+    views: tuple[View, ...],
+    picture: Path,
+) -> None:
+    """Write photographs with the mesh over them, red: as it is, and below as it would fit."""
+    chosen = farthest_points(np.stack([view.camera.position for view in views]), SHOWN)
+    sheet = Image.new("RGB", (TILE * len(chosen), TILE * len(places)))
+    for column, view in enumerate(views[k] for k in chosen):
+        size = size_within((view.camera.width, view.camera.height), TILE)
+        small = view.camera.resized(*size)
+        photo = np.array(Image.fromarray(view.image_display).resize(size))
+        rays = small.rays(small.pixel_centres())
+        for row, place in enumerate(places):
+            shown = place.first_hits(tracer, *rays).face.reshape(photo.shape[:2]) >= 0
+            over = photo.copy()
+            over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
+            sheet.paste(Image.fromarray(over), (TILE * column, TILE * row))
+    with replacing(picture) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _turned(given: Given, capture: Capture) -> Given:
+    """The mesh with the sides outward that cameras look at."""
+    vertices, faces = _welded(given)
+    rays = Outlines(capture.train, FINE)
+    wrong = inside_out(vertices, faces, (rays.origins, rays.directions))
+    if not wrong.any():
+        return given
+    turned = given.faces.copy()
+    turned[wrong] = turned[wrong, ::-1]
+    return replace(given, faces=turned).noted(
+        f"{wrong.mean():.0%} of the mesh's faces showed their back to the cameras and were turned."
+    )
+
+
+def _welded(given: Given) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices that faces share wherever they have the same place, and the faces over them."""
+    _, first, index = np.unique(
+        given.vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True
+    )
+    return given.vertices[first], index.reshape(-1)[given.faces].astype(np.int32)
+
+
+def _finished(
+    given: Given, config: GeometryConfig, warn: Callable[[str], None]
+) -> tuple[Mesh, Mesh | None, tuple[str, ...]]:
+    """The mesh for textures and, where that has many faces, another for light.
+
+    A sentence says where the mesh could not keep its own texture coordinates.
+    """
+    budget = LIGHT_FACES * config.face_budget
+    vertices, faces = _welded(given)
+    light = None
+    if len(faces) > budget:
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
+        light = with_creases(decimate(compacted(vertices, faces[solid]), budget))
+    layout, fault = _layout(given)
+    if fault is None:
+        mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
+        if light is None:
+            return with_creases(mesh), None, ()
+        return replace(mesh, normals=_normals_of(light, mesh)), light, ()
+    note = f"The mesh gets new texture coordinates: {fault}."
+    if light is not None:
+        note = f"{note[:-1]}; with them it has {len(light.faces)} faces instead of {len(faces)}."
+    bare = plain_mesh(vertices, faces) if light is None else compacted(light.vertices, light.faces)
+    welded = _rewelded(bare)
+    return with_creases(unwrap(welded, config.unwrap_seconds, warn)), None, (note,)
+
+
+def _rewelded(mesh: Mesh) -> Mesh:
+    """A mesh whose vertices are shared again that creases have split."""
+    vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return plain_mesh(vertices, index.reshape(-1)[mesh.faces])
+
+
+def _layout(given: Given) -> tuple[NDArray[np.float32], str | None]:
+    """The mesh's own texture coordinates (Nv, 2), or why they cannot be used."""
+    uvs = given.uvs.astype(np.float32)
+    used = uvs[np.unique(given.faces)]
+    known = np.isfinite(used).all(1)
+    if not known.any():
+        return uvs, "it has none"
+    if not known.all():
+        return uvs, f"{(~known).mean():.0%} of its corners have none"
+    if used.min() < -OUTSIDE or used.max() > 1 + OUTSIDE:
+        return uvs, (
+            f"its own lie outside 0..1 (from {used.min():.2f} to {used.max():.2f}), so that places "
+            "share texels or tiles would be needed"
+        )
+    uvs = np.nan_to_num(uvs).clip(0, 1)
+    a, b, c = (uvs[given.faces[:, k]].astype(np.float64) for k in range(3))
+    (ax, ay), (bx, by) = (b - a).T, (c - a).T
+    area = 0.5 * np.abs(ax * by - ay * bx).sum()
+    if area < 1e-3:
+        return uvs, "its own cover next to nothing of a texture"
+    mesh = replace(plain_mesh(given.vertices, given.faces), uvs=uvs, uv_faces=given.faces)
+    covered = float((rasterise_atlas(mesh, ATLAS)[0] >= 0).mean())
+    if covered < (1 - OVERLAP) * area:
+        return uvs, f"{1 - covered / area:.0%} of its own overlap, so that places share texels"
+    return uvs, None
+
+
+def _normals_of(light: Mesh, mesh: Mesh) -> NDArray[np.float32]:
+    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest."""
+    points, query = (
+        np.concatenate([one.vertices, NORMAL_SCALE * one.normals], axis=1) for one in (light, mesh)
+    )
+    distance, index = cKDTree(points).query(query, k=3, eps=0.1)
+    weight = 1 / (distance + 1e-4)
+    total = np.einsum("nk,nkd->nd", weight, light.normals[index])
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return (total / np.maximum(length, 1e-9)).astype(np.float32)

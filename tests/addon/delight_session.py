@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What test_delight.py has done in a Blender without a window.
+
+Runs inside Blender after the text of capture_session.py, whose names it uses.
+"""
+
+import bpy
+from capture_session import attempt, told  # taken out before it runs
+
+
+def delight(capture, ball, box):
+    """An object with a material of its own, de-lit; undone; de-lit again; and one without UVs."""
+    answer = {"poll": bpy.ops.robir.delight.poll()}
+    bpy.ops.robir.choose_capture(directory=capture)
+    target = figure(ball, box)
+    answer["may"] = bpy.ops.robir.delight.poll()
+    bpy.ops.ed.undo_push(message="before")
+    before = state_of(target)
+    answer["done"] = attempt(bpy.ops.robir.delight)
+    answer["told"] = told()
+    answer["before"], answer["after"] = before, state_of(target)
+    answer["remembered"] = [d.value for d in target.data.attributes["robir_material_before"].data]
+    answer["images"] = sorted(
+        node.image.filepath
+        for node in target.data.materials[1].node_tree.nodes
+        if node.type == "TEX_IMAGE"
+    )
+    answer["world"] = bpy.context.scene.world.name
+    answer["again"] = attempt(bpy.ops.robir.delight)
+    answer["after_again"] = state_of(target)
+    bpy.ops.ed.undo()
+    bpy.ops.ed.undo()
+    answer["undone"] = state_of(bpy.data.objects["Figure"])
+    target = bpy.data.objects["Figure"]
+    target.data.uv_layers.remove(target.data.uv_layers[0])
+    target.data.update()
+    answer["bare"] = attempt(bpy.ops.robir.delight)
+    answer["bare_after"] = state_of(bpy.data.objects["Figure"])
+    answer["objects"] = [o.name for o in bpy.data.objects if o.get("robir_result")]
+    return answer
+
+
+def state_of(target):
+    indices = {polygon.material_index for polygon in target.data.polygons}
+    return [[m and m.name for m in target.data.materials], sorted(indices), len(bpy.data.worlds)]
+
+
+def figure(ball, box):
+    """The photographed shape as one object with a layout without overlaps, and a material."""
+    centre, radius = ball
+    low, high = box
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, location=centre, segments=48, ring_count=24)
+    middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=middle)
+    cube, sphere = bpy.context.object, bpy.data.objects["Sphere"]
+    cube.scale = [b - a for a, b in zip(low, high, strict=True)]
+    sphere.select_set(True)
+    bpy.ops.object.join()
+    target = bpy.context.object
+    target.name = "Figure"
+    target.data.materials.append(bpy.data.materials.new("Baked by the sun"))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.uv.smart_project(island_margin=0.02)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return target
