@@ -3,6 +3,7 @@
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from .comparison import rendered_view
 from .gateway import JobPaths, __version__
@@ -11,14 +12,13 @@ from .importer import read_cameras, read_run
 PREVIEW_SIDE = 256
 
 
-def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
+def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = True) -> None:
     """Mark an object as an asset, with what is known of it and a picture; saves nothing.
-
-    Its textures are packed, so that the asset is whole wherever its file goes.
 
     Args:
         asset: The imported object.
         paths: Of its result folder.
+        is_packed: Whether its textures are packed, so that it is whole wherever its file goes.
 
     Raises:
         ResultError: If the result folder says nothing about the run.
@@ -42,11 +42,21 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
         asset[f"robir_{name}"] = value
     for slot in asset.material_slots:
         for node in slot.material.node_tree.nodes if slot.material else ():
-            if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file:
+            if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file and is_packed:
                 node.image.pack()
     preview = asset.preview_ensure()
     preview.image_size = picture.shape[1::-1]
     preview.image_pixels_float.foreach_set(picture.astype(np.float32).ravel())
+
+
+def stand_on_origin(asset: bpy.types.Object) -> None:
+    """Move a mesh so that its object's origin lies at its foot: lowest, and in the middle."""
+    corners = np.empty(3 * len(asset.data.vertices), np.float32)
+    asset.data.vertices.foreach_get("co", corners)
+    low, high = (end(corners.reshape(-1, 3), axis=0) for end in (np.min, np.max))
+    foot = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2])
+    asset.data.transform(Matrix.Translation([-float(value) for value in foot]))
+    asset.location = (0.0, 0.0, 0.0)
 
 
 def preview_codes(picture: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, write_json
 from robir.transport.observe import spread_views
 
-REVISION = 9
+REVISION = 10
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""

@@ -66,6 +66,8 @@ class Request:
             for it.
         skips_missing: Whether photographs that are not there are done without.
         left_out: Photographs to do without, as the setting `capture.leave_out`.
+        settings: Further items of `--set`.
+        asset: File of what is known of an asset that is to be made, or None for no asset.
     """
 
     capture: Path
@@ -76,14 +78,17 @@ class Request:
     box: tuple[float, ...] = ()
     skips_missing: bool = False
     left_out: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    asset: Path | None = None
 
     def words(self) -> list[str]:
         """The command line without the program."""
         masks = [] if self.masks is None else ["--masks", str(self.masks)]
         choices = ["--preset", self.preset, "--device", self.device]
+        asset = [] if self.asset is None else ["--asset", str(self.asset)]
         return [
-            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
-            *self.choice_words(),
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset,
+            *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
             "--resume", "--progress", "json",
         ]  # fmt: skip
 

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every file name of a library of results, and the state of the batch that fills it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robir.jobs.names import file_in
+from robir.jobs.paths import JobPaths
+from robir.jobs.records import read_record
+
+_STATE = {
+    "fraction": float, "seconds_left": (None, float),
+    "captures": [{"name": str, "state": str, "fraction": float, "message": str}],
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryPaths:
+    """Names of a library's files; nothing else may spell them.
+
+    Attributes:
+        root: The library, LIBRARY on the command line.
+    """
+
+    root: Path
+
+    @property
+    def plan(self) -> Path:
+        """What is to be reconstructed, all paths relative."""
+        return self.root / "plan.json"
+
+    @property
+    def state(self) -> Path:
+        """Where the batch stands; replaced as a whole."""
+        return self.root / "batch.json"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the one batch that works on the whole library."""
+        return self.root / "batch.lock"
+
+    @property
+    def page(self) -> Path:
+        """The contact sheet."""
+        return self.root / "index.html"
+
+    @property
+    def catalogues(self) -> Path:
+        """Catalogues of Blender's asset library; Blender wants this name."""
+        return self.root / "blender_assets.cats.txt"
+
+    @property
+    def openjd(self) -> Path:
+        """Job bundle for render farms."""
+        return self.root / "openjd"
+
+    @property
+    def own(self) -> Path:
+        """The batch's own small files."""
+        return self.root / ".batch"
+
+    def result(self, name: str) -> JobPaths:
+        """Result folder of a capture.
+
+        Raises:
+            UnsafeNameError: If the name leads elsewhere.
+        """
+        return JobPaths(file_in(self.root, name))
+
+    def facts(self, name: str) -> Path:
+        """What is known of a capture's asset: author, licence, tags."""
+        return file_in(self.own, f"{name}.toml")
+
+    @property
+    def dropped(self) -> Path:
+        """Touch a file of a capture's name in this folder to have the batch leave that out."""
+        return self.own / "dropped"
+
+
+def read_batch(paths: LibraryPaths) -> dict[str, Any]:
+    """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
+
+    Raises:
+        OSError: If there is none.
+        ValueError: If it is damaged.
+    """
+    return read_record(paths.state, _STATE)
