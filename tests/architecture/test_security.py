@@ -16,6 +16,7 @@ STARTS_PROGRAMS = {
     "build_addon.py",
     "core/robir_bench/peers/prb.py",
     "core/robir_bench/runs.py",
+    "core/robir/batch/farm.py",
     "core/robir/export/blender.py",
     "core/robir/geometry/mesh/unwrap.py",
     "core/robir/jobs/client.py",

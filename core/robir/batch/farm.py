@@ -81,7 +81,7 @@ def submit_to_slurm(
         raise UsageError(f"Slurm takes {MOST_TASKS} captures at a time; split the plan")
     log = f"--output={paths.own.absolute()}/slurm-%A-%a.log"
     # TERM a minute before the end: what is at work ends in good order, and is continued later
-    array = ["--array", ",".join(map(str, tasks)), "--requeue", "--signal=B:TERM@60", log]
+    array = ["--array", _ranges(tasks), "--requeue", "--signal=B:TERM@60", log]
     array += [f"--mem={-(-memory // _MIB)}M", "--cpus-per-task=1", "--job-name=robir"]
     variables = {
         "ROBIR_PYTHON": sys.executable,
@@ -91,6 +91,17 @@ def submit_to_slurm(
     work = _sbatch(array, variables)
     after = ["--dependency", f"afterany:{work}", "--job-name=robir-page"]
     return work, _sbatch([*after, f"--output={paths.own.absolute()}/slurm-page.log"], variables)
+
+
+def _ranges(tasks: Sequence[int]) -> str:
+    """Rising numbers such as "0-3,7", which both schedulers read."""
+    runs: list[list[int]] = []
+    for task in tasks:
+        if runs and task == runs[-1][1] + 1:
+            runs[-1][1] = task
+        else:
+            runs.append([task, task])
+    return ",".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
 
 
 def _sbatch(words: Sequence[str], variables: Mapping[str, str]) -> str:
@@ -125,7 +136,7 @@ def _template(name: str, tasks: Sequence[int], memory: int) -> dict[str, Any]:
         kind = {"type": "PATH", "objectType": "DIRECTORY", "dataFlow": flow}
         return {"name": parameter, "description": text, **kind}
 
-    numbers = {"name": "Number", "type": "INT", "range": list(tasks)}
+    numbers = {"name": "Number", "type": "INT", "range": _ranges(tasks)}
     needs = [
         {"name": "amount.worker.vcpu", "min": 1},
         {"name": "amount.worker.memory", "min": -(-memory // _MIB)},

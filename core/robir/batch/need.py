@@ -14,7 +14,7 @@ from robir.batch.plan import Entry, Plan, parse_size
 
 _BASE = 700 << 20
 _BYTES_PER_CELL = 130
-_BYTES_PER_TEXEL = 110
+_BYTES_PER_TEXEL = 125
 _BYTES_PER_PIXEL = 8
 _BYTES_PER_RAY = 16
 
