@@ -6,6 +6,7 @@ import bpy
 _IN_ORDER = (
     ("choose_capture", "try_sample", "look_at_capture", "leave_out", "add_box", "clear_capture"),
     ("reconstruct", "attach", "cancel_reconstruct"),
+    ("run_batch", "stop_batch", "add_library"),
     ("import_result", "refresh_result", "remove_result"),
     ("compare", "compare_next", "show_tone_curve", "match_view_transform"),
     ("use_recovered_light", "use_environment", "turntable"),

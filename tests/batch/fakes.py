@@ -52,9 +52,9 @@ def make_template(folder: Path, capture: Path) -> Path:
 
 def run_batch(template: Path, words: list[str]) -> int:
     """Run `robir batch WORDS` in this process with the engine that copies a template."""
-    options = _parser().parse_args(["batch", "--progress", "plain", *words])
+    options = _parser().parse_args(["batch", *words])
     return batch(options, [sys.executable, "-I", "-S", str(ENGINE), str(template)])
 
 
 if __name__ == "__main__":
-    sys.exit(run_batch(Path(sys.argv[1]), sys.argv[2:]))
+    sys.exit(run_batch(Path(sys.argv[1]), [word for word in sys.argv[2:] if word != "batch"]))

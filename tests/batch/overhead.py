@@ -18,6 +18,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from robir.batch.local import worker_environment
+from robir.jobs.paths import JobPaths
 from robir.specimen import write_specimen
 from tests.batch.kills import LEAST
 
@@ -59,8 +60,11 @@ def main() -> int:
         ]  # fmt: skip
         library = ["-o", str(folder / "library"), "--jobs", str(jobs), "--progress", "plain"]
         spent(each[:1])  # what a first run has to read
-        single = spent([[*c[:6], f"{c[6]}_b", *c[7:]] for c in each])
+        single = spent([[*c[:7], f"{c[7]}_again", *c[8:]] for c in each])
         batch = spent([[*robir, "batch", *map(str, shots), *settings, *library]])
+        made = [JobPaths(folder / "single" / f"{shot.name}_again") for shot in shots]
+        made += [JobPaths(folder / "library" / shot.name) for shot in shots]
+        assert all(paths.library_asset.is_file() for paths in made)
         print(f"single runs: {single[0]:.1f} CPU-s, {single[1]:.1f} s")
         print(f"batch of {jobs} at a time: {batch[0]:.1f} CPU-s, {batch[1]:.1f} s")
         print(f"CPU {batch[0] / single[0] - 1.0:+.1%}, clock {batch[1] / single[1]:.2f}")

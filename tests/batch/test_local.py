@@ -16,7 +16,7 @@ import pytest
 
 from robir.errors import UsageError
 from robir.jobs.client import snapshot
-from robir.jobs.library import LibraryPaths, read_batch
+from robir.jobs.library import LibraryPaths, drop, read_batch, start_batch, stop_batch
 from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, write_json
 from tests.batch import fakes
@@ -59,16 +59,24 @@ def states(library: LibraryPaths) -> dict[str, str]:
 
 
 def words(library: LibraryPaths, *more: object) -> list[str]:
-    return ["-o", str(library.root), *map(str, more)]
+    return ["-o", str(library.root), "--progress", "plain", *map(str, more)]
+
+
+ROOT = Path(fakes.__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
+
+
+def program(template: Path) -> list[str]:
+    return [sys.executable, "-m", "tests.batch.fakes", str(template)]
 
 
 def begun(library: LibraryPaths, template: Path, *more: object) -> subprocess.Popen[bytes]:
     """A batch in a process of its own, which may be killed."""
-    core = Path(fakes.__file__).parents[2]
-    environment = {**os.environ, "PYTHONPATH": f"{core / 'core'}{os.pathsep}{core}"}
-    command = [sys.executable, "-m", "tests.batch.fakes", str(template)]
     return subprocess.Popen(
-        [*command, *words(library, *more)], cwd=core, env=environment, stderr=subprocess.DEVNULL
+        [*program(template), *words(library, *more)],
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        stderr=subprocess.DEVNULL,
     )
 
 
@@ -182,6 +190,22 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
     until(lambda: library.state.exists() and states(library)["b"] == "dropped")
     go.touch()
     assert running.wait(30) == 0
+    assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
+
+
+def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": ""})
+    start_batch(program(template), [str(captures / "*")], library, ENVIRONMENT)
+    until(lambda: library.state.exists() and states(library)["a"] == "running")
+    stop_batch(library)
+    until(lambda: holder(library.lock) is None)
+    assert holder(JobPaths(library.root / "a").lock) is None
+    drop(library, "b")
+    go.touch()
+    start_batch(program(template), [], library, ENVIRONMENT)
+    until(lambda: library.page.exists() and states(library)["c"] == "done")
+    until(lambda: holder(library.lock) is None)
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
 
 

@@ -13,8 +13,10 @@ import os
 from robir.batch.plan import Entry, Plan, parse_size
 
 _BASE = 700 << 20
-_BYTES_PER_CELL = 130
+_BYTES_PER_CELL = 145
 _BYTES_PER_TEXEL = 125
+_BYTES_PER_FURTHER_TEXEL = 45
+_FEW_TEXELS = 4096**2
 _BYTES_PER_PIXEL = 8
 _BYTES_PER_RAY = 16
 
@@ -32,7 +34,9 @@ def memory_needed(plan: Plan, entry: Entry) -> int:
     texels = config.appearance.texture_size**2
     pixels = _photographs(plan, entry) * config.capture.max_side**2
     rays = config.transport.num_surfels * config.transport.num_directions
-    largest = max(cells * _BYTES_PER_CELL, rays * _BYTES_PER_RAY, texels * _BYTES_PER_TEXEL)
+    further = max(0, texels - _FEW_TEXELS)
+    textures = (texels - further) * _BYTES_PER_TEXEL + further * _BYTES_PER_FURTHER_TEXEL
+    largest = max(cells * _BYTES_PER_CELL, rays * _BYTES_PER_RAY, textures)
     return _BASE + largest + pixels * _BYTES_PER_PIXEL
 
 

@@ -169,7 +169,7 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
                 stderr=subprocess.STDOUT,
                 cwd=request.out,
                 env=dict(environment),
-                **_detached(),
+                **detached(),
             )
     except OSError as error:
         if error.filename == program[0]:
@@ -253,7 +253,7 @@ def stop(root: Path, *, is_forced: bool = False) -> None:
         pass  # it was faster
 
 
-def _detached() -> dict[str, Any]:
+def detached() -> dict[str, Any]:
     """What keeps a worker alive when its starter ends."""
     if sys.platform == "win32":
         flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP

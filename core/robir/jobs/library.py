@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file name of a library of results, and the state of the batch that fills it."""
+"""Every file name of a library of results, and the batch that fills it: started and followed."""
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robir.jobs.client import detached
+from robir.jobs.lock import holder
 from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import read_record
@@ -88,3 +95,54 @@ def read_batch(paths: LibraryPaths) -> dict[str, Any]:
         ValueError: If it is damaged.
     """
     return read_record(paths.state, _STATE)
+
+
+def start_batch(
+    program: Sequence[str],
+    sources: Sequence[str],
+    paths: LibraryPaths,
+    environment: Mapping[str, str],
+) -> None:
+    """Start a batch that goes on when this process ends; what it says is in its log.
+
+    Args:
+        program: Words before those of the command, such as PYTHON -P -m robir.
+        sources: Captures or a plan, absolute; none goes on with the library's own.
+        paths: The library, absolute.
+        environment: All variables.
+
+    Raises:
+        OSError: If the program cannot be run, or the library cannot be written.
+    """
+    paths.own.mkdir(parents=True, exist_ok=True)
+    words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
+    with (paths.own / "log.txt").open("wb") as log:
+        subprocess.Popen(
+            [*program, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            cwd=paths.root,
+            env=dict(environment),
+            **detached(),
+        )
+
+
+def stop_batch(paths: LibraryPaths) -> None:
+    """End the batch that is at work, if one is; what it has at work ends in good order."""
+    pid = holder(paths.lock)
+    if pid:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
+
+
+def drop(paths: LibraryPaths, name: str) -> None:
+    """Have the batch leave a capture out.
+
+    Raises:
+        OSError: If that cannot be noted.
+        UnsafeNameError: If the name leads elsewhere.
+    """
+    file = file_in(paths.dropped, name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.touch()
