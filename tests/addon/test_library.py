@@ -22,9 +22,11 @@ LOOK = """
 import bpy
 
 def main(file):
-    with bpy.data.libraries.load(file, assets_only=True) as (there, wanted):
+    with bpy.data.libraries.load(file) as (whole, _):
+        others = [*whole.cameras, *whole.lights, *whole.worlds, *whole.collections]
+    with bpy.data.libraries.load(file, link=True, assets_only=True) as (there, wanted):
         names = list(there.objects)
-        wanted.objects = names
+        wanted.objects = list(names)
     (asset,) = wanted.objects
     data = asset.asset_data
     low, high = asset.bound_box[0], asset.bound_box[6]
@@ -34,8 +36,7 @@ def main(file):
         "names": names, "author": data.author, "licence": data.license,
         "catalogue": data.catalog_id, "tags": sorted(t.name for t in data.tags),
         "location": list(asset.location), "low": list(low), "high": list(high),
-        "preview": list(asset.preview.image_size), "scenes": len(bpy.data.scenes),
-        "others": len(bpy.data.cameras) + len(bpy.data.lights) + len(bpy.data.worlds),
+        "preview": list(asset.preview.image_size), "others": others,
         "packed": [bool(i.packed_file) for i in images], "paths": [i.filepath for i in images],
         "sizes": [list(i.size) for i in images], "marks": [k for k in asset.keys()],
     }
@@ -46,9 +47,9 @@ import bpy, sys
 
 MODULE = {MODULE!r}
 
-def call(name, **given):
+def call(_name, **given):
     try:
-        return sorted(getattr(bpy.ops.robir, name)("EXEC_DEFAULT", **given))
+        return sorted(getattr(bpy.ops.robir, _name)("EXEC_DEFAULT", **given))
     except RuntimeError as refusal:
         return str(refusal).strip()
 
@@ -101,7 +102,7 @@ def test_an_asset_stands_alone(result, facts, blender, tmp_path):
         [0, 0], abs=1e-5
     )
     assert seen["preview"] == [256, 256]
-    assert seen["others"] == 0
+    assert seen["others"] == []
     assert all(seen["packed"])
     assert "robir_result" not in seen["marks"]
     content = result.library_asset.read_bytes()

@@ -151,10 +151,10 @@ def test_every_operator_is_found_by_the_search(seen):
 
 def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
-        "add_library", "add_preset", "allow_online", "cancel_install", "cancel_reconstruct", "check_engine",
-        "copy_report", "dismiss", "export_glb", "export_textures", "export_usd",
-        "drop_from_batch", "install_engine", "open_report", "remove_engine", "run_batch", "stop_batch",
-        "turntable",
+        "add_library", "add_preset", "allow_online", "cancel_install", "cancel_reconstruct",
+        "check_engine", "copy_report", "dismiss", "drop_from_batch", "export_glb",
+        "export_textures", "export_usd", "install_engine", "open_report", "remove_engine",
+        "run_batch", "stop_batch", "turntable",
     }  # fmt: skip
     undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
     assert undone == set(seen["operators"]) - looks_only

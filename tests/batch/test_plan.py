@@ -31,6 +31,9 @@ licence = "CC0-1.0"
 """
 
 
+HERE = LibraryPaths(Path("library"))
+
+
 @pytest.fixture
 def folder(tmp_path):
     for name in ("chair_a", "chair_b", "lamp"):
@@ -46,7 +49,7 @@ def written(folder: Path, text: str) -> str:
 
 
 def test_a_plan_names_captures_with_what_holds_for_all_below(folder):
-    plan = read_plan([written(folder, PLAN)], {})
+    plan = read_plan([written(folder, PLAN)], {}, HERE)
     assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "Lamp_no._1"]
     lamp = plan.entries[2]
     assert (lamp.author, lamp.licence, lamp.preset) == ("Ann", "CC0-1.0", "standard")
@@ -57,7 +60,7 @@ def test_a_plan_names_captures_with_what_holds_for_all_below(folder):
 def test_no_path_in_a_library_is_absolute(folder, tmp_path):
     paths = LibraryPaths(tmp_path / "library")
     paths.root.mkdir()
-    plan = read_plan([written(folder, PLAN)], {})
+    plan = read_plan([written(folder, PLAN)], {}, HERE)
     keep_plan(plan, paths)
     assert str(tmp_path) not in paths.plan.read_text()
     assert kept_plan(paths, None) == plan
@@ -90,20 +93,20 @@ def test_no_path_in_a_library_is_absolute(folder, tmp_path):
 )
 def test_faults_are_named_with_their_line(folder, text, line, word):
     with pytest.raises(UsageError) as fault:
-        read_plan([written(folder, text)], {})
+        read_plan([written(folder, text)], {}, HERE)
     assert f"line {line}" in str(fault.value)
     assert word in str(fault.value)
 
 
 def test_captures_may_be_named_without_a_plan(folder):
     changes = {"preset": "standard", "settings": ["seed=3"]}
-    plan = read_plan([str(folder / "shots" / "*")], changes)
+    plan = read_plan([str(folder / "shots" / "*")], changes, HERE)
     assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "lamp"]
     assert plan.entries[0].config().seed == 3
     assert plan.entries[0].preset == "standard"
     assert plan.captures == folder / "shots"
     with pytest.raises(UsageError, match="no capture"):
-        read_plan([], {})
+        read_plan([], {}, HERE)
 
 
 @pytest.mark.parametrize(
@@ -122,6 +125,15 @@ def test_a_forged_library_is_refused_in_words(tmp_path, text):
         kept_plan(paths, None)
 
 
+def test_a_library_among_the_captures_is_none_of_them(folder):
+    paths = LibraryPaths(folder / "shots" / "lamp")
+    plan = read_plan([str(folder / "shots" / "*")], {}, paths)
+    assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b"]
+    (folder / "shots" / "openjd").mkdir()
+    with pytest.raises(UsageError, match="the library needs the name openjd"):
+        read_plan([str(folder / "shots" / "*")], {}, paths)
+
+
 def test_sizes():
     assert parse_size("8G") == 8 * 2**30
     assert parse_size("1.5 gb") == 3 * 2**29
@@ -132,20 +144,20 @@ def test_sizes():
 def test_finer_settings_and_more_photographs_need_more_memory(folder):
     for number in range(50):
         (folder / "shots" / "lamp" / f"{number}.jpg").touch()
-    plan = read_plan([str(folder / "shots" / "*")], {})
+    plan = read_plan([str(folder / "shots" / "*")], {}, HERE)
     few, many = plan.entries[0], plan.entries[2]
-    fine = read_plan([str(folder / "shots" / "lamp")], {"preset": "high"})
+    fine = read_plan([str(folder / "shots" / "lamp")], {"preset": "high"}, HERE)
     needs = [memory_needed(plan, few), memory_needed(plan, many)]
     needs.append(memory_needed(fine, fine.entries[0]))
     assert needs == sorted(needs)
     assert len(set(needs)) == 3
-    stated = read_plan([written(folder, "[[capture]]\npath='shots/lamp'\nmemory='3G'")], {})
+    stated = read_plan([written(folder, "[[capture]]\npath='shots/lamp'\nmemory='3G'")], {}, HERE)
     assert memory_needed(stated, stated.entries[0]) == 3 * 2**30
 
 
 def test_the_kept_plan_can_be_read_by_people(folder, tmp_path):
     paths = LibraryPaths(tmp_path)
-    keep_plan(read_plan([written(folder, PLAN)], {}), paths)
+    keep_plan(read_plan([written(folder, PLAN)], {}, HERE), paths)
     kept = json.loads(paths.plan.read_text())
     assert kept["captures"] == "work"
     assert [entry["path"] for entry in kept["entries"]][2] == "shots/lamp"

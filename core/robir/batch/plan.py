@@ -120,26 +120,32 @@ class Plan:
         )
 
 
-def read_plan(sources: Sequence[str], changes: Mapping[str, Any]) -> Plan:
+def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
     """What PLAN.toml says, or the captures that are named.
 
     Args:
         sources: One file that ends in .toml; or captures, also with `*`.
         changes: Values of `Entry` from the command line: they come before the plan's own, but
             settings are added to its.
+        paths: The library; it is no capture of its own, and its files' names are no result's.
 
     Raises:
         ConfigError: If the plan is wrong; names the line.
-        UsageError: If there is no capture, or two have one name.
+        UsageError: If there is no capture, or two have one name, or the library needs that itself.
     """
     if len(sources) == 1 and sources[0].endswith(".toml"):
         tables, options = _tables(Path(sources[0]))
     else:
         tables, options = [("", {"path": source}) for source in sources], Options()
     found = [(where, entry) for where, table in tables for entry in _entries(where, table, changes)]
+    own = _absolute(str(paths.root))
+    found = [(where, entry) for where, entry in found if Path(entry.path) != own]
     if not found:
         raise UsageError("there is no capture to reconstruct; name captures or a plan of some")
     _refuse_twins(found)
+    for where, entry in found:
+        if entry.name in paths.taken:
+            raise UsageError(f"{where or entry.path}: the library needs the name {entry.name}")
     files = [Path(entry.path).parent for _, entry in found]
     files += [Path(entry.masks) for _, entry in found if entry.masks]
     root = Path(os.path.commonpath(files))

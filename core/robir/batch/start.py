@@ -84,7 +84,7 @@ def _plan(options: Namespace, paths: LibraryPaths) -> Plan:
     changes: dict[str, Any] = {"settings": options.assignments}
     if options.preset:
         changes["preset"] = options.preset
-    plan = read_plan(options.sources, changes)
+    plan = read_plan(options.sources, changes, paths)
     keep_plan(plan, paths)
     for entry in plan.entries:
         (paths.dropped / entry.name).unlink(missing_ok=True)

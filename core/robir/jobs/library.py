@@ -69,6 +69,12 @@ class LibraryPaths:
         """The batch's own small files."""
         return self.root / ".batch"
 
+    @property
+    def taken(self) -> frozenset[str]:
+        """Names that no result may have."""
+        files = (self.plan, self.state, self.lock, self.page, self.catalogues, self.openjd)
+        return frozenset(file.name for file in files)
+
     def result(self, name: str) -> JobPaths:
         """Result folder of a capture.
 
