@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import functools
+
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 
+@functools.cache
 def page_template(package: str, name: str) -> Template:
     """A page in the `templates` of a package: what it lacks is an error, what it shows escaped."""
     return Environment(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -123,7 +124,7 @@ def start_batch(
     paths.own.mkdir(parents=True, exist_ok=True)
     words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
     with (paths.own / "log.txt").open("wb") as log:
-        subprocess.Popen(
+        process = subprocess.Popen(
             [*program, *words],
             stdin=subprocess.DEVNULL,
             stdout=log,
@@ -132,6 +133,7 @@ def start_batch(
             env=dict(environment),
             **detached(),
         )
+    threading.Thread(target=process.wait, name="RobIR batch", daemon=True).start()
 
 
 def stop_batch(paths: LibraryPaths) -> None:
