@@ -113,7 +113,9 @@ def test_captures_may_be_named_without_a_plan(folder):
     "text",
     ["", "[]", "{}", '{"captures": "..", "entries": [{"name": "../../etc", "path": "x"}]}',
      '{"captures": "..", "entries": [{"name": "a", "path": 3}]}',
-     '{"captures": 3, "entries": []}', '{"captures": "..", "entries": [], "device": "abacus"}'],
+     '{"captures": 3, "entries": [{"name": "a", "path": "x"}]}',
+     '{"captures": "..", "entries": []}',
+     '{"captures": "..", "entries": [{"name": "a", "path": "x"}], "device": "abacus"}'],
 )  # fmt: skip
 def test_a_forged_library_is_refused_in_words(tmp_path, text):
     paths = LibraryPaths(tmp_path)

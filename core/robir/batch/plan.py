@@ -180,7 +180,7 @@ def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
         folder, entries = table.pop("captures"), table.pop("entries")
         for entry in entries:
             file_in(paths.root, entry["name"])
-        return Plan(
+        plan = Plan(
             captures=(captures or paths.root / folder).resolve(),
             entries=tuple(settings_from_table(Entry, entry, str(paths.plan)) for entry in entries),
             options=settings_from_table(Options, table, str(paths.plan)),
@@ -191,6 +191,9 @@ def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
         raise StorageError(
             f"{paths.plan} is damaged ({error}); start the batch again with its plan"
         ) from error
+    if not plan.entries:
+        raise StorageError(f"{paths.plan} is damaged: it names no captures; give its plan again")
+    return plan
 
 
 def parse_size(text: str) -> int:
