@@ -171,6 +171,7 @@ hostile: setup
 	$(BIN)/python -m hostile.forged $(SEED) $(FORGED); \
 	$(BIN)/python -m hostile.kills $(KILLS) $(SEED); \
 	$(BIN)/python -m hostile.disk; \
+	$(BIN)/python -m tests.batch.kills 20 8 $(SEED); \
 	$(BIN)/python -m hostile.leaks $(RUNS)
 
 # Known weaknesses of the pinned versions, and what the rules of semgrep find; both ask the network.

@@ -11,14 +11,13 @@ from .importer import read_cameras, read_run
 PREVIEW_SIDE = 256
 
 
-def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
+def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = True) -> None:
     """Mark an object as an asset, with what is known of it and a picture; saves nothing.
-
-    Its textures are packed, so that the asset is whole wherever its file goes.
 
     Args:
         asset: The imported object.
         paths: Of its result folder.
+        is_packed: Whether its textures are packed, so that it is whole wherever its file goes.
 
     Raises:
         ResultError: If the result folder says nothing about the run.
@@ -42,7 +41,7 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths) -> None:
         asset[f"robir_{name}"] = value
     for slot in asset.material_slots:
         for node in slot.material.node_tree.nodes if slot.material else ():
-            if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file:
+            if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file and is_packed:
                 node.image.pack()
     preview = asset.preview_ensure()
     preview.image_size = picture.shape[1::-1]

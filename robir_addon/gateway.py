@@ -72,8 +72,9 @@ def _require_ours() -> None:
 _require_ours()
 
 from robir import __version__
-from robir.jobs import client
+from robir.jobs import client, library
 from robir.jobs.folder import special_fault
+from robir.jobs.lock import holder
 from robir.jobs.names import file_in, leads_out, read_regular
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.jobs.records import CAMERA, NUMBERS, read_record
@@ -88,7 +89,9 @@ __all__ = [
     "__version__",
     "client",
     "file_in",
+    "holder",
     "leads_out",
+    "library",
     "read_json",
     "read_record",
     "read_regular",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender work without a window: `python -m robir_addon.headless scene|render|relight|lights OUT`.
+"""Blender work without a window: `python -m robir_addon.headless COMMAND OUT`.
 
 Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
 end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
@@ -20,12 +20,15 @@ from typing import Any, TextIO
 
 import bpy
 
+from .asset import make_asset
+from .blocks import MARK
 from .cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .importer import import_result, read_tone_curve
 from .lights import SHOWN_LIGHTS, show_environment, turn_light
 from .lut import ToneTable, read_tone_table
+from .placing import stand
 from .rendering import cut_short, prepare_scene, render_still, set_threads, write_film
 from .view_transform import match_view_transform
 
@@ -120,10 +123,46 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     for image in bpy.data.images:
         if image.source == "FILE" and image not in photos:
             image.pack()
-    path = paths.scene
+    with _replacing_blend(paths.scene) as temporary:
+        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
+    return [paths.scene], notes
+
+
+def build_asset(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+    """Make export/asset.blend: the object alone, marked as an asset, its origin at its foot."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _say(reports, {"progress": 0.0, "message": "making an asset for Blender's library"})
+    paths = JobPaths(options.out.resolve())
+    asset = import_result(paths.root, bpy.context.scene, use_sun_lamp=False).asset
+    asset.name = paths.root.name
+    make_asset(asset, paths, is_packed=options.pack)
+    bpy.context.view_layer.update()  # the bounds of what is new are not known before
+    stand(asset)
+    data = asset.asset_data
+    data.author, data.license = options.author, options.licence
+    if options.catalogue:
+        data.catalog_id = options.catalogue
+    for tag in options.tag:
+        data.tags.new(tag, skip_if_exists=True)
+    for block in bpy.data.user_map():
+        if MARK in block:  # it names this folder of this machine, which an asset leaves behind
+            del block[MARK]
+    for image in bpy.data.images:
+        for file in image.packed_files:
+            file.filepath = f"//{os.path.relpath(file.filepath, paths.export)}"
+    with _replacing_blend(paths.library_asset) as temporary:
+        bpy.data.libraries.write(
+            str(temporary), {asset}, path_remap="RELATIVE_ALL", fake_user=True, compress=True
+        )
+    return [paths.library_asset], ()
+
+
+@contextmanager
+def _replacing_blend(path: Path) -> Iterator[Path]:
+    """A temporary path for a compressed .blend that replaces another once it is whole."""
     temporary = path.with_name(f".{path.stem}-{os.getpid()}.blend")
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
+        yield temporary
         if not temporary.read_bytes().endswith(_COMPRESSED_END):
             raise cut_short(path)
         temporary.replace(path)
@@ -131,7 +170,6 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
         raise ResultError(f"{path} cannot be written: {fault}") from fault
     finally:
         temporary.unlink(missing_ok=True)
-    return [path], notes
 
 
 def render_views(
@@ -306,7 +344,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     pictures = commands.add_parser("lights", help="small pictures under several lights")
     pictures.set_defaults(command=picture_lights)
-    for command in (scene, render, light, pictures):
+    asset = commands.add_parser("asset", help="make export/asset.blend for Blender's library")
+    asset.set_defaults(command=build_asset)
+    for name in ("author", "licence", "catalogue"):
+        asset.add_argument(f"--{name}", default="", help="catalogue: its UUID")
+    asset.add_argument("--tag", action="append", default=[], help="may be given more than once")
+    asset.add_argument("--pack", action="store_true", help="with its textures in the file")
+    for command in (scene, render, light, pictures, asset):
         command.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
     for command in (render, light):
         command.add_argument(

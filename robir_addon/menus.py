@@ -6,6 +6,7 @@ import bpy
 _IN_ORDER = (
     ("choose_capture", "try_sample", "look_at_capture", "leave_out", "add_box", "clear_capture"),
     ("reconstruct", "delight", "attach", "cancel_reconstruct"),
+    ("run_batch", "stop_batch", "add_library"),
     ("import_result", "refresh_result", "remove_result"),
     ("set_real_size", "stand_on_floor", "drop_ground", "crop_to_box"),
     ("compare", "compare_next", "show_tone_curve", "match_view_transform"),

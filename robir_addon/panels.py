@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 from bl_ui.utils import PresetPanel
 
-from . import growth
+from . import growth, queue
 from .drawing import Panel, big, install_text, preferences_button, progress, split
 from .light_pictures import light_pictures
 from .lights import SHOWN_LIGHTS, STUDIO_LIGHTS, shown_light, strength_of
@@ -25,6 +25,7 @@ from .words import words
 from .worker import shown_box
 
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
+_QUEUE_ICONS = {"failed": "CANCEL", "running": "PLAY", "done": "CHECKMARK", "dropped": "X"}
 _STAGES = {
     "capture": "Photographs",
     "geometry": "Shape",
@@ -313,6 +314,35 @@ class ROBIR_PT_export(Panel, bpy.types.Panel):
         column.operator("robir.mark_asset", icon="ASSET_MANAGER")
 
 
+class ROBIR_PT_library(Panel, bpy.types.Panel):
+    """Many captures: what is done of them, and their assets."""
+
+    bl_label = "Library"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The folder, what is at work, and what failed or waits, one line each."""
+        layout, known = self.layout, queue.shown()
+        split(layout).prop(context.scene.robir, "library")
+        row = big(layout)
+        if known.is_live:
+            row.operator("robir.stop_batch", icon="PAUSE")
+        else:
+            row.operator("robir.run_batch", icon="PLAY")
+        if known.captures:
+            layout.progress(factor=known.fraction, type="BAR", text=known.text)
+        for name, state, message in known.captures[: queue.MOST]:
+            line = layout.row(align=True)
+            text = f"{name}: {message}" if message else name
+            line.label(text=text, icon=_QUEUE_ICONS.get(state, "DOT"), translate=False)
+            if state in ("waiting", "running"):
+                line.operator("robir.drop_from_batch", text="", icon="X").name = name
+        if len(known.captures) > queue.MOST:
+            more = words("and {count} more", count=len(known.captures) - queue.MOST)
+            layout.label(text=more, translate=False)
+        layout.operator("robir.add_library", icon="ASSET_MANAGER")
+
+
 class ROBIR_PT_engine(Panel, bpy.types.Panel):
     """What computes: whether it works, and how to get it."""
 
@@ -353,5 +383,6 @@ CLASSES = (
     ROBIR_PT_place,
     ROBIR_PT_relight,
     ROBIR_PT_export,
+    ROBIR_PT_library,
     ROBIR_PT_engine,
 )

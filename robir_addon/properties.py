@@ -18,6 +18,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from . import queue
 from .lights import STUDIO_LIGHTS, turn_light, use_lamps
 from .summary import read_shown
 
@@ -93,6 +94,13 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Result",
         description="Folder for the result; empty makes one beside the capture",
         subtype="DIR_PATH",
+    )
+    library: StringProperty(
+        name="Library",
+        description="Folder of the results of many captures, one asset each; empty makes one "
+        "beside the folder of captures",
+        subtype="DIR_PATH",
+        update=lambda _settings, _context: queue.look(),
     )
     preset: EnumProperty(
         name="Preset",

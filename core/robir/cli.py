@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: `robir reconstruct|check|relight|evaluate|selftest`, and `robir_bench`'s.
+"""The command line: `robir reconstruct|batch|check|relight|evaluate|selftest`, and `robir_bench`'s.
 
 Standard output carries the result alone (a path, or JSON where asked for); progress and messages
 go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
@@ -74,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"robir {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_reconstruct(subparsers)
+    _add_batch(subparsers)
     _add_check(subparsers)
     _add_relight(subparsers)
     _add_evaluate(subparsers)
@@ -121,7 +122,61 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
     parser.add_argument("--threads", type=positive, help="threads of torch, default one")
     parser.add_argument(
+        "--asset",
+        type=path_argument,
+        metavar="FILE",
+        help="also make an asset for Blender's library, with the author, licence, tags and "
+        "catalogue that this TOML file names",
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
+    )
+    _add_progress(parser)
+
+
+def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "batch", help="make a library of assets from many captures", epilog=_EXIT_CODES
+    )
+    parser.set_defaults(command=commands.batch)
+    parser.add_argument(
+        "sources",
+        nargs="*",
+        metavar="PLAN.toml | CAPTURE",
+        help="a plan, or captures, also with *; none goes on with the library's own plan",
+    )
+    parser.add_argument(
+        "-o", "--out", type=path_argument, required=True, metavar="LIBRARY", help="results' folder"
+    )
+    parser.add_argument("--preset", choices=sorted(PRESETS), help="of all captures")
+    _add_set(parser)
+    parser.add_argument(
+        "--on",
+        choices=("local", "openjd", "slurm"),
+        default="local",
+        help="who works: this machine (default), a render farm by an Open Job Description bundle, "
+        "or Slurm",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=positive,
+        help="most captures at a time; default: one a core",
+    )
+    parser.add_argument(
+        "--memory", metavar="SIZE", help="what all may need together, such as 8G; default: free now"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with what LIBRARY's plan still lacks"
+    )
+    parser.add_argument("--page", action="store_true", help="only draw the contact sheet anew")
+    parser.add_argument(
+        "--task", type=int, metavar="N", help="only capture N of LIBRARY's plan, for farms"
+    )
+    parser.add_argument(
+        "--captures",
+        type=path_argument,
+        metavar="DIR",
+        help="folder of the captures, where it is not where it was",
     )
     _add_progress(parser)
 

@@ -24,6 +24,7 @@ def reconstruct(options: Namespace) -> int:
     5 if the result failed the program's own quality check; it is whole all the same.
     """
     from robir.display import display_for
+    from robir.export.asset import read_facts
     from robir.pipeline.device import choose_execution
     from robir.pipeline.ledger import judged
     from robir.pipeline.memory import keep_freed_memory
@@ -32,6 +33,7 @@ def reconstruct(options: Namespace) -> int:
 
     keep_freed_memory()
     preset, config, (masks, mesh) = _settings(options)
+    asset = None if options.asset is None else read_facts(options.asset)
     with display_for(options.progress) as display:
         request = RunRequest(
             source=options.capture,
@@ -42,12 +44,20 @@ def reconstruct(options: Namespace) -> int:
             execution=choose_execution(options.device, options.threads),
             is_resume=options.resume,
             mesh=mesh,
+            asset=asset,
         )
         doubt = judged(run(request, display, load_stages()))
     if doubt is None and options.progress != "json":
         print("quality check passed", file=sys.stderr)
     print(options.out.resolve())
     return 0 if doubt is None else doubt.exit_code
+
+
+def batch(options: Namespace) -> int:
+    """Bring a library of many results about; prints its page, or what was handed to a farm."""
+    from robir.batch.start import batch as start
+
+    return start(options)
 
 
 def check(options: Namespace) -> int:

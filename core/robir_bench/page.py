@@ -13,7 +13,7 @@ from PIL import Image
 
 from robir.evaluation.level_table import level_notes
 from robir.evaluation.scores import ALBEDO
-from robir.export.report import page_template
+from robir.export.page import page_template
 from robir.jobs.paths import replacing, write_json
 from robir_bench.ablation import ablation_chart, ablation_table, worths
 from robir_bench.chart import speed_accuracy

@@ -36,7 +36,7 @@ _TIMES = re.compile(
     r'<b>\d+ <small>CPU-s</small></b>|<td class="n">[\d.]+</td>(?=<td class="n">[\d.]+</td>)'
     r'|<td class="n">[\d.]+</td>(?=<td>)|width:[\d.]+%'
 )
-_HISTORY = ("events.jsonl", "log.txt", "worker.log", "preview.png")
+_HISTORY = ("events.jsonl", "log.txt", "worker.json", "worker.log", "preview.png")
 """Files that tell how the result came about, or show it halfway."""
 
 
@@ -98,8 +98,8 @@ def without_costs(value: Any) -> Any:
 def contents(out: Path) -> dict[str, str]:
     """A hash of every file of a result by its name, times and the way it came about apart.
 
-    The Blender scene holds addresses of memory, so that no two are alike: it counts as there or not
-    here, `scenes` looks into it.
+    Blender's files hold addresses of memory, so that no two are alike: they count as there or not
+    here, `scenes` looks into them.
     """
     found = {}
     for path in sorted(out.rglob("*")):
@@ -107,7 +107,7 @@ def contents(out: Path) -> dict[str, str]:
         if path.is_dir() or name in _HISTORY:
             continue
         data = path.read_bytes()
-        if path == JobPaths(out).scene:
+        if path.suffix == ".blend":
             data = b""
         elif path.suffix == ".json":
             data = _plain_json(name, data, out)
@@ -161,15 +161,18 @@ for path in sys.argv[1:]:
     for collection in ("meshes", "materials", "objects", "cameras", "lights", "worlds", "images"):
         for item in sorted(getattr(bpy.data, collection), key=lambda item: item.name):
             text = repr((collection, item.name, plain(item, 0)))
-            digest.update(text.replace(path.removesuffix("/export/scene.blend"), "").encode())
+            digest.update(text.replace(path.rpartition("/export/")[0], "").encode())
     print("SCENE", digest.hexdigest(), flush=True)
 """
 
 
 def scenes(results: Sequence[Path]) -> list[str]:
-    """A hash of all that the Blender scene of each result says: every property of its data."""
-    files = [str(JobPaths(out).scene) for out in results]
+    """Hashes of all that Blender's files of each result say: every property of their data."""
+    files = [sorted(JobPaths(out).export.glob("*.blend")) for out in results]
+    words = [str(file) for some in files for file in some]
     done = subprocess.run(
-        [sys.executable, "-c", _DUMP, *files], capture_output=True, text=True, check=True
+        [sys.executable, "-c", _DUMP, *words], capture_output=True, text=True, check=True
     )
-    return [line.split()[1] for line in done.stdout.splitlines() if line.startswith("SCENE")]
+    said = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("SCENE")]
+    assert len(said) == len(words)
+    return ["".join(said.pop(0) for _ in some) for some in files]

@@ -31,7 +31,8 @@ _MARGIN = 1.08
 _MAX_ROWS = 4
 _GAP = 4
 _LABEL_HEIGHT = 26
-_BACKGROUND = 36
+BACKGROUND = 36
+"""Code of the dark grey behind pictures."""
 
 
 def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) -> Picture:
@@ -40,7 +41,7 @@ def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) ->
     if codes.ndim == 2:
         codes = np.repeat(codes[..., None], 3, axis=-1)
     if hit is not None:
-        codes = np.where(hit[..., None], codes, np.uint8(_BACKGROUND))
+        codes = np.where(hit[..., None], codes, np.uint8(BACKGROUND))
     return codes
 
 
@@ -65,7 +66,7 @@ def over_grey(picture: Picture) -> Picture:
     """RGBA codes (H, W, 4) on the sheet's dark grey, as (H, W, 3) codes."""
     rgba = picture.astype(np.float64)
     alpha = rgba[..., 3:] / 255.0
-    return np.round(rgba[..., :3] * alpha + _BACKGROUND * (1 - alpha)).astype(np.uint8)
+    return np.round(rgba[..., :3] * alpha + BACKGROUND * (1 - alpha)).astype(np.uint8)
 
 
 def window(mask: Picture) -> Array:
@@ -115,7 +116,7 @@ def truth_sheet(
     for index in np.linspace(0, len(truth.views) - 1, count).round().astype(int):
         view, ours = truth.views[index], layers[index]
         pictures = layer_pictures(ours, albedo_scale)
-        blank = np.full((*view.hit.shape, 3), _BACKGROUND, np.uint8)
+        blank = np.full((*view.hit.shape, 3), BACKGROUND, np.uint8)
         again = rerenders.get(_pose_key(view.camera.camera_to_world), blank)
         true_albedo = metrics.srgb_from_linear(view.albedo)
         rows.append(
@@ -167,7 +168,7 @@ def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:
         sum(widths) + _GAP * (len(widths) + 1),
         _LABEL_HEIGHT + len(rows) * (height + _GAP),
     )
-    sheet = Image.new("RGB", size, (_BACKGROUND,) * 3)
+    sheet = Image.new("RGB", size, (BACKGROUND,) * 3)
     draw = ImageDraw.Draw(sheet)
     x = _GAP
     for column, label in enumerate(labels):

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -24,13 +23,16 @@ from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
 from robir.evaluation.light_scores import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
 from robir.evaluation.sheet import (
+    BACKGROUND,
     MAX_SIDE,
     cut,
     display_codes,
     layer_pictures,
+    over_grey,
     thumbnail,
     window,
 )
+from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.trust import quality
 from robir.geometry.mesh.triangles import Mesh
@@ -38,6 +40,9 @@ from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
+
+CONTACT_SIDE = 160
+"""Side of each of the four pictures of `contact.jpg`, pixels."""
 
 _MAX_ROWS = 4
 _LEVELS_START, _LEVELS_END = '<section id="levels">', "</section>"
@@ -96,7 +101,7 @@ class Products:
 
 
 def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
-    """Write report/index.html and report/report.json.
+    """Write report/index.html, report/report.json and report/contact.jpg.
 
     Returns:
         The JSON's content.
@@ -109,6 +114,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     rows = [
         _row(view, seen, own, products.rendering) for view, seen in zip(shown, layers, strict=True)
     ]
+    _write_contact(paths.contact, shown[0], layers[0], own, products.rendering)
     numbers = _numbers(paths, products, own)
     write_json(paths.report_json, numbers)
     text = page_template("robir.export", "report.html").render(
@@ -171,16 +177,12 @@ def _row(
     view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
 ) -> dict[str, Any]:
     """Pictures of one view as data addresses, cut to the object; None where there is none."""
-    if view.name in rendering.rerenders:
-        again, how = read_picture(rendering.rerenders[view.name]), "Cycles"
-    else:
-        again, how = own.get(view.name), "our own renderer"
+    again, how = _rerender(view, own, rendering)
     relit = rendering.relit.get(view.name)
-    alpha = np.where(layers.hit, 255, 0).astype(np.uint8)
     pictures = {
         "photo": np.dstack([view.image_display, view.mask]),
         "rerender": again,
-        **{name: np.dstack([p, alpha]) for name, p in layer_pictures(layers).items()},
+        **{name: np.dstack([p, _alpha(layers)]) for name, p in layer_pictures(layers).items()},
         "relit": None if relit is None else read_picture(relit),
     }
     frame = window(view.mask)
@@ -191,15 +193,40 @@ def _row(
     return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
 
 
-def page_template(package: str, name: str) -> Template:
-    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped."""
-    return Environment(
-        loader=PackageLoader(package),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template(name)
+def _rerender(
+    view: View, own: dict[str, Picture], rendering: Rendering
+) -> tuple[Picture | None, str]:
+    """A view rendered again and by what: Cycles where there is such a picture."""
+    if view.name in rendering.rerenders:
+        return read_picture(rendering.rerenders[view.name]), "Cycles"
+    return own.get(view.name), "our own renderer"
+
+
+def _alpha(layers: Layers) -> Picture:
+    return np.where(layers.hit, 255, 0).astype(np.uint8)
+
+
+def _write_contact(
+    path: Path, view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
+) -> None:
+    """Write a view's photograph, re-render, albedo and trust as one small picture.
+
+    Trust is white where albedo is certain, black where its standard error reaches one natural-log
+    unit.
+    """
+    alpha, frame = _alpha(layers), window(view.mask)
+    pictures = [np.dstack([view.image_display, view.mask]), _rerender(view, own, rendering)[0]]
+    pictures.append(np.dstack([layer_pictures(layers)["albedo"], alpha]))
+    if layers.uncertainty is not None:
+        pictures.append(np.dstack([display_codes(1.0 - layers.uncertainty), alpha]))
+    sheet = Image.new("RGB", (4 * CONTACT_SIDE, CONTACT_SIDE), (BACKGROUND,) * 3)
+    for index, picture in enumerate(pictures):
+        if picture is not None:
+            tile = Image.fromarray(over_grey(cut(picture, frame)))
+            tile = tile.resize((CONTACT_SIDE, CONTACT_SIDE), Image.Resampling.LANCZOS)
+            sheet.paste(tile, (index * CONTACT_SIDE, 0))
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="JPEG", quality=88)
 
 
 def _fine(camera: Camera) -> Camera:
@@ -249,6 +276,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
         "texture_size": int(products.arrays["inside"].shape[0]),
         "seen_share": _seen_share(products.arrays),
+        "metal_share": float(products.arrays["metallic"][products.arrays["inside"] > 0].mean()),
         "uncertainty": _uncertainty(products.arrays),
         "warnings": run["warnings"],
         "missing": list(rendering.missing),

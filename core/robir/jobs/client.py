@@ -67,6 +67,8 @@ class Request:
         skips_missing: Whether photographs that are not there are done without.
         left_out: Photographs to do without, as the setting `capture.leave_out`.
         mesh: Mesh that takes the place of a surface of the engine's, or None.
+        settings: Further items of `--set`.
+        asset: File of what is known of an asset that is to be made, or None for no asset.
     """
 
     capture: Path
@@ -78,15 +80,18 @@ class Request:
     skips_missing: bool = False
     left_out: tuple[str, ...] = ()
     mesh: Path | None = None
+    settings: tuple[str, ...] = ()
+    asset: Path | None = None
 
     def words(self) -> list[str]:
         """The command line without the program."""
         masks = [] if self.masks is None else ["--masks", str(self.masks)]
         choices = ["--preset", self.preset, "--device", self.device]
         choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
+        asset = [] if self.asset is None else ["--asset", str(self.asset)]
         return [
-            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks,
-            *self.choice_words(),
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset,
+            *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
             "--resume", "--progress", "json",
         ]  # fmt: skip
 
@@ -167,7 +172,7 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
                 stderr=subprocess.STDOUT,
                 cwd=request.out,
                 env=dict(environment),
-                **_detached(),
+                **detached(),
             )
     except OSError as error:
         if error.filename == program[0]:
@@ -251,7 +256,7 @@ def stop(root: Path, *, is_forced: bool = False) -> None:
         pass  # it was faster
 
 
-def _detached() -> dict[str, Any]:
+def detached() -> dict[str, Any]:
     """What keeps a worker alive when its starter ends."""
     if sys.platform == "win32":
         flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP

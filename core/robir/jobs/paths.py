@@ -141,6 +141,16 @@ class JobPaths:
         return self.export / "asset.glb"
 
     @property
+    def library_asset(self) -> Path:
+        """The object as an asset of Blender's library; absent where none was asked for."""
+        return self.export / "asset.blend"
+
+    @property
+    def library_facts(self) -> Path:
+        """What `library_asset` was made with; written after it."""
+        return self.export / "asset.json"
+
+    @property
     def environment(self) -> Path:
         """Recovered light, lat-long, linear Rec.709, Blender's world frame."""
         return self.export / "environment.exr"
@@ -201,6 +211,11 @@ class JobPaths:
     def report(self) -> Path:
         """The report as one page."""
         return self.root / "report" / "index.html"
+
+    @property
+    def contact(self) -> Path:
+        """A view in small: photograph, re-render, albedo and trust beside each other."""
+        return self.root / "report" / "contact.jpg"
 
     @property
     def report_json(self) -> Path:

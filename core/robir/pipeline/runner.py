@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from robir.config import RunConfig
-from robir.errors import RobirError
+from robir.errors import CancelledError, RobirError, StorageError
+from robir.export.asset import AssetFacts, is_current, make_asset
 from robir.jobs.context import StageContext
 from robir.jobs.folder import create
 from robir.jobs.lock import folder_lock
@@ -37,6 +38,8 @@ from robir.pipeline.reporter import Display, RunReporter
 from robir.pipeline.usage import Usage, peak_memory_bytes
 from robir.settings import toml_from_settings
 
+_NO_ASSET = "no asset for Blender's library: "
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRequest:
@@ -51,6 +54,7 @@ class RunRequest:
         execution: Device and threads.
         is_resume: Whether an unfinished or outdated folder may be worked on.
         mesh: Mesh that takes the place of a surface of our own, or None.
+        asset: What is known of the asset for Blender's library that is to be made, or None.
     """
 
     source: Path
@@ -61,6 +65,7 @@ class RunRequest:
     execution: Execution
     is_resume: bool
     mesh: Path | None = None
+    asset: AssetFacts | None = None
 
 
 def load_stages() -> dict[str, StageModule]:
@@ -127,11 +132,12 @@ def _bring_up_to_date(
         folder.refuse_other_mesh(paths, run, request.mesh, mesh)
     pending = [stage for stage in STAGES if states[stage] != "done"]
     reporter = RunReporter(paths, display, pending)
-    if run is not None and not pending:
+    lacks_asset = request.asset is not None and not is_current(paths, request.asset)
+    if run is not None and not pending and not lacks_asset:
         _finish(paths, run, reporter, f"{request.out} is finished already; nothing to do")
         return
     is_worth_keeping = any(state in ("done", "stale") for state in states.values())
-    if run is not None and is_worth_keeping and not request.is_resume:
+    if run is not None and pending and is_worth_keeping and not request.is_resume:
         folder.refuse_without_resume(paths, run, capture, request.config)
     _Run(request, paths, reporter, run, inputs).work(stages, states, expected)
 
@@ -183,6 +189,8 @@ class _Run:
                     continue
                 clear_for_rerun(self._paths, stage, states[stage])
                 self._work_stage(stage, stages[stage], expected[stage])
+            if self._request.asset is not None:
+                self._make_asset(self._request.asset)
             _finish(self._paths, self._facts, self._reporter, f"{self._paths.root} is finished")
         except BaseException as error:
             fault = translated(error, self._reporter.stage, self._paths.root)
@@ -228,6 +236,22 @@ class _Run:
         costs = {"seconds": seconds, "peak_memory_bytes": memory, "metrics": metrics}
         write_manifest(paths, stage, facts | costs)
         self._reporter.end(stage, metrics, seconds)
+
+    def _make_asset(self, facts: AssetFacts) -> None:
+        """Make the asset for Blender's library; without Blender the result is whole as well."""
+
+        def follow(_fraction: float, message: str) -> None:
+            self._reporter.progress(0.0, message)
+
+        kept = [w for w in self._facts["warnings"] if not w["message"].startswith(_NO_ASSET)]
+        try:
+            if not is_current(self._paths, facts):
+                make_asset(self._paths, facts, follow)
+        except (CancelledError, StorageError):
+            raise
+        except RobirError as error:
+            self._reporter.warn(f"{_NO_ASSET}{error}")
+        self._facts["warnings"] = kept + self._reporter.take_warnings()
 
 
 def _seed_everything(seed: int) -> None:

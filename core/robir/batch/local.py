@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the captures of a library on this machine, one process each.
+
+A process leads a life of its own: it goes on when the batch is killed, and the next one finds it by
+the lock in its result folder. What a batch knows it reads from result folders, so it has nothing to
+lose.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from robir.batch.standing import Standing, of_snapshot
+from robir.errors import (
+    CancelledError,
+    CaptureError,
+    DeviceError,
+    QualityError,
+    RobirError,
+    UsageError,
+)
+from robir.jobs import client
+from robir.jobs.library import LibraryPaths
+
+_PERIOD = 0.3
+"""Seconds between two looks at the result folders of what is at work."""
+
+_PATIENCE = 15.0
+"""Seconds that a process has to end in good order."""
+
+_TRIES = 2
+_KILLED = -9
+
+_FINAL = frozenset(
+    kind.exit_code for kind in (UsageError, CaptureError, QualityError, CancelledError)
+)
+"""Exit codes that a second try would only repeat: the user's to mend, or wanted by the user."""
+
+_HUNGRY = frozenset({_KILLED, DeviceError.exit_code})
+"""How a process ends that had too little memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the machine may be asked for.
+
+    Attributes:
+        jobs: Most captures at a time.
+        memory: Bytes of main memory that all of them together may need.
+    """
+
+    jobs: int
+    memory: int
+
+
+@dataclass(slots=True, kw_only=True)
+class Item:
+    """A capture that is to be done.
+
+    Attributes:
+        request: The reconstruction.
+        need: Bytes of memory it is taken to need.
+        standing: Where it stands.
+        tries: How often it was started.
+    """
+
+    request: client.Request
+    need: int
+    standing: Standing
+    tries: int = 0
+
+
+@dataclass(slots=True)
+class LocalBatch:
+    """A batch at work.
+
+    Attributes:
+        paths: The library.
+        items: All captures in the plan's order; those that are done before are marked so.
+        limits: See `Limits`.
+        program: Words before those of a request, such as PYTHON -P -m robir.
+    """
+
+    paths: LibraryPaths
+    items: Sequence[Item]
+    limits: Limits
+    program: Sequence[str]
+    _waiting: list[Item] = field(default_factory=list)
+    _running: list[Item] = field(default_factory=list)
+
+    def run(self, watch: Callable[[], None]) -> None:
+        """Do what is not done yet; returns when all has ended, well or not.
+
+        Args:
+            watch: Called after each look at what is at work.
+
+        Raises:
+            CancelledError: If it is told to stop; what was at work is ended in good order.
+        """
+        for item in self.items:
+            is_live = client.snapshot(item.request.out).is_live
+            if is_live:  # left by a batch that was killed
+                item.tries = 1
+                self._running.append(item)
+            elif item.standing.state == "waiting":
+                self._waiting.append(item)
+        try:
+            while self._waiting or self._running:
+                self._drop()
+                while (item := self._next()) is not None:
+                    self._start(item)
+                self._look()
+                watch()
+                if self._running:
+                    time.sleep(_PERIOD)
+        finally:
+            self._end()
+
+    def _next(self) -> Item | None:
+        """The first that there is room for; one that needs more than there is runs alone."""
+        free = self.limits.memory - sum(item.need for item in self._running)
+        for item in self._waiting if len(self._running) < self.limits.jobs else ():
+            if item.need <= free or not self._running:
+                return item
+        return None
+
+    def _start(self, item: Item) -> None:
+        self._waiting.remove(item)
+        item.tries += 1
+        name = item.standing.name
+        try:
+            client.start(self.program, item.request, worker_environment())
+        except client.START_ERRORS as error:
+            self._settle(item, _failed(name, error))
+        else:
+            item.standing = Standing(name=name, state="running", message="starting")
+            self._running.append(item)
+
+    def _look(self) -> None:
+        for item in list(self._running):
+            found = of_snapshot(item.standing.name, client.snapshot(item.request.out))
+            if found.state == "running":
+                item.standing = found
+            else:
+                self._running.remove(item)
+                self._settle(item, found)
+
+    def _settle(self, item: Item, found: Standing) -> None:
+        """Note how a process ended, and try once more what may have been the machine's fault."""
+        item.standing = found
+        if found.state == "failed" and item.tries < _TRIES and found.exit_code not in _FINAL:
+            if found.exit_code in _HUNGRY:
+                item.need = max(item.need, self.limits.memory)
+            item.standing = Standing(
+                name=found.name, state="waiting", message=f"once more, after: {found.message}"
+            )
+            self._waiting.append(item)
+
+    def _drop(self) -> None:
+        """Leave out what the user has dropped meanwhile."""
+        folder = self.paths.dropped
+        names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
+        for item in [*self._waiting, *self._running] if names else ():
+            if item.standing.name not in names:
+                continue
+            if item in self._waiting:
+                self._waiting.remove(item)
+                item.standing = Standing(name=item.standing.name, state="dropped")
+            else:
+                item.tries = _TRIES
+                client.request_cancel(item.request.out)
+
+    def _end(self) -> None:
+        """End in good order what is still at work, and by force what does not."""
+        for is_forced in (False, True):
+            for item in self._running:
+                client.stop(item.request.out, is_forced=is_forced)
+            until = time.monotonic() + _PATIENCE
+            while self._running and time.monotonic() < until:
+                self._running = [
+                    item for item in self._running if client.snapshot(item.request.out).is_live
+                ]
+                time.sleep(_PERIOD if self._running else 0.0)
+
+
+def worker_environment() -> dict[str, str]:
+    """Variables of a process: one thread for all libraries, unless the user says otherwise.
+
+    Sums come out otherwise on other numbers of threads, and results shall not depend on how many
+    captures are done at a time.
+    """
+    return {"OMP_NUM_THREADS": "1", **os.environ}
+
+
+def _failed(name: str, error: RobirError) -> Standing:
+    return Standing(name=name, state="failed", message=str(error), exit_code=error.exit_code)

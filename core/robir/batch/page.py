@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The library's contact sheet: what failed first, then what is doubtful, then the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from robir.batch.plan import Entry
+from robir.batch.standing import Standing
+from robir.export.page import page_template
+from robir.jobs.library import LibraryPaths
+from robir.jobs.paths import replacing
+from robir.jobs.records import read_record
+
+_REPORT = {
+    "held_out": {"psnr": (None, float)}, "trust": {"is_trusted": bool, "doubts": [str]},
+    "capture": {"train_views": int}, "seconds": {...: {"cpu": float}}, "preset": str,
+}  # fmt: skip
+_ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What the sheet says of one capture.
+
+    Attributes:
+        name: Of its result folder.
+        state: As of `Standing`, or "doubtful".
+        sentences: Why it failed or is doubtful.
+        facts: "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result.
+        tags: Of its asset.
+        report: Its own report from the library's folder; empty without one.
+        picture: Its pictures, likewise.
+    """
+
+    name: str
+    state: str
+    sentences: tuple[str, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    tags: tuple[str, ...] = ()
+    report: str = ""
+    picture: str = ""
+
+
+def row_of(entry: Entry, standing: Standing, paths: LibraryPaths) -> Row:
+    """The row of a capture as its result folder has it now."""
+    job = paths.result(entry.name)
+    if standing.state != "done":
+        sentences = (standing.message,) if standing.message else ()
+        return Row(name=entry.name, state=standing.state, sentences=sentences, tags=entry.tags)
+    try:
+        report = read_record(job.report_json, _REPORT)
+    except (OSError, ValueError) as error:
+        sentence = f"its report cannot be read ({error}); reconstruct it again"
+        return Row(name=entry.name, state="failed", sentences=(sentence,), tags=entry.tags)
+    return Row(
+        name=entry.name,
+        state="done" if report["trust"]["is_trusted"] else "doubtful",
+        sentences=tuple(report["trust"]["doubts"]),
+        facts={
+            "psnr": report["held_out"]["psnr"],
+            "views": report["capture"]["train_views"],
+            "seconds": sum(stage["cpu"] for stage in report["seconds"].values()),
+            "preset": report["preset"],
+        },
+        tags=entry.tags,
+        report=_from(job.report, paths),
+        picture=_from(job.contact, paths) if job.contact.is_file() else "",
+    )
+
+
+def write_page(rows: Sequence[Row], paths: LibraryPaths) -> None:
+    """Write index.html; it needs no network and no script but its own."""
+    counts = {state: sum(row.state == state for row in rows) for state in _ORDER}
+    text = page_template("robir.batch", "library.html").render(
+        title=paths.root.absolute().name,
+        rows=sorted(rows, key=lambda row: (_ORDER.index(row.state), row.name.lower())),
+        counts={state: count for state, count in counts.items() if count},
+        order=_ORDER,
+    )
+    with replacing(paths.page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _from(file: Path, paths: LibraryPaths) -> str:
+    return file.relative_to(paths.root).as_posix()

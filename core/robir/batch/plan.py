@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a batch is to do: from PLAN.toml or the captures themselves, kept in the library.
+
+In the library every path is relative: the captures to a folder that holds them all, that folder to
+the library. So a library may be moved with its captures, and a farm may map either elsewhere.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from robir.config import RunConfig, resolve
+from robir.errors import ConfigError, StorageError, UsageError
+from robir.export.asset import AssetFacts
+from robir.jobs.client import Request
+from robir.jobs.library import LibraryPaths
+from robir.jobs.names import file_in
+from robir.jobs.paths import read_json, write_json
+from robir.presets import PRESETS
+from robir.settings import checked_table, read_toml, settings_from_table, table_from_settings
+
+_WILD = re.compile(r"[*?[]")
+_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT])B?", re.IGNORECASE)
+_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One capture of a plan.
+
+    Attributes:
+        path: The capture; in PLAN.toml from the plan's folder, with `*` for many, in the library
+            from the folder of captures.
+        name: Of its result folder; empty for that of the capture.
+        preset: What it may cost.
+        settings: Items as of `--set`.
+        masks: Folder of masks, as `path`; empty for the capture's own.
+        memory: What it needs, such as "3G"; empty to estimate it.
+        author: As in `AssetFacts`, and so are the next three.
+        licence: Of the asset.
+        tags: Of the asset.
+        catalogue: Of the asset; empty for its first tag, else the folder that holds the capture.
+    """
+
+    path: str
+    name: str = ""
+    preset: Literal["draft", "standard", "high"] = "draft"
+    settings: tuple[str, ...] = ()
+    masks: str = ""
+    memory: str = ""
+    author: str = ""
+    licence: str = ""
+    tags: tuple[str, ...] = ()
+    catalogue: str = ""
+
+    def config(self) -> RunConfig:
+        """The resolved settings.
+
+        Raises:
+            ConfigError: If an item of `settings` is wrong.
+        """
+        return _resolved(self.preset, self.settings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """What holds for the whole library.
+
+    Attributes:
+        device: As of `robir reconstruct`.
+        textures: Of the assets; see `AssetFacts`.
+        assets: Whether each result becomes an asset of Blender's library.
+    """
+
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    textures: Literal["packed", "relative"] = "packed"
+    assets: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What a batch is to do.
+
+    Attributes:
+        captures: Folder that the entries' paths start from, absolute.
+        entries: One a result, of different names.
+        options: What holds for all.
+    """
+
+    captures: Path
+    entries: tuple[Entry, ...]
+    options: Options = Options()
+
+    def request(self, entry: Entry, paths: LibraryPaths) -> Request:
+        """The reconstruction of an entry."""
+        return Request(
+            capture=self.captures / entry.path,
+            out=paths.result(entry.name).root.absolute(),
+            preset=entry.preset,
+            device=self.options.device,
+            masks=self.captures / entry.masks if entry.masks else None,
+            settings=entry.settings,
+            asset=paths.facts(entry.name).absolute() if self.options.assets else None,
+        )
+
+    def facts(self, entry: Entry) -> AssetFacts:
+        """What is known of an entry's asset."""
+        return AssetFacts(
+            author=entry.author,
+            licence=entry.licence,
+            tags=entry.tags,
+            catalogue=entry.catalogue,
+            textures=self.options.textures,
+        )
+
+
+def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
+    """What PLAN.toml says, or the captures that are named.
+
+    Args:
+        sources: One file that ends in .toml; or captures, also with `*`.
+        changes: Values of `Entry` from the command line: they come before the plan's own, but
+            settings are added to its.
+        paths: The library; it is no capture of its own, and its files' names are no result's.
+
+    Raises:
+        ConfigError: If the plan is wrong; names the line.
+        UsageError: If there is no capture, or two have one name, or the library needs that itself.
+    """
+    if len(sources) == 1 and sources[0].endswith(".toml"):
+        tables, options = _tables(Path(sources[0]))
+    else:
+        tables, options = [("", {"path": source}) for source in sources], Options()
+    found = [(where, entry) for where, table in tables for entry in _entries(where, table, changes)]
+    own = _absolute(str(paths.root))
+    found = [(where, entry) for where, entry in found if Path(entry.path) != own]
+    if not found:
+        raise UsageError("there is no capture to reconstruct; name captures or a plan of some")
+    _refuse_twins(found)
+    for where, entry in found:
+        if entry.name in paths.taken:
+            raise UsageError(f"{where or entry.path}: the library needs the name {entry.name}")
+    files = [Path(entry.path).parent for _, entry in found]
+    files += [Path(entry.masks) for _, entry in found if entry.masks]
+    root = Path(os.path.commonpath(files))
+    return Plan(
+        captures=root,
+        entries=tuple(_from(root, entry) for _, entry in found),
+        options=options,
+    )
+
+
+def keep_plan(plan: Plan, paths: LibraryPaths) -> None:
+    """Write the plan into its library."""
+    captures = Path(os.path.relpath(plan.captures, paths.root.absolute())).as_posix()
+    about = table_from_settings(plan.options) | {"captures": captures}
+    entries = [table_from_settings(entry) for entry in plan.entries]
+    write_json(paths.plan, about | {"entries": entries})
+
+
+def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
+    """The plan of a library.
+
+    Args:
+        paths: The library.
+        captures: Where the captures lie, if elsewhere than when the plan was made.
+
+    Raises:
+        UsageError: If it has none.
+        StorageError: If that is damaged.
+    """
+    try:
+        table = dict(read_json(paths.plan))
+        folder, entries = table.pop("captures"), table.pop("entries")
+        for entry in entries:
+            file_in(paths.root, entry["name"])
+        plan = Plan(
+            captures=(captures or paths.root / folder).resolve(),
+            entries=tuple(settings_from_table(Entry, entry, str(paths.plan)) for entry in entries),
+            options=settings_from_table(Options, table, str(paths.plan)),
+        )
+    except FileNotFoundError as error:
+        raise UsageError(f"{paths.root} holds no batch to go on with; name its captures") from error
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, ConfigError) as error:
+        raise StorageError(
+            f"{paths.plan} is damaged ({error}); start the batch again with its plan"
+        ) from error
+    if not plan.entries:
+        raise StorageError(f"{paths.plan} is damaged: it names no captures; give its plan again")
+    return plan
+
+
+def parse_size(text: str) -> int:
+    """Bytes of a text such as "8G".
+
+    Raises:
+        ConfigError: If it is none.
+    """
+    size = _SIZE.fullmatch(text.strip())
+    if size is None:
+        raise ConfigError(f"{text!r} is no size; write it as 8G or 900M")
+    return int(float(size[1]) * _UNITS[size[2].upper()])
+
+
+def _tables(path: Path) -> tuple[list[tuple[str, dict[str, Any]]], Options]:
+    """Where each [[capture]] of a plan stands, and its values with the plan's own below them."""
+    table = read_toml(path)
+    captures = table.pop("capture", None)
+    if not isinstance(captures, list) or not all(isinstance(item, dict) for item in captures):
+        raise ConfigError(f"{path}: it names no captures; give each a table [[capture]] with path")
+    known = {field.name for field in fields(Options)}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    starts = [n for n, line in enumerate(lines, 1) if re.match(r"\s*\[\[\s*capture\s*\]\]", line)]
+    if len(starts) != len(captures):  # written as a list in one line
+        starts = [1] * len(captures)
+    options = {key: value for key, value in table.items() if key in known}
+    shared = {key: value for key, value in table.items() if key not in known}
+    _check(Options, options, path, lines, 0)
+    _check(Entry, shared, path, lines, 0)
+    tables = []
+    for start, capture in zip(starts, captures, strict=True):
+        where = f"{path}, line {start}"
+        _check(Entry, capture, path, lines, start)
+        if not capture.get("path"):
+            raise ConfigError(f"{where}: this capture has no path; add path = 'folder'")
+        places = {
+            key: str(path.parent / capture[key]) for key in ("path", "masks") if key in capture
+        }
+        tables.append((where, shared | capture | places))
+    return tables, settings_from_table(Options, options, str(path))
+
+
+def _check(cls: type, table: Mapping[str, Any], path: Path, lines: list[str], start: int) -> None:
+    """Refuse an unknown key or a wrong type with the line that it stands in."""
+    for key, value in table.items():
+        place = re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
+        found = (n for n, line in enumerate(lines[start:], start + 1) if place.match(line))
+        number = next(found, 1)
+        checked_table(cls, {key: value}, f"{path}, line {number}")
+
+
+def _entries(where: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Iterator[Entry]:
+    """The captures that a path stands for, absolute and with a name each."""
+    settings = [*table.get("settings", ()), *changes.get("settings", ())]
+    table = {**table, **changes, "settings": settings}
+    for place in _places(table["path"], where):
+        name = re.sub(r"[^\w.-]+", "_", table.get("name") or _name(place)).strip("._") or "capture"
+        masks = str(_absolute(table["masks"])) if table.get("masks") else ""
+        tags = table.get("tags", [])
+        own = {
+            "path": str(place),
+            "name": name,
+            "masks": masks,
+            "catalogue": table.get("catalogue") or (tags[0] if tags else place.parent.name),
+        }
+        try:
+            entry = settings_from_table(Entry, {**table, **own}, where)
+            entry.config()
+            if entry.memory:
+                parse_size(entry.memory)
+            AssetFacts(catalogue=entry.catalogue)
+        except ConfigError as error:
+            place_of = f"{where}: " if where and not str(error).startswith(where) else ""
+            raise ConfigError(f"{place_of}{error}") from error
+        yield entry
+
+
+def _places(path: str, where: str) -> list[Path]:
+    """The capture of a path, or all folders that it matches."""
+    place = _absolute(path)
+    if not _WILD.search(path) or place.exists():
+        return [place]
+    pattern = str(place.relative_to(place.anchor))
+    found = [p for p in Path(place.anchor).glob(pattern) if p.is_dir() and p.name[:1] != "."]
+    if not found:
+        raise UsageError(f"{where or 'the command line'}: {path} matches no folder")
+    return sorted(found)
+
+
+def _absolute(path: str) -> Path:
+    # normalised without a look at the disk: a link to a capture keeps its own name
+    return Path(os.path.normpath(Path(path).absolute()))
+
+
+def _name(capture: Path) -> str:
+    return capture.stem if capture.is_file() else capture.name
+
+
+def _refuse_twins(found: Sequence[tuple[str, Entry]]) -> None:
+    seen: dict[str, Entry] = {}
+    for where, entry in found:
+        twin = seen.setdefault(entry.name.lower(), entry)
+        if twin is not entry:
+            raise UsageError(
+                f"{where + ': ' if where else ''}{entry.path} and {twin.path} would both become "
+                f"{entry.name!r}; give one of them another name in a plan"
+            )
+
+
+def _from(root: Path, entry: Entry) -> Entry:
+    """The entry with paths from a folder."""
+    table = table_from_settings(entry)
+    for key in ("path", "masks"):
+        if table[key]:
+            table[key] = Path(table[key]).relative_to(root).as_posix()
+    return settings_from_table(Entry, table, "")
+
+
+@functools.cache
+def _resolved(preset: str, settings: tuple[str, ...]) -> RunConfig:
+    return resolve(PRESETS[preset](), None, settings)

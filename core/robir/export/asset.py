@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finished result as one asset of Blender's library."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from robir.errors import ConfigError
+from robir.export.blender import run_headless
+from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir.jobs.records import read_record
+from robir.settings import read_toml, settings_from_table, table_from_settings
+
+REVISION = 1
+"""Raised when assets come out differently: all are then made again."""
+
+_MANIFEST = {"fingerprint": str}
+_REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
+
+_KINDS = ((0.5, "metal"), (0.05, "partly metal"), (0.0, "no metal"))
+"""Tag of an object by the least share of its surface that is metal."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssetFacts:
+    """What is known of an asset, besides what its result says.
+
+    Attributes:
+        author: Who made it.
+        licence: Under which it may be used.
+        tags: Words to find it by.
+        catalogue: Its place in the library, "/" between a catalogue and one in it; empty for none.
+        textures: "packed" into the .blend file, or beside it with a "relative" path.
+    """
+
+    author: str = ""
+    licence: str = ""
+    tags: tuple[str, ...] = ()
+    catalogue: str = ""
+    textures: Literal["packed", "relative"] = "packed"
+
+    def __post_init__(self) -> None:
+        """Refuse what the file of catalogues cannot say."""
+        parts = self.catalogue.split("/")
+        is_whole = self.catalogue == "" or all(part.strip() == part != "" for part in parts)
+        if not is_whole or ":" in self.catalogue or not self.catalogue.isprintable():
+            raise ConfigError(
+                f"the catalogue {self.catalogue!r} is none; write it as furniture/chairs"
+            )
+
+
+def read_facts(path: Path) -> AssetFacts:
+    """What a TOML file says of an asset.
+
+    Raises:
+        ConfigError: If it is missing or says something else.
+    """
+    return settings_from_table(AssetFacts, read_toml(path), str(path))
+
+
+def catalogue_id(catalogue: str) -> str:
+    """The catalogue's UUID, the same wherever it is asked for."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"robir:{catalogue}"))
+
+
+def is_current(paths: JobPaths, facts: AssetFacts) -> bool:
+    """Whether a finished result has this asset already."""
+    try:
+        return paths.library_asset.is_file() and (
+            read_record(paths.library_facts, Any) == _made_of(paths, facts)
+        )
+    except (OSError, ValueError):
+        return False
+
+
+def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
+    """Write export/asset.blend of a finished result.
+
+    Args:
+        paths: The result folder.
+        facts: What else is known of it.
+        progress: As for `robir.export.blender.run_headless`.
+
+    Raises:
+        RobirError: If Blender is missing or cannot make it.
+    """
+    report = read_record(paths.report_json, _REPORT)
+    kind = next(kind for least, kind in _KINDS if report["metal_share"] >= least)
+    words = ["asset", str(paths.root), f"--author={facts.author}", f"--licence={facts.licence}"]
+    if facts.catalogue:
+        words.append(f"--catalogue={catalogue_id(facts.catalogue)}")
+    tags = (*facts.tags, kind, "trusted" if report["trust"]["is_trusted"] else "doubtful")
+    words += [f"--tag={tag}" for tag in tags]
+    if facts.textures == "packed":
+        words.append("--pack")
+    paths.library_facts.unlink(missing_ok=True)
+    run_headless(words, progress)
+    write_json(paths.library_facts, _made_of(paths, facts))
+
+
+def _made_of(paths: JobPaths, facts: AssetFacts) -> dict[str, Any]:
+    """What the asset depends on."""
+    manifest = read_record(paths.manifest(STAGES[-1]), _MANIFEST)
+    about = {"revision": REVISION, "export": manifest["fingerprint"]}
+    return table_from_settings(facts) | about

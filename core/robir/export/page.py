@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages from templates."""
+
+from __future__ import annotations
+
+import functools
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+
+@functools.cache
+def page_template(package: str, name: str) -> Template:
+    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped."""
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template(name)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every file name of a library of results, and the batch that fills it: started and followed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robir.jobs.client import detached
+from robir.jobs.lock import holder
+from robir.jobs.names import file_in
+from robir.jobs.paths import JobPaths
+from robir.jobs.records import read_record
+
+_STATE = {
+    "fraction": float, "seconds_left": (None, float),
+    "captures": [{"name": str, "state": str, "fraction": float, "message": str}],
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryPaths:
+    """Names of a library's files; nothing else may spell them.
+
+    Attributes:
+        root: The library, LIBRARY on the command line.
+    """
+
+    root: Path
+
+    @property
+    def plan(self) -> Path:
+        """What is to be reconstructed, all paths relative."""
+        return self.root / "plan.json"
+
+    @property
+    def state(self) -> Path:
+        """Where the batch stands; replaced as a whole."""
+        return self.root / "batch.json"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the one batch that works on the whole library."""
+        return self.root / "batch.lock"
+
+    @property
+    def page(self) -> Path:
+        """The contact sheet."""
+        return self.root / "index.html"
+
+    @property
+    def catalogues(self) -> Path:
+        """Catalogues of Blender's asset library; Blender wants this name."""
+        return self.root / "blender_assets.cats.txt"
+
+    @property
+    def openjd(self) -> Path:
+        """Job bundle for render farms."""
+        return self.root / "openjd"
+
+    @property
+    def own(self) -> Path:
+        """The batch's own small files."""
+        return self.root / ".batch"
+
+    @property
+    def taken(self) -> frozenset[str]:
+        """Names that no result may have."""
+        files = (self.plan, self.state, self.lock, self.page, self.catalogues, self.openjd)
+        return frozenset(file.name for file in files)
+
+    def result(self, name: str) -> JobPaths:
+        """Result folder of a capture.
+
+        Raises:
+            UnsafeNameError: If the name leads elsewhere.
+        """
+        return JobPaths(file_in(self.root, name))
+
+    def facts(self, name: str) -> Path:
+        """What is known of a capture's asset: author, licence, tags."""
+        return file_in(self.own, f"{name}.toml")
+
+    @property
+    def dropped(self) -> Path:
+        """Touch a file of a capture's name in this folder to have the batch leave that out."""
+        return self.own / "dropped"
+
+
+def read_batch(paths: LibraryPaths) -> dict[str, Any]:
+    """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
+
+    Raises:
+        OSError: If there is none.
+        ValueError: If it is damaged.
+    """
+    return read_record(paths.state, _STATE)
+
+
+def start_batch(
+    program: Sequence[str],
+    sources: Sequence[str],
+    paths: LibraryPaths,
+    environment: Mapping[str, str],
+) -> None:
+    """Start a batch that goes on when this process ends; what it says is in its log.
+
+    Args:
+        program: Words before those of the command, such as PYTHON -P -m robir.
+        sources: Captures or a plan, absolute; none goes on with the library's own.
+        paths: The library, absolute.
+        environment: All variables.
+
+    Raises:
+        OSError: If the program cannot be run, or the library cannot be written.
+    """
+    paths.own.mkdir(parents=True, exist_ok=True)
+    words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
+    with (paths.own / "log.txt").open("wb") as log:
+        process = subprocess.Popen(
+            [*program, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            cwd=paths.root,
+            env=dict(environment),
+            **detached(),
+        )
+    threading.Thread(target=process.wait, name="RobIR batch", daemon=True).start()
+
+
+def stop_batch(paths: LibraryPaths) -> None:
+    """End the batch that is at work, if one is; what it has at work ends in good order."""
+    pid = holder(paths.lock)
+    if pid:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
+
+
+def drop(paths: LibraryPaths, name: str) -> None:
+    """Have the batch leave a capture out.
+
+    Raises:
+        OSError: If that cannot be noted.
+        UnsafeNameError: If the name leads elsewhere.
+    """
+    file = file_in(paths.dropped, name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.touch()

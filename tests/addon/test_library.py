@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A library in Blender: an asset that is whole, in Preferences, and the list of a batch."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from addon.blenders import MODULE, run
+
+from robir.errors import UsageError
+from robir.export.asset import AssetFacts, catalogue_id, is_current, make_asset
+from robir.jobs.library import LibraryPaths
+from robir.jobs.paths import JobPaths, write_json
+
+pytestmark = pytest.mark.blender
+
+LOOK = """
+import bpy
+
+def main(file):
+    with bpy.data.libraries.load(file) as (whole, _):
+        others = [*whole.cameras, *whole.lights, *whole.worlds, *whole.collections]
+    with bpy.data.libraries.load(file, link=True, assets_only=True) as (there, wanted):
+        names = list(there.objects)
+        wanted.objects = list(names)
+    (asset,) = wanted.objects
+    data = asset.asset_data
+    low, high = asset.bound_box[0], asset.bound_box[6]
+    images = [n.image for s in asset.material_slots for n in s.material.node_tree.nodes
+              if n.type == "TEX_IMAGE"]
+    return {
+        "names": names, "author": data.author, "licence": data.license,
+        "catalogue": data.catalog_id, "tags": sorted(t.name for t in data.tags),
+        "location": list(asset.location), "low": list(low), "high": list(high),
+        "preview": list(asset.preview.image_size), "others": others,
+        "packed": [bool(i.packed_file) for i in images], "paths": [i.filepath for i in images],
+        "sizes": [list(i.size) for i in images], "marks": [k for k in asset.keys()],
+    }
+"""
+
+PANEL = f"""
+import bpy, sys
+
+MODULE = {MODULE!r}
+
+def call(_name, **given):
+    try:
+        return sorted(getattr(bpy.ops.robir, _name)("EXEC_DEFAULT", **given))
+    except RuntimeError as refusal:
+        return str(refusal).strip()
+
+def main(archive, folder):
+    bpy.ops.extensions.package_install_files(
+        filepath=archive, repo="user_default", enable_on_install=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    before = len(libraries)
+    answer = {{"unchosen": bpy.ops.robir.add_library.poll()}}
+    bpy.context.scene.robir.library = folder
+    answer["added"] = [call("add_library"), call("add_library")]
+    answer["libraries"] = [[l.name, l.path] for l in libraries][before:]
+    queue = sys.modules[MODULE + ".queue"]
+    known = queue.shown()
+    answer["queue"] = [known.is_live, known.text, known.captures]
+    answer["dropped"] = [call("drop_from_batch", name="lamp"), call("drop_from_batch", name="../x")]
+    bpy.context.scene.robir.library = folder + "/nowhere"
+    answer["nowhere"] = [call("add_library"), queue.shown().captures]
+    return answer
+"""
+
+
+@pytest.fixture
+def facts():
+    return AssetFacts(
+        author="Ann", licence="CC0-1.0", tags=("truck", "--wood"), catalogue="toys/cars"
+    )
+
+
+def made(result: JobPaths, facts: AssetFacts) -> JobPaths:
+    write_json(result.manifest("export"), {"fingerprint": "1"})
+    write_json(result.report_json, {"trust": {"is_trusted": False}, "metal_share": 0.2})
+    make_asset(result, facts, lambda *_: None)
+    return result
+
+
+def test_an_asset_stands_alone(result, facts, blender, tmp_path):
+    made(result, facts)
+    seen = run(blender, LOOK, str(result.library_asset), user=tmp_path / "user")
+    assert seen["names"] == [result.root.name]
+    assert (seen["author"], seen["licence"]) == ("Ann", "CC0-1.0")
+    assert seen["catalogue"] == catalogue_id("toys/cars")
+    assert {"truck", "--wood", "doubtful", "partly metal"} <= set(seen["tags"])
+    low, high = seen["low"], seen["high"]
+    assert seen["location"] == [0.0, 0.0, 0.0]
+    assert low[2] == pytest.approx(0.0, abs=1e-6)
+    assert [a + b for a, b in zip(low[:2], high[:2], strict=True)] == pytest.approx(
+        [0, 0], abs=1e-5
+    )
+    assert seen["preview"] == [256, 256]
+    assert seen["others"] == []
+    assert all(seen["packed"])
+    assert "robir_result" not in seen["marks"]
+    content = result.library_asset.read_bytes()
+    assert str(result.root).encode() not in decompressed(content)
+
+
+def decompressed(content: bytes) -> bytes:
+    """What a compressed .blend holds."""
+    import shutil
+
+    program = shutil.which("zstd")
+    if program is None:
+        return b""
+    return subprocess.run([program, "-dcq"], input=content, capture_output=True, check=True).stdout
+
+
+def test_textures_may_stay_beside_it(result, own_blender, tmp_path):
+    made(result, AssetFacts(textures="relative"))
+    seen = run(own_blender, LOOK, str(result.library_asset), user=tmp_path / "user")
+    assert not any(seen["packed"])
+    assert all(path.startswith("//textures") for path in seen["paths"])
+    assert all(min(size) > 0 for size in seen["sizes"])
+
+
+def test_an_asset_is_current_until_what_is_known_of_it_changes(result, facts):
+    made(result, facts)
+    assert is_current(result, facts)
+    assert not is_current(result, AssetFacts(author="Ben"))
+    write_json(result.manifest("export"), {"fingerprint": "2"})
+    assert not is_current(result, facts)
+    result.library_asset.unlink()
+    assert not is_current(result, facts)
+
+
+@pytest.mark.parametrize("name", ["a//b", "/a", "a/", "a: b", " a", "a\nb"])
+def test_names_that_no_catalogue_may_have_are_refused(name):
+    with pytest.raises(UsageError, match="is none"):
+        AssetFacts(catalogue=name)
+
+
+def test_the_panel_registers_the_library_and_lists_its_batch(
+    extension_zip: Path, blender, tmp_path
+):
+    library = LibraryPaths(tmp_path / "my library")
+    library.root.mkdir()
+    rows = [("chair", "done", ""), ("lamp", "failed", "no photographs"), ("cup", "waiting", "")]
+    captures = [{"name": n, "state": s, "fraction": 0.0, "message": m} for n, s, m in rows]
+    write_json(library.state, {"fraction": 0.5, "seconds_left": None, "captures": captures})
+    seen = run(blender, PANEL, str(extension_zip), str(library.root), user=tmp_path / "user")
+    assert not seen["unchosen"]
+    assert seen["added"] == [["FINISHED"], ["FINISHED"]]
+    assert seen["libraries"] == [["my library", str(library.root)]]
+    assert seen["queue"] == [False, "1 of 3 done", [list(rows[1]), list(rows[2]), list(rows[0])]]
+    assert seen["dropped"][0] == ["FINISHED"]
+    assert "leads out" in seen["dropped"][1]
+    assert [file.name for file in library.dropped.iterdir()] == ["lamp"]
+    assert "is no folder" in seen["nowhere"][0]
+    assert seen["nowhere"][1] == []
+
+
+def test_the_headless_command_says_what_it_makes(result):
+    command = [sys.executable, "-P", "-m", "robir_addon.headless", "asset", str(result.root)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    last = json.loads(done.stdout.splitlines()[-1])
+    assert last["files"] == [str(result.library_asset)]

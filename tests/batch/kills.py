@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kills over a whole batch: `python -m tests.batch.kills COUNT [CAPTURES] [SEED]`.
+
+At random moments the batch, one of its workers with or without what it started, or all of them are
+killed, and the batch is started again with --resume. In the end every result has to be there and
+the same as without a kill, no stage may have been finished twice, and what a page called done in
+between has to be whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+from hostile.tiny_run import RENDERS, contents
+
+from robir.jobs.library import LibraryPaths
+from robir.jobs.lock import holder
+from robir.jobs.paths import STAGES
+from robir.specimen import SETTINGS, write_specimen
+
+LEAST = (
+    *(item for item in SETTINGS if not item.startswith("export.")),
+    *RENDERS, "geometry.level_steps=[40]", 'appearance.families=["standard"]',
+    "appearance.iterations=20", "appearance.texture_size=64", "transport.num_directions=64",
+)  # fmt: skip
+"""Seconds of the processor, with all that a real run does."""
+
+KINDS = ("batch", "worker", "worker and its own", "all")
+
+
+class Range:
+    """Captures, their unbroken results, and a batch that is killed."""
+
+    def __init__(self, folder: Path, count: int) -> None:
+        self.captures = [folder / "shots" / f"sphere_{number}" for number in range(count)]
+        for capture in self.captures:
+            write_specimen(capture)
+        plan = folder / "plan.toml"
+        plan.write_text(f"settings = {json.dumps(LEAST)}\n[[capture]]\npath = 'shots/*'\n")
+        self.plan, self.library = plan, LibraryPaths(folder / "library")
+        whole = LibraryPaths(folder / "whole")
+        self.begin(whole, "--jobs", "2").wait()
+        self.expected = {c.name: self.seen(whole, c.name) for c in self.captures}
+
+    def begin(self, library: LibraryPaths, *words: str) -> subprocess.Popen[bytes]:
+        """Start the batch, or go on with it."""
+        source = "--resume" if library.plan.exists() else str(self.plan)
+        command = [sys.executable, "-P", "-m", "robir", "batch", source, "-o", str(library.root)]
+        return subprocess.Popen(
+            [*command, *words],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def seen(self, library: LibraryPaths, name: str) -> dict[str, str]:
+        return contents(library.result(name).root)
+
+    def workers(self) -> list[int]:
+        locks = [self.library.result(c.name).lock for c in self.captures]
+        return [pid for lock in locks if (pid := holder(lock))]
+
+    def kill(self, process: subprocess.Popen[bytes], kind: str, generator: random.Random) -> None:
+        """Kill what a kind names."""
+        workers = self.workers()
+        if kind in ("batch", "all"):
+            process.kill()
+            process.wait()
+        chosen = workers if kind == "all" else generator.sample(workers, min(1, len(workers)))
+        for pid in chosen if kind != "batch" else ():
+            with suppress(ProcessLookupError):
+                if kind == "worker":
+                    os.kill(pid, signal.SIGKILL)
+                else:
+                    os.killpg(pid, signal.SIGKILL)
+
+    def listed_wrongly(self) -> list[str]:
+        """Captures that the page calls done and that are not as they have to be."""
+        if not self.library.page.exists():
+            return []
+        found = re.findall(
+            r'<article class="(\w+)".*?data-name="(\w+)"', self.library.page.read_text()
+        )
+        done = [name for state, name in found if state in ("done", "doubtful")]
+        return [name for name in done if self.seen(self.library, name) != self.expected[name]]
+
+    def finished_twice(self) -> list[str]:
+        """Stages that were done more than once."""
+        twice = []
+        for capture in self.captures:
+            lines = self.library.result(capture.name).events.read_text().splitlines()
+            events = [json.loads(line) for line in lines if line.endswith("}")]
+            ends = Counter(e["stage"] for e in events if e["kind"] == "finished")
+            twice += [f"{capture.name}: {stage}" for stage in STAGES if ends[stage] > 1]
+        return twice
+
+
+def main() -> int:
+    """Kill and compare; returns the number of faults."""
+    count, captures, seed = (*map(int, sys.argv[1:]), *(20, 8, 0)[len(sys.argv) - 1 :])
+    generator, faults = random.Random(seed), 0
+    with tempfile.TemporaryDirectory(prefix="robir-batch-") as folder:
+        begin = time.monotonic()
+        shots = Range(Path(folder), captures)
+        seconds = time.monotonic() - begin
+        print(f"unbroken: {seconds:.0f} s for {captures} captures", flush=True)
+        process, left = shots.begin(shots.library, "--jobs", "2"), count
+        while left:
+            time.sleep(generator.uniform(0.5, 2.0 * seconds / count))
+            if process.poll() is not None:
+                break
+            kind = generator.choice(KINDS)
+            shots.kill(process, kind, generator)
+            left -= 1
+            wrong = shots.listed_wrongly()
+            faults += len(wrong)
+            print(f"{count - left}: {kind}; listed wrongly: {wrong}", flush=True)
+            if process.poll() is not None:
+                process = shots.begin(shots.library, "--jobs", "2")
+        code = process.wait()
+        for _ in range(2):  # one whose two tries were killed is done by the next start
+            code = shots.begin(shots.library, "--jobs", "2").wait()
+        differing = [c.name for c in shots.captures if shots.seen(shots.library, c.name)
+                     != shots.expected[c.name]]  # fmt: skip
+        twice = shots.finished_twice()
+        faults += len(differing) + len(twice)
+        print(f"{count - left} kills, code {code}; differing: {differing}; done twice: {twice}")
+    return min(faults, 100)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

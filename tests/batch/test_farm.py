@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same library from this machine, from an Open Job Description runner and from Slurm."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hostile.tiny_run import contents, scenes
+
+from robir.batch.farm import _ranges, write_openjd
+from robir.errors import UsageError
+from robir.jobs.library import LibraryPaths
+from robir.jobs.paths import read_json
+from robir.specimen import SETTINGS, write_specimen
+from tests.batch.slurm import cluster
+
+ROOT = Path(__file__).parents[2]
+LEAST = (
+    *SETTINGS, "geometry.level_steps=[40]", 'appearance.families=["standard"]',
+    "appearance.iterations=20", "appearance.texture_size=64", "transport.num_directions=64",
+)  # fmt: skip
+
+
+def robir(*words: object, expect: int) -> str:
+    command = [sys.executable, "-P", "-m", "robir", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, env=variables(), check=False)
+    assert done.returncode == expect, done.stderr[-2000:]
+    return done.stdout
+
+
+def variables() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
+
+
+@pytest.fixture(scope="module")
+def shots(tmp_path_factory):
+    """One good capture, one that nobody can use, and their plan."""
+    folder = tmp_path_factory.mktemp("shots")
+    write_specimen(folder / "sphere")
+    (folder / "empty").mkdir()
+    (folder / "plan.toml").write_text(
+        f"author = 'Ann'\nlicence = 'CC0-1.0'\nsettings = {json.dumps(LEAST)}\n"
+        "[[capture]]\npath = 'sphere'\ntags = ['round']\n[[capture]]\npath = 'empty'\n"
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def at_home(shots, tmp_path_factory):
+    """The library as this machine makes it."""
+    library = LibraryPaths(tmp_path_factory.mktemp("home") / "library")
+    # 5: nobody sees a sphere's poles, which the quality check minds
+    robir("batch", shots / "plan.toml", "-o", library.root, expect=5)
+    return library
+
+
+def same(one: LibraryPaths, other: LibraryPaths) -> bool:
+    """Whether two libraries are alike to the last bit, times and addresses of memory apart."""
+    results = [contents(library.result("sphere").root) for library in (one, other)]
+    assert results[0] == results[1]
+    assert len(set(scenes([library.result("sphere").root for library in (one, other)]))) == 1
+    for name in ("catalogues", "plan", "page"):
+        texts = [getattr(library, name).read_text() for library in (one, other)]
+        if name == "page":
+            texts = [seconds_out(text) for text in texts]
+        if name == "plan":
+            texts = [str(json.loads(text)["entries"]) for text in texts]
+        assert texts[0] == texts[1], name
+    return True
+
+
+def seconds_out(page: str) -> str:
+    return re.sub(r'data-seconds="[^"]*"|\d+ CPU-s', "", page)
+
+
+def openjd() -> str:
+    beside = Path(sys.executable).with_name("openjd")
+    found = str(beside) if beside.exists() else shutil.which("openjd")
+    if found is None:
+        pytest.skip("RENDER FARMS NOT TESTED: openjd-cli is not installed (pip install openjd-cli)")
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_open_job_description_makes_the_same_library(shots, at_home, tmp_path):
+    program, library = openjd(), LibraryPaths(tmp_path / "library")
+    bundle = robir("batch", shots / "plan.toml", "-o", library.root, "--on", "openjd", expect=0)
+    folder = Path(bundle.strip())
+    assert str(tmp_path) not in "".join(file.read_text() for file in folder.iterdir())
+    values = read_json(folder / "parameter_values.json")["parameterValues"]
+    places = {value["name"]: str((folder / value["value"]).resolve()) for value in values}
+    # the farm sees both under other names
+    far = tmp_path / "far"
+    far.mkdir()
+    (far / "library").symlink_to(places["Library"])
+    rule = {"source_path_format": "POSIX", "source_path": "/studio/lib"}
+    rules = [rule | {"destination_path": str(far / "library")}]
+    said = subprocess.run(
+        [
+            *(program, "run", str(folder / "template.json"), "--step", "Page"),
+            *("--run-dependencies", "-p", "Library=/studio/lib", "-p", f"Python={sys.executable}"),
+            *("-p", f"Captures={places['Captures']}"),
+            "--path-mapping-rules",
+            json.dumps({"version": "pathmapping-1.0", "path_mapping_rules": rules}),
+        ],
+        capture_output=True, text=True, env=variables(), check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stdout[-3000:] + said.stderr[-2000:]
+    assert same(at_home, library)
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_slurm_makes_the_same_library(shots, at_home, tmp_path):
+    library = LibraryPaths(tmp_path / "library")
+    with cluster(tmp_path / "slurm") as wait:
+        queued = robir("batch", shots / "plan.toml", "-o", library.root, "--on", "slurm", expect=0)
+        wait(queued.split())
+    assert same(at_home, library)
+
+
+def test_what_is_done_is_not_handed_over_again(tmp_path):
+    paths = LibraryPaths(tmp_path / "library")
+    folder = write_openjd(paths, tmp_path / "shots", [0, 1, 2, 5, 7, 8], 3 << 30)
+    step = read_json(folder / "template.json")["steps"][0]
+    assert step["parameterSpace"]["taskParameterDefinitions"][0]["range"] == "0-2,5,7-8"
+    assert step["hostRequirements"]["amounts"][1]["min"] == 3072
+    assert _ranges([4]) == "4"
+
+
+def test_a_task_that_the_plan_lacks_is_refused(shots, tmp_path):
+    paths = LibraryPaths(tmp_path / "library")
+    robir("batch", shots / "plan.toml", "-o", paths.root, "--on", "openjd", expect=0)
+    robir("batch", "--resume", "-o", paths.root, "--task", 2, expect=UsageError.exit_code)
+    # a capture's own fault is no reason for a farm to try again; the page tells of it
+    robir("batch", "--resume", "-o", paths.root, "--task", 1, expect=0)
+    robir("batch", "-o", paths.root, "--page", expect=0)
+    page = paths.page.read_text()
+    assert "holds no capture" in page
+    assert page.index('data-name="empty"') < page.index('data-name="sphere"')

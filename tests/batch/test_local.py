@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Batches on this machine: bounds, retries, kills, drops and what a second start does."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robir.errors import UsageError
+from robir.jobs.client import snapshot
+from robir.jobs.library import LibraryPaths, drop, read_batch, start_batch, stop_batch
+from robir.jobs.lock import holder
+from robir.jobs.paths import JobPaths, write_json
+from tests.batch import fakes
+from tests.batch.fakes import make_captures, make_template, run_batch
+
+
+@pytest.fixture
+def library(tmp_path):
+    return LibraryPaths(tmp_path / "library")
+
+
+@pytest.fixture
+def template(tmp_path):
+    captures = make_captures(tmp_path / "model", {"a": ""})
+    return make_template(tmp_path / "template", captures / "a")
+
+
+def log(library: LibraryPaths, name: str) -> list[str]:
+    """What the engine noted: "start" and "end" with their times."""
+    return JobPaths(library.root / name).log.read_text().splitlines()
+
+
+def starts(library: LibraryPaths, name: str) -> int:
+    return sum(line.startswith("start") for line in log(library, name))
+
+
+def together(library: LibraryPaths, names: list[str]) -> int:
+    """The most that ran at one time."""
+    lines = [line for name in names for line in log(library, name)]
+    moments = sorted((float(line.split()[1]), line[0]) for line in lines)
+    most = now = 0
+    for _, kind in moments:
+        now += 1 if kind == "s" else -1
+        most = max(most, now)
+    return most
+
+
+def states(library: LibraryPaths) -> dict[str, str]:
+    return {row["name"]: row["state"] for row in read_batch(library)["captures"]}
+
+
+def words(library: LibraryPaths, *more: object) -> list[str]:
+    return ["-o", str(library.root), "--progress", "plain", *map(str, more)]
+
+
+ROOT = Path(fakes.__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
+
+
+def program(template: Path) -> list[str]:
+    return [sys.executable, "-m", "tests.batch.fakes", str(template)]
+
+
+def begun(library: LibraryPaths, template: Path, *more: object) -> subprocess.Popen[bytes]:
+    """A batch in a process of its own, which may be killed."""
+    return subprocess.Popen(
+        [*program(template), *words(library, *more)],
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def until(condition, seconds: float = 30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_each_failure_is_isolated_and_told_on_the_page(tmp_path, library, template, capsys):
+    acts = {"whole": "", "bad": "refuse no <photographs>", "odd": "break it is odd", "weak": "die"}
+    captures = make_captures(tmp_path / "shots", acts)
+    code = run_batch(template, words(library, captures / "*", "--jobs", 2))
+    assert code == 3
+    assert states(library) == {"bad": "failed", "odd": "failed", "weak": "done", "whole": "done"}
+    # once more, but not what the user has to mend
+    assert {name: starts(library, name) for name in acts} == {
+        "whole": 1, "bad": 1, "odd": 2, "weak": 2
+    }  # fmt: skip
+    page = library.page.read_text()
+    names = re.findall(r'<article class="(\w+)".*?data-name="(\w+)"', page)
+    assert names == [("failed", "bad"), ("failed", "odd"), ("done", "weak"), ("done", "whole")]
+    assert "no &lt;photographs&gt;" in page
+    said = capsys.readouterr()
+    assert "bad: no <photographs>" in said.err
+    assert said.out.strip() == str(library.page)
+
+
+def test_a_second_start_does_only_what_is_missing(tmp_path, library, template):
+    captures = make_captures(tmp_path / "shots", {"a": "", "b": "refuse for now", "c": ""})
+    assert run_batch(template, words(library, captures / "*")) == 3
+    (captures / "b" / "act").write_text("")
+    (captures / "c" / "transforms.json").write_text("{ }")  # another capture by its contents
+    run_batch(template, words(library, "--resume"))
+    assert [starts(library, name) for name in "abc"] == [1, 2, 2]
+
+
+def test_cores_bound_what_runs_at_a_time(tmp_path, library, template):
+    captures = make_captures(tmp_path / "shots", dict.fromkeys("abcdef", "sleep 0.5"))
+    assert run_batch(template, words(library, captures / "*", "--jobs", 3)) == 0
+    assert together(library, list("abcdef")) == 3
+
+
+def test_memory_bounds_what_runs_at_a_time(tmp_path, library, template):
+    """8 GB for captures of 3 each are two at a time; one that needs 12 runs alone."""
+    acts = dict.fromkeys("abcd", "sleep 0.5")
+    make_captures(tmp_path / "shots", acts)
+    plan = tmp_path / "plan.toml"
+    sizes = dict.fromkeys("abcd", "3G")
+    plan.write_text(
+        "".join(f"[[capture]]\npath='shots/{n}'\nmemory='{size}'\n" for n, size in sizes.items())
+    )
+    words_ = words(library, plan, "--jobs", 4, "--memory", "8G")
+    assert run_batch(template, words_) == 0
+    assert together(library, list("abcd")) == 2
+    other = LibraryPaths(tmp_path / "other")
+    plan.write_text(plan.read_text().replace("'shots/b'\nmemory='3G'", "'shots/b'\nmemory='12G'"))
+    assert run_batch(template, words(other, plan, "--jobs", 4, "--memory", "8G")) == 0
+    assert together(other, ["a", "b"]) == together(other, ["b", "c"]) == 1
+
+
+def test_two_batches_on_one_library_do_not_meet(tmp_path, library, template):
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}"})
+    first = begun(library, template, captures / "a")
+    until(lambda: snapshot(library.root / "a").state == "running")
+    with pytest.raises(UsageError, match=f"is in use by process {first.pid}"):
+        run_batch(template, words(library, "--resume"))
+    go.touch()
+    assert first.wait(30) == 0
+    assert starts(library, "a") == 1
+
+
+def test_what_a_killed_batch_leaves_at_work_is_found(tmp_path, library, template):
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": ""})
+    first = begun(library, template, captures / "*", "--jobs", 1)
+    until(lambda: snapshot(library.root / "a").state == "running")
+    first.kill()
+    first.wait()
+    worker = holder(JobPaths(library.root / "a").lock)
+    library.state.unlink(missing_ok=True)
+    second = begun(library, template, "--resume", "--jobs", 1)
+    until(lambda: library.state.exists() and states(library).get("a") == "running")
+    assert holder(JobPaths(library.root / "a").lock) == worker  # the very same
+    assert states(library)["b"] == "waiting"  # and its core is counted
+    go.touch()
+    assert second.wait(30) == 0
+    assert (starts(library, "a"), starts(library, "b")) == (1, 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_batch_that_is_told_to_stop_ends_its_processes(tmp_path, library, template, number):
+    captures = make_captures(tmp_path / "shots", {"a": "sleep 60", "b": ""})
+    running = begun(library, template, captures / "*", "--jobs", 1)
+    until(lambda: snapshot(library.root / "a").state == "running")
+    running.send_signal(number)
+    assert running.wait(30) != 0
+    assert holder(JobPaths(library.root / "a").lock) is None
+    assert not (library.root / "b").exists()
+
+
+def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": ""})
+    running = begun(library, template, captures / "*", "--jobs", 1)
+    until(lambda: snapshot(library.root / "a").state == "running")
+    library.dropped.mkdir(parents=True)
+    (library.dropped / "b").touch()
+    until(lambda: library.state.exists() and states(library)["b"] == "dropped")
+    go.touch()
+    assert running.wait(30) == 0
+    assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
+
+
+def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": ""})
+    start_batch(program(template), [str(captures / "*")], library, ENVIRONMENT)
+    until(lambda: library.state.exists() and states(library)["a"] == "running")
+    stop_batch(library)
+    until(lambda: holder(library.lock) is None)
+    assert holder(JobPaths(library.root / "a").lock) is None
+    drop(library, "b")
+    go.touch()
+    start_batch(program(template), [], library, ENVIRONMENT)
+    until(lambda: library.page.exists() and states(library)["c"] == "done")
+    until(lambda: holder(library.lock) is None)
+    assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
+
+
+def test_a_folder_of_other_things_is_no_place_for_a_result(tmp_path, library, template):
+    captures = make_captures(tmp_path / "shots", {"a": ""})
+    write_json(library.root / "a" / "thesis.json", {})
+    assert run_batch(template, words(library, captures / "a")) == 2
+    assert "thesis.json" in library.page.read_text()
+
+
+def test_without_a_plan_there_is_nothing_to_go_on_with(library):
+    with pytest.raises(UsageError, match="holds no batch"):
+        run_batch(Path(), words(library, "--resume"))
+    with pytest.raises(UsageError, match="go on with --resume"):
+        run_batch(Path(), words(library))
+
+
+@pytest.mark.slow
+def test_a_thousand_captures_cost_little_to_schedule(tmp_path, library, template):
+    names = [f"capture_{number:04d}" for number in range(1000)]
+    captures = make_captures(tmp_path / "shots", dict.fromkeys(names, ""))
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    assert run_batch(template, words(library, captures / "*", "--jobs", 8)) == 0
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert spent / len(names) < 0.020
+    page = library.page.read_text()
+    assert page.count("<article") == 1000
+    assert page.count('loading="lazy"') == 1000
+    assert len(page) < 2_000_000

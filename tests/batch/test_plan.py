@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plans: what they say, where they are wrong, and that no path in a library is absolute."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from robir.batch.need import memory_needed
+from robir.batch.plan import keep_plan, kept_plan, parse_size, read_plan
+from robir.errors import ConfigError, StorageError, UsageError
+from robir.jobs.library import LibraryPaths
+
+PLAN = """
+author = "Ann"
+settings = ["transport.num_surfels=3000"]
+
+[[capture]]
+path = "shots/chair*"
+tags = ["chair", "wood"]
+
+[[capture]]
+path = "shots/lamp"
+name = "Lamp no. 1"
+preset = "standard"
+masks = "masks/lamp"
+catalogue = "lights/desk"
+licence = "CC0-1.0"
+"""
+
+
+HERE = LibraryPaths(Path("library"))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("chair_a", "chair_b", "lamp"):
+        (tmp_path / "work" / "shots" / name).mkdir(parents=True)
+    (tmp_path / "work" / "shots" / "chair_notes.txt").touch()
+    return tmp_path / "work"
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "PLAN.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_plan_names_captures_with_what_holds_for_all_below(folder):
+    plan = read_plan([written(folder, PLAN)], {}, HERE)
+    assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "Lamp_no._1"]
+    lamp = plan.entries[2]
+    assert (lamp.author, lamp.licence, lamp.preset) == ("Ann", "CC0-1.0", "standard")
+    assert all(entry.config().transport.num_surfels == 3000 for entry in plan.entries)
+    assert [entry.catalogue for entry in plan.entries] == ["chair", "chair", "lights/desk"]
+
+
+def test_no_path_in_a_library_is_absolute(folder, tmp_path):
+    paths = LibraryPaths(tmp_path / "library")
+    paths.root.mkdir()
+    plan = read_plan([written(folder, PLAN)], {}, HERE)
+    keep_plan(plan, paths)
+    assert str(tmp_path) not in paths.plan.read_text()
+    assert kept_plan(paths, None) == plan
+    # a library that is moved together with its captures finds them
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    for name in ("library", "work"):
+        (tmp_path / name).rename(moved / name)
+    there = kept_plan(LibraryPaths(moved / "library"), None)
+    assert there.request(there.entries[2], paths).masks == moved / "work" / "masks" / "lamp"
+    # and one whose captures lie elsewhere is told so
+    assert kept_plan(LibraryPaths(moved / "library"), tmp_path).captures == tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("[[capture]]\npath = 'shots/lamp'\nprest = 'draft'", 3, "did you mean 'preset'"),
+        ("[[capture]]\npath = 'shots/lamp'\n\ntags = 'a'", 4, "must be a list"),
+        ("author = 3\n[[capture]]\npath = 'shots/lamp'", 1, "author must be a string"),
+        ("\n[[capture]]\npreset = 'draft'", 2, "no path"),
+        ("[[capture]]\npath = 'shots/lamp'\n[[capture]]\npath = 'shots/x*'", 3, "matches no"),
+        ("[[capture]]\npath='shots/lamp'\n[[capture]]\npath='a/lamp'", 3, "both become 'lamp'"),
+        ("[[capture]]\npath='shots/lamp'\nsettings=['geometry.no=1']", 1, "geometry.no"),
+        ("[[capture]]\npath='shots/lamp'\npreset='slow'", 3, "choose one of 'draft'"),
+        ("[[capture]]\npath='shots/lamp'\nmemory='much'", 1, "no size"),
+        ("[[capture]]\npath='shots/lamp'\ncatalogue='a//b'", 1, "'a//b' is none"),
+        ("[[capture]]\npath = shots/lamp", 2, "not valid TOML"),
+    ],
+)
+def test_faults_are_named_with_their_line(folder, text, line, word):
+    with pytest.raises(UsageError) as fault:
+        read_plan([written(folder, text)], {}, HERE)
+    assert f"line {line}" in str(fault.value)
+    assert word in str(fault.value)
+
+
+def test_captures_may_be_named_without_a_plan(folder):
+    changes = {"preset": "standard", "settings": ["seed=3"]}
+    plan = read_plan([str(folder / "shots" / "*")], changes, HERE)
+    assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "lamp"]
+    assert plan.entries[0].config().seed == 3
+    assert plan.entries[0].preset == "standard"
+    assert plan.captures == folder / "shots"
+    with pytest.raises(UsageError, match="no capture"):
+        read_plan([], {}, HERE)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{}", '{"captures": "..", "entries": [{"name": "../../etc", "path": "x"}]}',
+     '{"captures": "..", "entries": [{"name": "a", "path": 3}]}',
+     '{"captures": 3, "entries": [{"name": "a", "path": "x"}]}',
+     '{"captures": "..", "entries": []}',
+     '{"captures": "..", "entries": [{"name": "a", "path": "x"}], "device": "abacus"}'],
+)  # fmt: skip
+def test_a_forged_library_is_refused_in_words(tmp_path, text):
+    paths = LibraryPaths(tmp_path)
+    paths.plan.write_text(text)
+    with pytest.raises(StorageError, match=r"plan\.json is damaged"):
+        kept_plan(paths, None)
+    paths.plan.unlink()
+    with pytest.raises(UsageError, match="holds no batch"):
+        kept_plan(paths, None)
+
+
+def test_a_library_among_the_captures_is_none_of_them(folder):
+    paths = LibraryPaths(folder / "shots" / "lamp")
+    plan = read_plan([str(folder / "shots" / "*")], {}, paths)
+    assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b"]
+    (folder / "shots" / "openjd").mkdir()
+    with pytest.raises(UsageError, match="the library needs the name openjd"):
+        read_plan([str(folder / "shots" / "*")], {}, paths)
+
+
+def test_sizes():
+    assert parse_size("8G") == 8 * 2**30
+    assert parse_size("1.5 gb") == 3 * 2**29
+    with pytest.raises(ConfigError, match="write it as 8G"):
+        parse_size("8")
+
+
+def test_finer_settings_and_more_photographs_need_more_memory(folder):
+    for number in range(50):
+        (folder / "shots" / "lamp" / f"{number}.jpg").touch()
+    plan = read_plan([str(folder / "shots" / "*")], {}, HERE)
+    few, many = plan.entries[0], plan.entries[2]
+    fine = read_plan([str(folder / "shots" / "lamp")], {"preset": "high"}, HERE)
+    needs = [memory_needed(plan, few), memory_needed(plan, many)]
+    needs.append(memory_needed(fine, fine.entries[0]))
+    assert needs == sorted(needs)
+    assert len(set(needs)) == 3
+    stated = read_plan([written(folder, "[[capture]]\npath='shots/lamp'\nmemory='3G'")], {}, HERE)
+    assert memory_needed(stated, stated.entries[0]) == 3 * 2**30
+
+
+def test_the_kept_plan_can_be_read_by_people(folder, tmp_path):
+    paths = LibraryPaths(tmp_path)
+    keep_plan(read_plan([written(folder, PLAN)], {}, HERE), paths)
+    kept = json.loads(paths.plan.read_text())
+    assert kept["captures"] == "work"
+    assert [entry["path"] for entry in kept["entries"]][2] == "shots/lamp"
