@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 from . import monitor
 from .drawing import duration
 from .gateway import holder, library
+from .words import words
 from .worker import absolute
 
 MOST = 12
@@ -85,13 +86,15 @@ def _read() -> Queue:
     try:
         state = library.read_batch(paths)
     except (OSError, ValueError):  # none yet, or a damaged one: the next look tells
-        return Queue(is_live=is_live, text="starting" if is_live else "")
+        return Queue(is_live=is_live, text=words("starting") if is_live else "")
     rows = [(row["name"], row["state"], row["message"]) for row in state["captures"]]
     rows.sort(key=lambda row: _ORDER.index(row[1]) if row[1] in _ORDER else len(_ORDER))
     done = sum(row[1] == "done" for row in rows)
-    text = f"{done} of {len(rows)} done"
+    text = words("{done} of {count} done", done=done, count=len(rows))
     if is_live and state["seconds_left"] is not None:
-        text += f", {duration(state['seconds_left'])} left"
+        text = words(
+            "{share}, {duration} left", share=text, duration=duration(state["seconds_left"])
+        )
     return Queue(is_live, min(max(state["fraction"], 0.0), 1.0), text, tuple(rows))
 
 
