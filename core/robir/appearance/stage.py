@@ -81,7 +81,6 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     started = time.process_time()
     photographs = Comparison.of(transport, tracer, capture, context.seed)
     compared = course.carry_out(COMPARISON, photographs)
-    exposures = compared.exposures
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
@@ -93,15 +92,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    by_camera = is_by_camera(capture)
-    scene = replace(scene, exposures=exposures, by_camera=by_camera)
+    scene = replace(scene, exposures=compared.exposures, by_camera=is_by_camera(capture))
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)
-    candidates = tone.candidates
+    first = tone.candidates[0]
     seconds |= {"tone_curve": time.process_time() - started}
-    reporter.progress(0.5, f"solving the light under {candidates[0].curve.name}")
-    first = candidates[0]
+    reporter.progress(0.5, f"solving the light under {first.curve.name}")
     solution = solve(first.problem, first.light, config, context.seed, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
@@ -129,7 +126,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(context.paths.idle_steps("appearance"), course.idle(STEPS))
     return {
-        "tone_curve": candidates[0].curve.name,
+        "tone_curve": first.curve.name,
         "sharp_lobes": len(light.axes),
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
