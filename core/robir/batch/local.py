@@ -25,7 +25,7 @@ from robir.errors import (
 from robir.jobs import client
 from robir.jobs.library import LibraryPaths
 
-_PERIOD = 0.3
+_PERIOD = 0.5
 """Seconds between two looks at the result folders of what is at work."""
 
 _PATIENCE = 15.0

@@ -27,7 +27,7 @@ from robir.pipeline.device import machine
 from robir.pipeline.faults import stop_requested
 from robir.pipeline.reporter import Display
 
-_STATE_PERIOD = 1.0
+_STATE_PERIOD = 2.0
 _PAGE_PERIOD = 20.0
 """Seconds between two writings of the state and of the page."""
 
