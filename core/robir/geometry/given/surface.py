@@ -35,7 +35,7 @@ from robir.geometry.given.placing import (
 )
 from robir.geometry.given.sides import inside_out
 from robir.geometry.mesh.isosurface import compacted, plain_mesh
-from robir.geometry.mesh.simplify import decimate, with_creases
+from robir.geometry.mesh.simplify import decimate, thinned, with_creases
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
@@ -45,6 +45,9 @@ from robir.maths.vectors import farthest_points
 
 LIGHT_FACES = 4
 """Faces of the copy on which light is solved, over the face budget of a surface of our own."""
+
+THINNED = 8
+"""Faces, over those of that copy, to which a mesh of more is thinned quickly first."""
 
 OUTSIDE = 1e-3
 """Of the texture's side: as far as texture coordinates may leave it by rounding."""
@@ -276,7 +279,8 @@ def _finished(
     if len(faces) > budget:
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
-        light = with_creases(decimate(compacted(vertices, faces[solid]), budget))
+        dense = thinned(compacted(vertices, faces[solid]), THINNED * budget)
+        light = with_creases(decimate(dense, budget))
     layout, fault = _layout(given)
     if fault is None:
         mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)

@@ -53,6 +53,22 @@ def decimate(mesh: Mesh, face_budget: int) -> Mesh:
     return mesh
 
 
+def thinned(mesh: Mesh, face_budget: int) -> Mesh:
+    """A mesh of far too many faces in one quick pass, less even than `decimate`.
+
+    Two million faces take 17 s of processor time; by halves, minutes.
+
+    Args:
+        mesh: Mesh without texture coordinates.
+        face_budget: Most triangles of the result.
+    """
+    if len(mesh.faces) <= face_budget:
+        return mesh
+    return compacted(
+        *fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=face_budget)
+    )
+
+
 def fill_holes(mesh: Mesh) -> Mesh:
     """Close small holes that decimation may tear."""
     if is_closed(mesh.faces):
