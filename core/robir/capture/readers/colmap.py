@@ -215,7 +215,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             number, name, width, height, *values = line.split()
             values = checked(path, values, _Parameters, _CURE, where=name[:80], is_text=True)
             sides = checked(path, [width, height], _Sides, _CURE, where=name[:80], is_text=True)
-            yield int(number), _lens(path, name, *sides, tuple(values))
+            yield int(number), _lens(path, name, sides[0], sides[1], tuple(values))
 
 
 def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
