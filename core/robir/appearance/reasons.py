@@ -11,7 +11,7 @@ from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.display_power import POWERS, PowerChoice
-from robir.appearance.tone.ranking import PLAIN, SIMPLER_MARGIN, Candidate
+from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
 from robir.jobs.choice import Choice
 
 GREY, BY_MEAN, BY_HIGHLIGHTS = (
@@ -100,7 +100,7 @@ def _lead(tone: ToneChoice) -> str:
     shadows, highlights = lead.shadows, lead.highlights
     near = f"by {highlights.value:+.2f} codes ({highlights.error:.2f}) near" if highlights else "no"
     return (
-        f"; {PLAIN} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
+        f"; {lead.plain} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
         f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
         f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
         f"{lead.margin:g}"

@@ -171,7 +171,9 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
 
     def lead_of(index, shoulder, steps, seed):
         shadows = Lead(value=leads[index, shoulder], error=1.0)
-        return PlainLead(shoulder=names[shoulder], shadows=shadows, highlights=None)
+        return PlainLead(
+            plain=names[index], shoulder=names[shoulder], shadows=shadows, highlights=None
+        )
 
     judged = SimpleNamespace(tables=[table(score) for score in scores], lead=lead_of)
     number, lead = chosen_number(judged, names, 10, 0)
@@ -190,7 +192,9 @@ def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
     def lead_of(index, shoulder, steps, seed):
         asked.append((index, shoulder))
         shadows = Lead(value=camera if (index, shoulder) == (1, 0) else plain, error=1.0)
-        return PlainLead(shoulder=names[shoulder], shadows=shadows, highlights=None)
+        return PlainLead(
+            plain=names[index], shoulder=names[shoulder], shadows=shadows, highlights=None
+        )
 
     judged = SimpleNamespace(tables=[table(score) for score in (9.0, 9.0, 10.0)], lead=lead_of)
     number, _ = chosen_number(judged, names, 10, 0)

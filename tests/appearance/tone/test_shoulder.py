@@ -45,7 +45,7 @@ def table(mean, noise=0.0, count=400):
 def test_the_plain_curve_must_lead_clearly(shadows, highlights, noise, clear):
     pairs = table(0.1), table(0.1 + shadows, 0.1 * noise)
     codes = (table(3.0 / 255), table((3.0 + (highlights or 0)) / 255, noise / 255))
-    lead = PlainLead.of("filmic", pairs, None if highlights is None else codes)
+    lead = PlainLead.of(("standard", "filmic"), pairs, None if highlights is None else codes)
     assert lead.shoulder == "filmic"
     assert lead.shadows.value == pytest.approx(shadows)
     assert lead.highlights is None or lead.highlights.value == pytest.approx(highlights)

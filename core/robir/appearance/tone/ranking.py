@@ -166,7 +166,8 @@ class Judged:
         two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
         mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
         highlights = highlight_tables((two[0], two[1]), seed)
-        lead = PlainLead.of(two[1][0].curve.name, (mine, other), highlights)
+        names = (two[0][0].curve.name, two[1][0].curve.name)
+        lead = PlainLead.of(names, (mine, other), highlights)
         return replace(lead, margin=CAMERA_MARGIN) if two[0][0].scene.by_camera else lead
 
 

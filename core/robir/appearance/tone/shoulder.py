@@ -84,15 +84,17 @@ class Lead:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainLead:
-    """How far the plain curve leads the best one with a shoulder.
+    """How far a curve leads another, mostly a plain one the best of those with a shoulder.
 
     Attributes:
-        shoulder: Name of that curve.
+        plain: Name of the one.
+        shoulder: Name of the other.
         shadows: By mismatch of albedo between light and shade.
         highlights: By display error near highlights, codes; None if none are seen.
-        margin: Standard errors by which the plain curve must lead.
+        margin: Standard errors by which the one must lead.
     """
 
+    plain: str
     shoulder: str
     shadows: Lead
     highlights: Lead | None
@@ -111,11 +113,15 @@ class PlainLead:
 
     @classmethod
     def of(
-        cls, shoulder: str, shadows: tuple[Table, Table], highlights: tuple[Table, Table] | None
+        cls,
+        names: tuple[str, str],
+        shadows: tuple[Table, Table],
+        highlights: tuple[Table, Table] | None,
     ) -> PlainLead:
-        """From tables of mismatches and of display errors, 0..1, the plain curve's first."""
+        """From tables of mismatches and of display errors, 0..1, in the order of the names."""
         return cls(
-            shoulder=shoulder,
+            plain=names[0],
+            shoulder=names[1],
             shadows=Lead.of(shadows, 1.0, LEAST_MISMATCH),
             highlights=Lead.of(highlights, 255.0, LEAST_CODES) if highlights else None,
         )
