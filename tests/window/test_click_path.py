@@ -223,10 +223,10 @@ def test_lights_are_chosen_by_pictures_of_this_object(window: BlenderWindow) -> 
     window.press("bpy.ops.robir.picture_lights")
     window.wait_until(f"{STATE}.task == 'lights'", 20.0)
     window.wait_until(f"not {STATE}.task", 300.0)
-    window.press('bpy.ops.robir.use_studio_light(light="sunset")')
+    window.press("bpy.ops.robir.use_studio_light(light='sunset')")
     window.wait_until(f"'sunset' in {WORLD_FILE}", 5.0)
     window.picture("lights")
-    window.press('bpy.ops.robir.use_studio_light(light="forest")')
+    window.press("bpy.ops.robir.use_studio_light(light='forest')")
     window.wait_until(f"'forest' in {WORLD_FILE}", 5.0)
 
 

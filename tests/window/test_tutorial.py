@@ -8,6 +8,7 @@ where docs/blender.md says something else than what was done.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +22,7 @@ pytestmark = pytest.mark.slow
 
 TUTORIAL = BUILD / "tutorial"
 WIDTH = 1080
+PATIENCE = 300.0
 STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
 WORLD_FILE = (
@@ -90,6 +92,23 @@ def window(
     window.quit()
 
 
+def shade(window: BlenderWindow, kind: str) -> None:
+    """Shade the viewport, and wait until it is drawn: its shaders take a processor a minute."""
+    window.run(
+        "for area in window.screen.areas:\n"
+        f"    if area.type == 'VIEW_3D': area.spaces.active.shading.type = {kind!r}",
+        timeout=PATIENCE,
+    )
+    settle(window)
+
+
+def settle(window: BlenderWindow) -> None:
+    """Wait until Blender has drawn what it was told."""
+    for _ in range(2):
+        time.sleep(3.0)
+        window.run("answer = None", timeout=PATIENCE)
+
+
 def keep(window: BlenderWindow, name: str) -> None:
     """Take one of the tutorial's pictures."""
     TUTORIAL.mkdir(parents=True, exist_ok=True)
@@ -117,14 +136,17 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.wait_until(f"{STATE}.stage == 'geometry' and {STATE}.preview_serial > 3", 400.0)
     keep(window, "reconstructing")
     window.wait_until(f"not {STATE}.task and {SETTINGS}.result", 1500.0)
+    settle(window)
     keep(window, "arrived")
+    shade(window, "SOLID")  # which a processor draws fast enough to click on
     window.press("bpy.ops.robir.picture_lights")
     window.wait_until(f"{STATE}.task == 'lights'", 20.0)
     window.wait_until(f"not {STATE}.task", 600.0)
-    window.press('bpy.ops.robir.use_studio_light(light="sunset")')
+    window.press("bpy.ops.robir.use_studio_light(light='sunset')")
     window.wait_until(f"'sunset' in {WORLD_FILE}", 10.0)
     # from the bare panel to the sample under another light
     assert window.screen.clicks - clicks <= 4
+    shade(window, "MATERIAL")
     keep(window, "lights")
     faces = "len(bpy.context.object.data.polygons)"
     before = window.get(faces)
@@ -132,8 +154,10 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
         "bpy.ops.robir.stand_on_floor()\n"
         "bpy.ops.robir.drop_ground()\n"
         "area = next(a for a in window.screen.areas if a.type == 'VIEW_3D')\n"
-        "area.tag_redraw()"
+        "area.tag_redraw()",
+        timeout=PATIENCE,
     )
+    settle(window)
     assert 0.1 * before < window.get(faces) < before
     keep(window, "placed")
 
@@ -160,8 +184,10 @@ def test_it_is_drawn_in_every_theme_and_size(
         f"            if os.path.isfile(os.path.join(p, '{theme}.xml')))\n"
         "bpy.ops.script.execute_preset(\n"
         "    filepath=file, menu_idname='USERPREF_MT_interface_theme_presets')\n"
-        f"bpy.context.preferences.view.ui_scale = {scale}"
+        f"bpy.context.preferences.view.ui_scale = {scale}",
+        timeout=PATIENCE,
     )
+    settle(window)
     window.picture(f"{theme}_{scale:.0f}x")
     assert window.get("bpy.context.preferences.view.ui_scale") == pytest.approx(scale)
     complaints = [line for line in window.log().splitlines() if "Traceback" in line]

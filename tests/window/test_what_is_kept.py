@@ -50,7 +50,7 @@ view = area.spaces.active.region_3d
 thing = {thing}
 into, back = thing.matrix_world.inverted(), view.view_matrix.inverted()
 eye, found = into @ back.translation, []
-for face in thing.data.polygons[::7]:
+for face in list(thing.data.polygons)[::7]:
     hit, point, _, _ = thing.ray_cast(eye, face.center - eye)
     if hit and (point - face.center).length < 1e-4:
         found.append(thing.matrix_world @ face.center)
