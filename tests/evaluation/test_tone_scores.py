@@ -50,3 +50,4 @@ def test_view_transforms_nobody_knows_have_no_score():
     assert true_curve({"view_transform": "Khronos PBR Neutral"}).name == "khronos_pbr_neutral"
     assert true_curve({"view_transform": "Filmic", "look": "High Contrast"}) is None
     assert true_curve({"view_transform": "Filmic", "look": None}).name == "filmic"
+    assert true_curve({"view_transform": "EMoR mean"}).name == "camera"

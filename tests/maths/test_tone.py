@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from blender_scenes.view_transform import measured_response
 from robir.errors import ConfigError
 from robir.maths import tone
 
@@ -264,3 +265,11 @@ def test_log_is_the_sigmoid_of_log_radiance_and_inverts():
     )
     white = curve.linear_from_display(torch.ones(3, dtype=torch.float64))
     torch.testing.assert_close(white, torch.full_like(white, tone.MAX_LINEAR))
+
+
+def test_a_cameras_response_is_the_one_that_scenes_are_photographed_by():
+    """Two programs from one publication; that of the scenes is held against its printed values."""
+    light = np.linspace(0.0, 1.2, 500)
+    wanted = measured_response(light)
+    shown = tone.CameraToneCurve().display_from_linear(torch.from_numpy(light)[:, None])
+    np.testing.assert_allclose(shown[:, 0].numpy(), wanted, atol=1e-5)

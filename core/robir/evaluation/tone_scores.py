@@ -19,6 +19,10 @@ CODES = np.linspace(0.05, 0.95, 91)
 """Display codes at which curves are compared: nearly all of a photograph."""
 
 
+_MEASURED = {"EMoR mean": "camera"}
+"""Names of scene.json for curves that are no view transform of Blender, and ours for them."""
+
+
 def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
     """The curve that a scene.json tells of, or None if it is none of ours.
 
@@ -29,8 +33,9 @@ def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
     """
     if scene.get("look"):
         return None
+    name = _MEASURED.get(scene["view_transform"], scene["view_transform"])
     for curve in tone.families():
-        if scene["view_transform"] in (curve.blender_view_transform, curve.name):
+        if name in (curve.blender_view_transform, curve.name):
             return tone.powered(curve, float(scene.get(DISPLAY_POWER, 1.0)))
     return None
 
