@@ -17,6 +17,8 @@ more: where they go wrong, c is large.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -34,7 +36,9 @@ LARGEST = 1.0
 """From here on the albedo is unknown; code 255 of uncertainty.png."""
 
 
-def standard_error(spread: Floats, changed: Floats, count: Floats, distance: Floats) -> Floats:
+def standard_error(
+    spread: Floats, changed: Floats, count: NDArray[np.integer[Any]], distance: Floats
+) -> Floats:
     """One standard error of log albedo.
 
     Args:
