@@ -219,17 +219,6 @@ def test_relit_in_five_clicks_from_the_drop(window: BlenderWindow) -> None:
     window.picture("relit")
 
 
-def test_lights_are_chosen_by_pictures_of_this_object(window: BlenderWindow) -> None:
-    window.press("bpy.ops.robir.picture_lights")
-    window.wait_until(f"{STATE}.task == 'lights'", 20.0)
-    window.wait_until(f"not {STATE}.task", 300.0)
-    window.press("bpy.ops.robir.use_studio_light(light='sunset')")
-    window.wait_until(f"'sunset' in {WORLD_FILE}", 5.0)
-    window.picture("lights")
-    window.press("bpy.ops.robir.use_studio_light(light='forest')")
-    window.wait_until(f"'forest' in {WORLD_FILE}", 5.0)
-
-
 def test_what_was_done_is_undone(window: BlenderWindow) -> None:
     place = window.view_centre()
     window.screen.move(place.x, place.y)
@@ -240,6 +229,17 @@ def test_what_was_done_is_undone(window: BlenderWindow) -> None:
     window.wait_until(f"'studiolights' in {WORLD_FILE}", 5.0)
     window.press("bpy.ops.robir.use_recovered_light")
     window.wait_until(f"'studiolights' not in {WORLD_FILE}", 5.0)
+
+
+def test_lights_are_chosen_by_pictures_of_this_object(window: BlenderWindow) -> None:
+    window.press("bpy.ops.robir.picture_lights")
+    window.wait_until(f"{STATE}.task == 'lights'", 20.0)
+    window.wait_until(f"not {STATE}.task", 300.0)
+    window.press("bpy.ops.robir.use_studio_light(light='sunset')")
+    window.wait_until(f"'sunset' in {WORLD_FILE}", 5.0)
+    window.picture("lights")
+    window.press("bpy.ops.robir.use_studio_light(light='forest')")
+    window.wait_until(f"'forest' in {WORLD_FILE}", 5.0)
 
 
 def test_blender_has_nothing_to_complain_about(window: BlenderWindow) -> None:
