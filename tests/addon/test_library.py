@@ -81,6 +81,12 @@ def facts():
     )
 
 
+@pytest.fixture(autouse=True)
+def plain_search_path(monkeypatch):
+    """Without the folders that Blender adds once a test has imported it into this process."""
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if "bpy" not in Path(p).parts])
+
+
 def made(result: JobPaths, facts: AssetFacts) -> JobPaths:
     write_json(result.manifest("export"), {"fingerprint": "1"})
     write_json(result.report_json, {"trust": {"is_trusted": False}, "metal_share": 0.2})
