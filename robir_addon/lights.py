@@ -14,6 +14,7 @@ import bpy
 from mathutils import Quaternion, Vector
 
 from .blocks import MARK, enable_nodes, load_image, reload_image, with_mark
+from .engine import Sentence
 from .errors import ResultError
 from .gateway import JobPaths
 
@@ -29,7 +30,7 @@ STUDIO_LIGHTS = (
 )
 """Environment maps that Blender ships: file stem, name, tool-tip."""
 
-SHOWN_LIGHTS = (("", "Recovered", "Light of the photographs"), *STUDIO_LIGHTS)
+SHOWN_LIGHTS = (("", Sentence("Recovered"), "Light of the photographs"), *STUDIO_LIGHTS)
 """What the lights' pictures show."""
 
 _BEFORE = "robir_world_before"

@@ -274,11 +274,11 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
         for stem, name, _ in SHOWN_LIGHTS:
             cell = grid.column(align=True)
             cell.template_icon(icon_value=pictures.get(stem, 0), scale=4.5)
+            look = {"text": words(name), "translate": False, "depress": stem == shown}
             if stem:
-                button = cell.operator("robir.use_studio_light", text=name, depress=stem == shown)
-                button.light = stem
+                cell.operator("robir.use_studio_light", **look).light = stem
             else:
-                cell.operator("robir.use_recovered_light", text=name, depress=stem == shown)
+                cell.operator("robir.use_recovered_light", **look)
 
     def _draw_list(self, shown: str | None) -> None:
         """The same by name, before there are pictures."""

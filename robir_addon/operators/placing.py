@@ -68,7 +68,9 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Let the user click two points."""
+        """Let the user click two points; once they are known, ask how far apart they are."""
+        if tuple(self.first) != tuple(self.second):
+            return context.window_manager.invoke_props_dialog(self)
         try:
             self._asset_name = self.asset(context).name
         except ResultError as error:
@@ -78,7 +80,7 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Take clicks on the object, and ask for the length after the second."""
+        """Take clicks on the object; the length is asked for by another run, as this one ends."""
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self._ruler.remove()
             return {"CANCELLED"}
@@ -92,10 +94,11 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
         if len(self._ruler.points) < 2:
             self._ruler.say(words("Click the other point"))
             return {"RUNNING_MODAL"}
-        self.first, self.second = self._ruler.points
-        self.length = (self._ruler.points[1] - self._ruler.points[0]).length
+        first, second = self._ruler.points
         self._ruler.remove()
-        return context.window_manager.invoke_props_dialog(self)
+        length = (second - first).length
+        bpy.ops.robir.set_real_size("INVOKE_DEFAULT", first=first, second=second, length=length)
+        return {"CANCELLED"}  # nothing was changed by this one
 
     def draw(self, _context: bpy.types.Context) -> None:
         """The one question."""
