@@ -11,6 +11,7 @@ from ..importer import mark_of
 from ..words import told
 from ..worker import request_of, result_folder
 from .reconstruct import WorkerOperator
+from .shared import is_in_object_mode
 
 
 class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
@@ -31,10 +32,7 @@ class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
         if target is None or target.type != "MESH" or not target.select_get():
             cls.poll_message_set(told("Select the mesh object that the photographs show"))
             return False
-        if context.mode != "OBJECT":
-            cls.poll_message_set(told("Leave the present mode for Object Mode first"))
-            return False
-        return super().poll(context)
+        return is_in_object_mode(cls, context) and super().poll(context)
 
     def request(self, context: bpy.types.Context) -> client.Request:
         """What to ask of the engine; the object is written beside the result."""

@@ -19,19 +19,14 @@ from ..placing import (
 )
 from ..ruler import Ruler
 from ..words import told, words
-from .shared import ImportedOperator, result_paths, result_root
+from .shared import ImportedOperator, is_in_object_mode, result_paths, result_root
 
 
 class _PlacingOperator(ImportedOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Where a result is in the file, but not in edit mode."""
-        if not super().poll(context):
-            return False
-        if context.mode != "OBJECT":
-            cls.poll_message_set(words("Leave the present mode for Object Mode first"))
-            return False
-        return True
+        return super().poll(context) and is_in_object_mode(cls, context)
 
     def asset(self, context: bpy.types.Context) -> bpy.types.Object:
         """The imported object."""

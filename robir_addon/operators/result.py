@@ -21,7 +21,13 @@ from ..startup import bring_back
 from ..support import support_report
 from ..view_transform import match_view_transform
 from ..words import told, words
-from .shared import ImportedOperator, ResultOperator, result_paths, result_root
+from .shared import (
+    ImportedOperator,
+    ResultOperator,
+    is_in_object_mode,
+    result_paths,
+    result_root,
+)
 
 COMPARISON = "RobIR comparison"
 TONE_CURVE = "RobIR tone curve"
@@ -48,7 +54,7 @@ class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Always but in edit mode, where objects cannot be replaced."""
-        return _is_in_object_mode(cls, context)
+        return is_in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the folder, beginning with the one that is shown."""
@@ -84,7 +90,7 @@ class ROBIR_OT_refresh_result(ImportedOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Where a result is in the file, but not in edit mode."""
-        return super().poll(context) and _is_in_object_mode(cls, context)
+        return super().poll(context) and is_in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask first where the user has changed the mesh."""
@@ -107,13 +113,6 @@ class ROBIR_OT_refresh_result(ImportedOperator, bpy.types.Operator):
 def _is_edited(root: Path) -> bool:
     asset = asset_of(root)
     return asset is not None and is_edited(asset)
-
-
-def _is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    if context.mode != "OBJECT":
-        operator.poll_message_set(told("Leave the present mode for Object Mode first"))
-        return False
-    return True
 
 
 def _bring_in(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:

@@ -23,6 +23,14 @@ def result_paths(context: bpy.types.Context) -> JobPaths:
     return JobPaths(result_root(context))
 
 
+def is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether objects can be replaced; where not, the tool-tip says what to do."""
+    if context.mode != "OBJECT":
+        operator.poll_message_set(told("Leave the present mode for Object Mode first"))
+        return False
+    return True
+
+
 class ResultOperator:
     """Runs `work`, and turns what it raises into one sentence for the user."""
 

@@ -50,6 +50,7 @@ class Texture:
         views: Those that albedo is read from, at the size that they are read at.
         config: Sizes.
         inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
+        atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
         values: Of these texels.
         normals: (V, 3) of the vertices, to render them with.
     """
@@ -63,6 +64,7 @@ class Texture:
     views: tuple[View, ...]
     config: AppearanceConfig
     inside: NDArray[np.bool_]
+    atlas: tuple[NDArray[np.int32], Floats]
     values: TexelAlbedo
     normals: Floats
 
@@ -88,7 +90,8 @@ def textured(
     side = solved_side(config)
     face, barycentric = rasterise_atlas(mesh, side)
     inside = face >= 0
-    position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
+    atlas = (face[inside], barycentric[inside].astype(np.float32))
+    position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
     views = tuple(resize_view(v, side) for v in spread_views(capture.train, TEXTURE_VIEWS))
@@ -102,6 +105,7 @@ def textured(
         views=views,
         config=config,
         inside=inside,
+        atlas=atlas,
         values=texel_albedo(problem, light, texels, views, gloss, tracer, course),
         normals=mesh.normals,
     )
@@ -109,9 +113,7 @@ def textured(
 
 
 def _turn_normals(state: Texture) -> Texture:
-    face, barycentric = rasterise_atlas(state.mesh, len(state.inside))
-    atlas = (face[state.inside], barycentric[state.inside].astype(np.float32))
-    normals = shading_normals(state.problem, state.light, state.mesh, atlas, state.values)
+    normals = shading_normals(state.problem, state.light, state.mesh, state.atlas, state.values)
     return replace(state, normals=normals)
 
 
