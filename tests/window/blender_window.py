@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +102,16 @@ class BlenderWindow:
         )
         time.sleep(1.0)
         self._show_tab()
+
+    def choose_engine(self) -> None:
+        """Take the Python of this checkout as the engine, here and in windows opened later."""
+        self.run(
+            "import bl_ext.user_default.robir as addon\n"
+            "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
+            "chosen.engine = 'EXISTING'\n"
+            f"chosen.python = {sys.executable!r}\n"
+            "bpy.ops.wm.save_userpref()"
+        )
 
     @property
     def pid(self) -> int:

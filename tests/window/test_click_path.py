@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,13 +57,7 @@ def out(capture: Path) -> Path:
 def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     window.picture("nothing_chosen")
     window.find("bpy.ops.robir.choose_capture")
-    window.run(
-        "import bl_ext.user_default.robir as addon\n"
-        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
-        "chosen.engine = 'EXISTING'\n"
-        f"chosen.python = {sys.executable!r}\n"
-        "bpy.ops.wm.save_userpref()"
-    )
+    window.choose_engine()
 
 
 def test_the_sample_is_one_click_away(window: BlenderWindow) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,12 +26,7 @@ def window(
     window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures")
     window.install(package)
     window.start()
-    window.run(
-        "import bl_ext.user_default.robir as addon\n"
-        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
-        "chosen.engine = 'EXISTING'\n"
-        f"chosen.python = {sys.executable!r}"
-    )
+    window.choose_engine()
     place = window.view_centre()
     screen.move(place.x, place.y)  # a search belongs to the editor that the mouse rests on
     time.sleep(0.4)

@@ -7,7 +7,6 @@ where docs/blender.md says something else than what was done.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -82,12 +81,7 @@ def window(
     window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures-tutorial")
     window.install(package)
     window.start()
-    window.run(
-        "import bl_ext.user_default.robir as addon\n"
-        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
-        "chosen.engine = 'EXISTING'\n"
-        f"chosen.python = {sys.executable!r}"
-    )
+    window.choose_engine()
     yield window
     window.quit()
 

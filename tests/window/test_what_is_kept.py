@@ -7,7 +7,6 @@ The tests are one session in their order; its file is never saved.
 from __future__ import annotations
 
 import shutil
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,13 +71,7 @@ def window(
     window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures-kept")
     window.install(package)
     window.start()
-    window.run(
-        "import bl_ext.user_default.robir as addon\n"
-        "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
-        "chosen.engine = 'EXISTING'\n"
-        f"chosen.python = {sys.executable!r}\n"
-        "bpy.ops.wm.save_userpref()"
-    )
+    window.choose_engine()
     yield window
     window.quit()
 
