@@ -43,11 +43,15 @@ def material(name: str, paint: Paint, seed: int, is_unwrapped: bool) -> bpy.type
         return _procedural(name, paint, seed)
     base = _image(paint, paint.colours, seed)
     # the same texture in grey: the roughness changes where the colour does
-    gloss = _image(paint, ((first,) * 3, (second,) * 3), seed)[..., 0] if first != second else first
+    gloss = first if first == second else _image(paint, (_grey(first), _grey(second)), seed)[..., 0]
     made = principled(name, base, gloss, paint.metallic)
     if not is_unwrapped:
         _project(made)
     return made
+
+
+def _grey(value: float) -> Rgb:
+    return value, value, value
 
 
 def _image(paint: Paint, colours: tuple[Rgb, Rgb], seed: int) -> np.ndarray:

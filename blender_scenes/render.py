@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import trimesh
+from trimesh.exchange.ply import export_ply
 
 from blender_scenes import format as capture_format
 from blender_scenes import lights, objects, passes, repaint, rig
@@ -185,7 +186,7 @@ def _ground_name(request: SceneRequest) -> str:
 
 def _write_mesh(file: Path, mesh: trimesh.Trimesh) -> None:
     temporary = file.with_name(f".{os.getpid()}.{file.name}")
-    temporary.write_bytes(trimesh.exchange.ply.export_ply(mesh, encoding="binary"))
+    temporary.write_bytes(export_ply(mesh, encoding="binary"))
     temporary.replace(file)
 
 

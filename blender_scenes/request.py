@@ -182,7 +182,7 @@ def code_version(package: Path, scene: str) -> str:
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
             if isinstance(body, list):
-                node.body = [s for s in body if not _is_text(s)]
+                body[:] = [s for s in body if not _is_text(s)]
         digest.update(ast.dump(tree).encode())
     return digest.hexdigest()[:16]
 

@@ -35,7 +35,7 @@ def worker_environment() -> dict[str, str]:
     """
     environment = engine.clean_environment()
     if bpy.app.binary_path:
-        environment |= {"ROBIR_BLENDER": bpy.app.binary_path, "ROBIR_ADDON": __package__}
+        environment |= {"ROBIR_BLENDER": bpy.app.binary_path, "ROBIR_ADDON": str(__package__)}
     return environment
 
 

@@ -20,17 +20,17 @@ from typing import Any, TextIO
 
 import bpy
 
-from .asset import make_asset
 from .blocks import MARK
-from .cameras import VIEW, capture_cameras, use_camera
+from .capture.cameras import VIEW, capture_cameras, use_camera
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
-from .importer import import_result, read_tone_curve
-from .lights import SHOWN_LIGHTS, show_environment, turn_light
-from .lut import ToneTable, read_tone_table
-from .placing import stand
-from .rendering import cut_short, prepare_scene, render_still, set_threads, write_film
-from .view_transform import match_view_transform
+from .relighting.lights import SHOWN_LIGHTS, show_environment, turn_light
+from .relighting.lut import ToneTable, read_tone_table
+from .relighting.rendering import cut_short, prepare_scene, render_still, set_threads, write_film
+from .relighting.view_transform import match_view_transform
+from .result.asset import make_asset
+from .result.importer import import_result, read_tone_curve
+from .result.placing import stand
 
 _FOLLOWED = "ROBIR_FOLLOWED"
 """Set by who starts a command and keeps its standard input open for as long as it waits."""
@@ -328,7 +328,7 @@ def _say(reports: TextIO, line: dict[str, Any]) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m robir_addon.headless", description=__doc__.partition("\n")[0]
+        prog="python -m robir_addon.headless", description=str(__doc__).partition("\n")[0]
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     scene = commands.add_parser("scene", help="make export/scene.blend")

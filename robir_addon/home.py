@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's own folder, which updates leave alone."""
+"""What the extension is called here, where its code lies, and its own folder beside that."""
 
 from pathlib import Path
 
 import bpy
 
+ADDON = __package__
+"""Name under which Blender knows the extension."""
+
+CODE = Path(__file__).parent
+
 
 def own_folder(*, create: bool) -> Path | None:
-    """Where it is; None where RobIR runs from a checkout.
+    """Where what updates leave alone lies; None where RobIR runs from a checkout.
 
     Args:
         create: Whether it is made if it is missing.
     """
     try:
-        return Path(bpy.utils.extension_path_user(__package__, create=create))
+        return Path(bpy.utils.extension_path_user(ADDON, create=create))
     except ValueError:
         return None

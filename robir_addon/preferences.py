@@ -9,6 +9,7 @@ the Python that runs the script is the engine.
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.props import EnumProperty, StringProperty
@@ -100,7 +101,7 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
             row.operator("robir.remove_engine", icon="TRASH")
 
 
-def preferences_of(context: bpy.types.Context) -> ROBIR_AP_preferences | None:
+def preferences_of(context: bpy.types.Context) -> Any:
     """The preferences, or None where RobIR is not enabled as an add-on."""
     addon = context.preferences.addons.get(__package__)
     return None if addon is None else addon.preferences

@@ -77,6 +77,14 @@ def _filled(text: str, values: dict[str, object]) -> str:
     return text.format(**{n: told(v) if isinstance(v, Sentence) else v for n, v in values.items()})
 
 
+def duration(seconds: float) -> str:
+    """About how long, in a word or two."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
 def register() -> None:
     """Hand the catalogues to Blender, each under the language that its file is named after."""
     catalogues = {file.stem: read_catalogue(file) for file in _LOCALE.glob("*.po")}

@@ -84,7 +84,7 @@ def _progress(done: int, total: int) -> None:
 
 def _recipe(drawn: Drawn) -> dict:
     """The recipe as JSON values, files by their names."""
-    return json.loads(json.dumps(asdict(drawn.request.recipe), default=lambda path: path.name))
+    return json.loads(json.dumps(asdict(drawn.recipe), default=lambda path: path.name))
 
 
 def _words(drawn: Drawn) -> str:

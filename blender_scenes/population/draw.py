@@ -48,6 +48,13 @@ class Drawn:
     thing: str
     has_pattern: bool
 
+    @property
+    def recipe(self) -> Recipe:
+        """What was drawn of the scene."""
+        if self.request.recipe is None:
+            raise ValueError("a drawn capture has a recipe")
+        return self.request.recipe
+
 
 def draw(seed: int, sources: Sources) -> Drawn:
     """The capture of a seed.

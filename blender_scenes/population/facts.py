@@ -27,7 +27,7 @@ def classes(drawn: Drawn, scene: Mapping[str, Any], views: Sequence[ViewTruth]) 
         scene: contents of scene.json.
         views: the training views; an asset's metal is known from them alone.
     """
-    recipe, tone = drawn.request.recipe, drawn.tone
+    recipe, tone = drawn.recipe, drawn.tone
     metallic = np.concatenate([view.metallic[view.hit > 0.5] for view in views])
     is_high = scene["sun_direction"][2] >= np.sin(np.radians(LOWEST_SUN_DEGREES)) - 1e-6
     return {

@@ -140,6 +140,6 @@ def _piece(kind: str, material: bpy.types.Material, place: Pose, table: Pose) ->
     if kind == "king":
         x, y, z = place.location
         for size, lift in (((0.016, 0.016, 0.09), 0.43), ((0.058, 0.015, 0.016), 0.445)):
-            arm = tuple(ROUNDING * s for s in size)
+            across, along, up = (ROUNDING * s for s in size)
             at = Pose((x, y, z + ROUNDING * lift), place.degrees)
-            add_object("cross", box(arm), material, at, table, bevel=0.004)
+            add_object("cross", box((across, along, up)), material, at, table, bevel=0.004)

@@ -99,7 +99,8 @@ def _boolean(rng: np.random.Generator, paint: bpy.types.Material) -> bpy.types.O
     for _ in range(int(rng.integers(1, 3))):
         tool_shape = solid(str(rng.choice(kinds)), rng)
         place, turn = rng.uniform(-0.3, 0.3, 3), rng.uniform(0.0, 180.0, 3)
-        pose = Pose(tuple(map(float, place)), tuple(map(float, turn)), float(rng.uniform(0.5, 0.9)))
+        (x, y, z), (a, b, c) = map(float, place), map(float, turn)
+        pose = Pose((x, y, z), (a, b, c), float(rng.uniform(0.5, 0.9)))
         tool = add_object("tool", tool_shape, paint, pose)
         modifier = block.modifiers.new("cut", "BOOLEAN")
         modifier.object = tool

@@ -69,9 +69,11 @@ def build(request: SceneRequest, rng: np.random.Generator) -> None:
 def _mat(table: Pose, rng: np.random.Generator) -> None:
     u = 2.0 * np.pi * (np.arange(1024) + 0.5) / 1024
     weave = 0.5 + 0.5 * np.sin(48.0 * u)[None, :] * np.sign(np.sin(48.0 * u))[:, None]
-    colours = [textures.jittered(textures.linear_from_hex(c), rng) for c in ("a88a5c", "d8c69c")]
+    brown, pale = (
+        textures.jittered(textures.linear_from_hex(c), rng) for c in ("a88a5c", "d8c69c")
+    )
     cloth = textures.mixed(
-        *colours, np.clip(weave + 0.3 * (textures.noise(1024, 8, rng) - 0.5), 0.0, 1.0)
+        brown, pale, np.clip(weave + 0.3 * (textures.noise(1024, 8, rng) - 0.5), 0.0, 1.0)
     )
     disc = lathe(
         np.array(

@@ -85,10 +85,10 @@ def _load(lorry: Pose, rng: np.random.Generator) -> None:
         textures.jittered(textures.linear_from_hex(c), rng) for c in ("2f7fc1", "f3efe4")
     ]
     ball = principled("ball", textures.stripes(256, 3, *ball_colours, along_u=True), 0.18)
-    cone_colours = [
+    orange, white = (
         textures.jittered(textures.linear_from_hex(c), rng) for c in ("e8801a", "f4f0e6")
-    ]
-    hat = principled("cone", textures.stripes(256, 3, *cone_colours), 0.5)
+    )
+    hat = principled("cone", textures.stripes(256, 3, orange, white), 0.5)
     crate_colours = [textures.linear_from_hex(c) for c in ("5d7a3a", "a9bf6a")]
     crate = principled("crate", textures.checker(128, 4, *crate_colours), 0.7)
     floor = 0.305

@@ -170,6 +170,8 @@ def _torch_words(options: argparse.Namespace) -> list[str]:
     label, index = ("cpu", CPU_INDEX) if options.torch == "CPU" else ("cu130", CUDA_INDEX)
     text = options.constraints.read_text(encoding="utf-8")
     version = re.search(r"^torch==([\w.]+)", text, re.MULTILINE)
+    if version is None:
+        raise EngineError(f"{options.constraints} does not pin torch", CHOOSE_EXISTING)
     return [f"torch=={version[1]}+{label}", "--no-deps", "--index-url", index]
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import distributions
 from pathlib import Path
+from typing import IO, cast
 
 from .errors import EngineError
 from .existing import QUIETLY
@@ -160,7 +161,7 @@ class Pip:
                         cwd=self._place.root,
                         creationflags=QUIETLY,
                     )
-                with process.stdout as lines:
+                with cast("IO[str]", process.stdout) as lines:
                     for line in lines:
                         if not line.startswith("Progress "):
                             log.write(line)

@@ -7,16 +7,17 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from .. import monitor, viewport
+from ..capture import viewport
+from ..capture.photographs import list_photographs
+from ..capture.recent import result_of
+from ..capture.startup import bring_back
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
-from ..photographs import list_photographs
 from ..preferences import engine_python
-from ..recent import result_of
-from ..startup import bring_back
 from ..words import reported, told
-from ..worker import absolute, in_panel_words, program, request_of, result_folder
+from ..work import monitor
+from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -66,6 +67,8 @@ class _Look:
         if scene is None or absolute(scene.robir.capture) != self._capture:
             return
         root = result_folder(scene.robir)
+        if root is None:
+            return
         known = client.snapshot(root)
         if known.is_live or (known.state == "done" and absolute(scene.robir.result) != root):
             monitor.watch(root)

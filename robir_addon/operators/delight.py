@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import bpy
 
-from ..delight import TARGET, mesh_file
 from ..gateway import client
-from ..importer import mark_of
+from ..result.delight import TARGET, mesh_file
+from ..result.importer import mark_of
 from ..words import told
-from ..worker import request_of, result_folder
+from ..work.worker import request_of, result_folder
 from .reconstruct import WorkerOperator
 from .shared import is_in_object_mode
 

@@ -11,18 +11,13 @@ from typing import Any
 
 import bpy
 
-from .. import engine, monitor
+from .. import engine
 from ..engine import EngineError, Sentence
 from ..errors import AddonError
-from ..preferences import (
-    engine_python,
-    engine_status,
-    managed_place,
-    managed_wheel,
-    preferences_of,
-)
+from ..preferences import engine_python, engine_status, managed_place, managed_wheel, preferences_of
 from ..words import told
-from ..worker import in_panel_words
+from ..work import monitor
+from ..work.worker import in_panel_words
 from .capture import look_at_waiting, why_wait
 
 OFFLINE = "Blender is not allowed to go online"

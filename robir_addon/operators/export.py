@@ -11,11 +11,11 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..asset import make_asset
 from ..errors import RequestError, ResultError
-from ..importer import asset_of, mark_of
-from ..lights import lamps_of
-from ..reducing import levels_of_detail, reduced
+from ..relighting.lights import lamps_of
+from ..result.asset import make_asset
+from ..result.importer import asset_of, mark_of
+from ..result.reducing import levels_of_detail, reduced
 from ..words import told
 from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from .. import queue
 from ..command_line import worker_environment
 from ..engine import EngineError
 from ..errors import RequestError
 from ..gateway import holder, library
 from ..preferences import engine_python, engine_status
 from ..words import told
-from ..worker import program
+from ..work import batch
+from ..work.worker import program
 from .shared import ResultOperator
 
 
@@ -58,7 +58,7 @@ class ROBIR_OT_run_batch(ResultOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Go on with an unfinished library, else ask for the folder of captures."""
-        paths = queue.library_paths(context.scene.robir)
+        paths = batch.library_paths(context.scene.robir)
         if paths is not None and paths.plan.is_file():
             return self.execute(context)
         context.window_manager.fileselect_add(self)
@@ -73,7 +73,7 @@ class ROBIR_OT_run_batch(ResultOperator, bpy.types.Operator):
             sources = [str(captures / "*")]
             if not settings.library:
                 settings.library = str(captures.with_name(f"{captures.name}_library"))
-        paths = queue.library_paths(settings)
+        paths = batch.library_paths(settings)
         if paths is None:
             raise RequestError("no folder of captures was given; choose one")
         pid = holder(paths.lock)
@@ -88,7 +88,7 @@ class ROBIR_OT_run_batch(ResultOperator, bpy.types.Operator):
         except EngineError as error:
             raise RequestError(told(error)) from error
         library.start_batch(words, sources, paths, worker_environment())
-        queue.follow()
+        batch.follow()
 
 
 class ROBIR_OT_stop_batch(_LibraryOperator, bpy.types.Operator):
@@ -101,8 +101,8 @@ class ROBIR_OT_stop_batch(_LibraryOperator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Ask it to end."""
-        library.stop_batch(queue.library_paths(context.scene.robir))
-        queue.look()
+        library.stop_batch(batch.chosen(context.scene.robir))
+        batch.look()
 
 
 class ROBIR_OT_drop_from_batch(_LibraryOperator, bpy.types.Operator):
@@ -118,10 +118,10 @@ class ROBIR_OT_drop_from_batch(_LibraryOperator, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Note it for the batch."""
         try:
-            library.drop(queue.library_paths(context.scene.robir), self.name)
+            library.drop(batch.chosen(context.scene.robir), self.name)
         except ValueError as fault:
             raise RequestError(str(fault)) from fault
-        queue.look()
+        batch.look()
 
 
 class ROBIR_OT_add_library(_LibraryOperator, bpy.types.Operator):
@@ -134,7 +134,7 @@ class ROBIR_OT_add_library(_LibraryOperator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Register the folder, once."""
-        root = queue.library_paths(context.scene.robir).root
+        root = batch.chosen(context.scene.robir).root
         if not root.is_dir():
             raise RequestError("{folder} is no folder; run a batch first", folder=root)
         libraries = context.preferences.filepaths.asset_libraries

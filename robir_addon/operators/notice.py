@@ -3,8 +3,8 @@
 
 import bpy
 
-from .. import monitor
 from ..words import told
+from ..work import monitor
 from .engine import OFFLINE
 
 

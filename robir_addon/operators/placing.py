@@ -7,9 +7,9 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from mathutils import Vector
 
 from ..errors import RequestError, ResultError
-from ..importer import asset_of, read_cameras
-from ..materials import is_edited, mark_as_imported
-from ..placing import (
+from ..result.importer import asset_of, read_cameras
+from ..result.materials import is_edited, mark_as_imported
+from ..result.placing import (
     GROUND_SHARE,
     delete_faces,
     faces_of_ground,
@@ -17,7 +17,7 @@ from ..placing import (
     scale_result,
     stand,
 )
-from ..ruler import Ruler
+from ..result.ruler import Ruler
 from ..words import told, words
 from .shared import ImportedOperator, is_in_object_mode, result_paths, result_root
 

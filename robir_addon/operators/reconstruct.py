@@ -5,22 +5,24 @@ from pathlib import Path
 
 import bpy
 
-from .. import monitor, viewport
+from ..capture import viewport
+from ..capture.recent import remember
 from ..command_line import worker_environment
-from ..delight import target_of
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
-from ..recent import remember
+from ..result.delight import target_of
 from ..words import reported, told
-from ..worker import absolute, in_panel_words, program, request_of, result_folder
+from ..work import monitor
+from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
+from .shared import MixedIn
 
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
-class WorkerOperator:
+class WorkerOperator(MixedIn):
     """Starts a worker on the chosen capture; what of it is asked, `request` says."""
 
     @classmethod
@@ -150,6 +152,8 @@ class ROBIR_OT_attach(bpy.types.Operator):
 
     def _find(self, context: bpy.types.Context) -> Path | None:
         root = result_folder(context.scene.robir)
+        if root is None:
+            return None
         if not client.snapshot(root).is_live:
             text = "No reconstruction is at work in {name}; start one"
             self.report({"ERROR"}, told(text, name=root.name))

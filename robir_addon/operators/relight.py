@@ -9,12 +9,9 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import monitor
-from ..child import blender_command
 from ..engine import Sentence
 from ..errors import AddonError, RequestError
-from ..importer import mark_of
-from ..lights import (
+from ..relighting.lights import (
     STUDIO_LIGHTS,
     environment_file,
     show_environment,
@@ -23,8 +20,11 @@ from ..lights import (
     turn_light,
     world_of,
 )
-from ..summary import read_shown
+from ..result.importer import mark_of
+from ..result.summary import read_shown
 from ..words import told
+from ..work import monitor
+from ..work.child import blender_command
 from .shared import ImportedOperator, result_paths, result_root
 
 

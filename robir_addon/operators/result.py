@@ -7,27 +7,21 @@ from typing import Any
 import bpy
 from bpy.props import IntProperty, StringProperty
 
-from ..arrival import bring_in
-from ..cameras import VIEW
-from ..captions import CAPTIONS
-from ..comparison import compare, neighbour
-from ..delight import give_back, target_of
+from ..capture.cameras import VIEW
+from ..capture.startup import bring_back
 from ..errors import ResultError
 from ..gateway import JobPaths
-from ..importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
-from ..materials import is_edited
-from ..pictures import put_image, read_codes, show_image
-from ..startup import bring_back
-from ..support import support_report
-from ..view_transform import match_view_transform
+from ..relighting.view_transform import match_view_transform
+from ..result.arrival import bring_in
+from ..result.captions import CAPTIONS
+from ..result.comparison import compare, neighbour
+from ..result.delight import give_back, target_of
+from ..result.importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
+from ..result.materials import is_edited
+from ..result.pictures import put_image, read_codes, show_image
 from ..words import told, words
-from .shared import (
-    ImportedOperator,
-    ResultOperator,
-    is_in_object_mode,
-    result_paths,
-    result_root,
-)
+from ..work.support import support_report
+from .shared import ImportedOperator, ResultOperator, is_in_object_mode, result_paths, result_root
 
 COMPARISON = "RobIR comparison"
 TONE_CURVE = "RobIR tone curve"

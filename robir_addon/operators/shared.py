@@ -2,15 +2,16 @@
 """What the operators on a finished result have in common."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
 from ..errors import AddonError
 from ..gateway import JobPaths
-from ..importer import mark_of
-from ..lights import world_of
+from ..relighting.lights import world_of
+from ..result.importer import mark_of
 from ..words import told
-from ..worker import problem_and_cure
+from ..work.worker import problem_and_cure
 
 
 def result_root(context: bpy.types.Context) -> Path:
@@ -31,7 +32,11 @@ def is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Con
     return True
 
 
-class ResultOperator:
+MixedIn = bpy.types.Operator if TYPE_CHECKING else object
+"""Base of what operators have in common, which counts on being mixed into one."""
+
+
+class ResultOperator(MixedIn):
     """Runs `work`, and turns what it raises into one sentence for the user."""
 
     @classmethod

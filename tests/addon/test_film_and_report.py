@@ -114,9 +114,9 @@ def test_in_a_film_the_shadow_goes_round(result, tmp_path):
 def test_what_cycles_rendered_comes_first(result, tmp_path):
     import bpy  # noqa: F401 - the wheel brings mathutils
 
-    from robir_addon.comparison import rendered_view
     from robir_addon.errors import ResultError
-    from robir_addon.importer import read_cameras
+    from robir_addon.result.comparison import rendered_view
+    from robir_addon.result.importer import read_cameras
 
     table = read_cameras(result)
     assert rendered_view(result, table).rendered_by == "RobIR"
@@ -147,7 +147,7 @@ def test_what_cycles_rendered_comes_first(result, tmp_path):
     ],
 )
 def test_a_report_names_nobody(monkeypatch, text, expected):
-    from robir_addon import support
+    from robir_addon.work import support
 
     monkeypatch.setattr(support.getpass, "getuser", lambda: "jo")
     monkeypatch.setattr(support.Path, "home", classmethod(lambda cls: cls("/home/jo")))

@@ -33,7 +33,7 @@ def test_importing_the_package_has_no_side_effects():
 
 
 def test_the_asset_is_back_in_the_capture_frame(result, scene):
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     imported = import_result(result.root, scene)
     mesh = imported.asset.data
@@ -53,7 +53,7 @@ def test_the_asset_is_back_in_the_capture_frame(result, scene):
 
 
 def test_colour_states_and_view_transform(result, scene):
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     imported = import_result(result.root, scene)
     nodes = imported.asset.data.materials[0].node_tree.nodes
@@ -75,7 +75,7 @@ def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, s
     """By our importer and by Blender's own."""
     import bpy
 
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     paths = JobPaths(tmp_path / "run")
     shutil.copytree(result.root, paths.root)
@@ -90,8 +90,8 @@ def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, s
 
 
 def test_the_view_transform_is_offered_and_never_forced(result, scene):
-    from robir_addon.importer import import_result
-    from robir_addon.view_transform import match_view_transform, view_transform_differs
+    from robir_addon.relighting.view_transform import match_view_transform, view_transform_differs
+    from robir_addon.result.importer import import_result
 
     settings = scene.view_settings
     settings.view_transform, settings.look, settings.exposure = "AgX", "AgX - Punchy", 1.5
@@ -107,7 +107,7 @@ def test_the_view_transform_is_offered_and_never_forced(result, scene):
 
 @pytest.mark.parametrize("transform", [None, "A Curve of Later Years"])
 def test_a_curve_blender_lacks_is_said(result, scene, transform):
-    from robir_addon.view_transform import match_view_transform
+    from robir_addon.relighting.view_transform import match_view_transform
 
     table = read_json(result.tone_curve)
     lacking = {"family": "robir_aces", "blender_view_transform": transform}
@@ -137,7 +137,7 @@ def census():
 
 
 def test_importing_twice_leaves_one_of_everything(result, scene):
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     import_result(result.root, scene)
     before = census()
@@ -153,7 +153,7 @@ def test_what_the_user_made_is_left_alone_and_the_world_comes_back(result):
     """Blender's own start: a cube, a lamp, a camera and a World."""
     import bpy
 
-    from robir_addon.importer import import_result, remove_result
+    from robir_addon.result.importer import import_result, remove_result
 
     bpy.ops.wm.read_factory_settings()
     scene = bpy.context.scene
@@ -179,8 +179,8 @@ def test_a_saved_file_keeps_every_light(result, tmp_path):
     """The light that is not shown, and the World the scene had before, survive saving."""
     import bpy
 
-    from robir_addon import lights
-    from robir_addon.importer import import_result, mark_of, remove_result
+    from robir_addon.relighting import lights
+    from robir_addon.result.importer import import_result, mark_of, remove_result
 
     bpy.ops.wm.read_factory_settings()
     scene, before = bpy.context.scene, bpy.context.scene.world.name
@@ -199,8 +199,8 @@ def test_a_saved_file_keeps_every_light(result, tmp_path):
 
 
 def test_of_two_results_one_shines(result, scene, tmp_path):
-    from robir_addon import lights
-    from robir_addon.importer import import_result, remove_result
+    from robir_addon.relighting import lights
+    from robir_addon.result.importer import import_result, remove_result
 
     other = JobPaths(tmp_path / "other")
     shutil.copytree(result.root, other.root)
@@ -215,7 +215,7 @@ def test_of_two_results_one_shines(result, scene, tmp_path):
 
 def test_a_broken_folder_changes_nothing(result, scene, tmp_path):
     from robir_addon.errors import ResultError
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     copy = JobPaths(tmp_path / "copy")
     shutil.copytree(result.root, copy.root)
@@ -233,7 +233,7 @@ def test_a_broken_folder_changes_nothing(result, scene, tmp_path):
 def test_an_import_is_one_step_of_undo(result):
     import bpy
 
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     bpy.ops.wm.read_factory_settings()
     bpy.ops.ed.undo_push(message="start")
@@ -253,7 +253,7 @@ def test_every_camera_projects_as_the_core_does(scene, result):
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 
-    from robir_addon.cameras import add_camera, use_camera
+    from robir_addon.capture.cameras import add_camera, use_camera
 
     rng = np.random.default_rng(5)
     photo = load_capture(result.stage("capture")).views[0].name

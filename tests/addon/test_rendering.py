@@ -60,7 +60,7 @@ def test_scene_renders_like_the_photographs(built):
 
 @pytest.mark.parametrize("family", ["standard", "robir_aces", "agx"])
 def test_tone_table_is_the_curve(tmp_path, family):
-    from robir_addon.lut import read_tone_table
+    from robir_addon.relighting.lut import read_tone_table
 
     curve = tone.curve_from_name(family)
     (tmp_path / "tone.cube").write_text(tone.cube_text(curve, 65), encoding="ascii")
@@ -94,8 +94,8 @@ def test_the_glb_alone_gives_the_same_picture(built, tmp_path):
     """Blender's own glTF importer and environment.exr, against scene.blend."""
     import bpy
 
-    from robir_addon.cameras import add_camera, use_camera
-    from robir_addon.rendering import prepare_scene, render_still
+    from robir_addon.capture.cameras import add_camera, use_camera
+    from robir_addon.relighting.rendering import prepare_scene, render_still
 
     headless("render", built.root, "--views", "held_out_000", "--samples", 32)
     bpy.ops.wm.read_factory_settings(use_empty=True)

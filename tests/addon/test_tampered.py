@@ -88,7 +88,7 @@ def test_scripts_of_a_scene_do_not_run_and_its_names_stay_inside(copy, tmp_path)
 )
 def test_cameras_that_cannot_be(copy, change):
     from robir_addon.errors import ResultError
-    from robir_addon.importer import read_cameras
+    from robir_addon.result.importer import read_cameras
 
     read_cameras(copy)
     table = json.loads(copy.cameras.read_text())
@@ -104,7 +104,7 @@ def test_pipes_and_links_stop_no_import(copy, name, make):
     import bpy
 
     from robir_addon.errors import ResultError
-    from robir_addon.importer import import_result
+    from robir_addon.result.importer import import_result
 
     (copy.root / name).unlink(missing_ok=True)
     make(copy.root / name)
@@ -117,7 +117,7 @@ def test_pipes_and_links_stop_no_import(copy, name, make):
 )
 def test_assets_that_are_none(copy, text):
     from robir_addon.errors import ResultError
-    from robir_addon.glb import read_glb
+    from robir_addon.result.glb import read_glb
 
     chunk = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0) + text
     copy.asset.write_bytes(chunk)
@@ -127,7 +127,7 @@ def test_assets_that_are_none(copy, text):
 
 def test_a_report_for_help_tells_nothing_of_other_files(copy, tmp_path):
     """It is pasted in public."""
-    from robir_addon.support import _from_folder
+    from robir_addon.work.support import _from_folder
 
     (tmp_path / "key").write_text("private")
     copy.log.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ def grey():
     """A scene that shows nothing but its World."""
     import bpy
 
-    from robir_addon.rendering import prepare_scene
+    from robir_addon.relighting.rendering import prepare_scene
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -47,8 +47,8 @@ def table_of(curve):
 @pytest.mark.parametrize("power", [0.5, 2.0])
 @pytest.mark.parametrize("family", ["standard", "filmic"])
 def test_a_power_is_shown_live(grey, tmp_path, family, power):
-    from robir_addon.rendering import render_still
-    from robir_addon.view_transform import match_view_transform, view_transform_differs
+    from robir_addon.relighting.rendering import render_still
+    from robir_addon.relighting.view_transform import match_view_transform, view_transform_differs
 
     curve = tone.powered(tone.curve_from_name(family), power)
     table = table_of(curve)
@@ -66,7 +66,11 @@ def test_a_power_is_shown_live(grey, tmp_path, family, power):
 
 
 def test_another_gamma_is_another_curve(grey):
-    from robir_addon.view_transform import match_view_transform, view_name, view_transform_differs
+    from robir_addon.relighting.view_transform import (
+        match_view_transform,
+        view_name,
+        view_transform_differs,
+    )
 
     plain, retoned = (table_of(tone.powered(tone.curve_from_name("agx"), p)) for p in (1.0, 0.5))
     match_view_transform(grey, retoned)
@@ -81,7 +85,11 @@ def test_another_gamma_is_another_curve(grey):
 
 
 def test_a_power_of_a_curve_that_blender_lacks_leaves_its_gamma_alone(grey):
-    from robir_addon.view_transform import match_view_transform, view_name, view_transform_differs
+    from robir_addon.relighting.view_transform import (
+        match_view_transform,
+        view_name,
+        view_transform_differs,
+    )
 
     table = table_of(tone.powered(tone.curve_from_name("robir_aces"), 0.5))
     (note,) = match_view_transform(grey, table)

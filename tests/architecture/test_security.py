@@ -26,7 +26,7 @@ STARTS_PROGRAMS = {
     "robir_addon/engine/install.py",
     "robir_addon/engine/pip.py",
     "robir_addon/engine/places.py",
-    "robir_addon/task.py",
+    "robir_addon/work/task.py",
 }
 
 

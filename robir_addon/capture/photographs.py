@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The capture's photographs as a list with a tick each: which take part, and what was noticed."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import bpy
+
+from ..words import words
+from .viewport import small_copy_name
+
+
+class ROBIR_UL_photographs(bpy.types.UIList):
+    """One photograph a line: tick, small copy, name, what the check noticed."""
+
+    def draw_item(
+        self,
+        _context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        _data: bpy.types.AnyType,
+        item: bpy.types.AnyType,
+        _icon: int,
+        _active_data: bpy.types.AnyType,
+        _active_property: str,
+    ) -> None:
+        """Draw a line; Blender calls it for those that are seen."""
+        row = layout.row(align=True)
+        row.prop(item, "is_used", text="")
+        small = bpy.data.images.get(small_copy_name(item.name))
+        row.label(text=item.name, icon_value=layout.icon(small) if small else 0, translate=False)
+        if item.reason:
+            row.label(text=item.reason)
+
+
+def draw_photographs(layout: bpy.types.UILayout, settings: Any) -> None:
+    """A folded part of a panel with the list."""
+    photographs = settings.photographs
+    if not photographs and not settings.skip_missing:
+        return
+    used = sum(photograph.is_used for photograph in photographs)
+    header, body = layout.panel("ROBIR_photographs", default_closed=True)
+    text = words("Photographs ({used} of {count})", used=used, count=len(photographs))
+    header.label(text=text)
+    if body is not None:
+        body.template_list(
+            "ROBIR_UL_photographs", "", settings, "photographs", settings, "photograph_index"
+        )
+        body.prop(settings, "skip_missing")
+
+
+def list_photographs(settings: Any, names: Iterable[str], findings: list[dict[str, Any]]) -> None:
+    """Fill the list anew; photographs that were left out stay in it, left out.
+
+    Args:
+        settings: The scene's.
+        names: Photographs that the check has read.
+        findings: What it noticed; those about photographs name them.
+    """
+    photographs = settings.photographs
+    left_out = [p.name for p in photographs if not p.is_used]
+    noticed = {name: f["code"].replace("-", " ") for f in findings for name in f["files"]}
+    photographs.clear()
+    for name in dict.fromkeys([*names, *left_out]):
+        shown = photographs.add()
+        shown.name, shown.reason = name, noticed.get(name, "")
+        shown.is_used = name not in left_out
+
+
+def left_out_of(settings: Any) -> tuple[str, ...]:
+    """Names of the photographs that the user has left out."""
+    return tuple(p.name for p in settings.photographs if not p.is_used)
+
+
+CLASSES = (ROBIR_UL_photographs,)

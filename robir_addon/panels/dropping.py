@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture dropped on the 3D viewport.
+
+Blender hands over files with known suffixes and no folders, so that any file of the capture that
+holds camera poses stands for the folder it belongs to.
+"""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import CollectionProperty, StringProperty
+
+from ..operators.capture import may_choose, take_capture
+from ..words import told
+
+SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
+_COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
+
+
+def capture_folder(file: Path) -> Path | None:
+    """Folder of the capture that a file with camera poses belongs to.
+
+    Args:
+        file: A dropped file; only its name is looked at.
+
+    Returns:
+        The folder, or None where the file's name is none of a known format's.
+    """
+    folder, suffix, stem = file.parent, file.suffix.lower(), file.stem
+    if suffix in (".bin", ".txt") and stem in _COLMAP:
+        if folder.parent.name == "sparse":
+            folder = folder.parent
+        if folder.name == "sparse":
+            folder = folder.parent
+            return folder.parent if folder.name == "colmap" else folder
+        return folder
+    known = (
+        (suffix == ".json" and stem.startswith("transforms"))
+        or (suffix == ".npz" and stem.startswith("cameras"))
+        or (suffix == ".npy" and stem == "poses_bounds")
+        or suffix in (".csv", ".xml", ".sfm")  # users name these exports as they like
+    )
+    return folder if known else None
+
+
+class ROBIR_OT_drop_capture(bpy.types.Operator):
+    """Take the capture that a dropped file belongs to, and look at it."""
+
+    bl_idname = "robir.drop_capture"
+    bl_label = "Take Capture"
+    bl_description = "Take the capture that this file belongs to, show its cameras and check it"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not while something is at work but the engine's installation."""
+        return may_choose(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Look without making the user wait."""
+        return self._take(context, "INVOKE_DEFAULT")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Look and return when that is done."""
+        return self._take(context, "EXEC_DEFAULT")
+
+    def _take(self, context: bpy.types.Context, way: str) -> set[str]:
+        names = [file.name for file in self.files]
+        folders = (capture_folder(Path(self.directory) / name) for name in names)
+        folder = next((found for found in folders if found), None)
+        if folder is None:
+            text = (
+                "{name} holds no cameras of a known format; drop transforms.json, cameras.bin, "
+                "cameras_sphere.npz, poses_bounds.npy, or the cameras of RealityScan (CSV), "
+                "Metashape (XML) or Meshroom (SFM)"
+            )
+            self.report({"ERROR"}, told(text, name=", ".join(names[:1])))
+            return {"CANCELLED"}
+        return take_capture(self, context, folder, way)
+
+
+class ROBIR_FH_capture(bpy.types.FileHandler):
+    """Camera files dropped on the 3D viewport."""
+
+    bl_idname = "ROBIR_FH_capture"
+    bl_label = "RobIR capture"
+    bl_import_operator = ROBIR_OT_drop_capture.bl_idname
+    bl_file_extensions = ";".join(SUFFIXES)
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Only where the capture can be shown."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+CLASSES = (ROBIR_OT_drop_capture, ROBIR_FH_capture)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels show and ask: settings saved with the file, and the state of the work at hand.
+
+`Scene.robir` holds what the user chose and is saved. `WindowManager.robir` holds what goes on at
+this moment; Blender keeps it when it opens a file without its windows, so it is emptied then.
+"""
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..relighting.lights import STUDIO_LIGHTS, turn_light, use_lamps
+from ..result.summary import read_shown
+from ..work import batch
+
+
+class ROBIR_PG_finding(bpy.types.PropertyGroup):
+    """One finding of the check of a capture."""
+
+    level: EnumProperty(
+        name="Level",
+        description="How much the finding matters",
+        items=(
+            ("error", "Error", "The capture cannot be used as it is"),
+            ("warning", "Warning", "The result will be worse than it could be"),
+            ("note", "Note", "Good to know"),
+        ),
+        default="note",
+    )
+    text: StringProperty(name="Finding", description="What was found and where")
+    cure: StringProperty(name="Cure", description="What to do about it")
+    code: StringProperty(name="Code", description="Short name of this kind of finding")
+    files: StringProperty(name="Files", description="Photographs concerned, one a line")
+
+
+class ROBIR_PG_photograph(bpy.types.PropertyGroup):
+    """One photograph of the capture; its name is Blender's own property."""
+
+    is_used: BoolProperty(
+        name="Take part", description="Whether this photograph takes part", default=True
+    )
+    reason: StringProperty(name="Noticed", description="What the check noticed about it")
+
+
+class ROBIR_PG_settings(bpy.types.PropertyGroup):
+    """What the user chose; saved with the Blender file."""
+
+    capture: StringProperty(
+        name="Capture",
+        description="Folder with the photographs and their cameras",
+        subtype="DIR_PATH",
+    )
+    masks: StringProperty(
+        name="Masks",
+        description="Folder with one mask a photograph; empty takes the capture's own masks",
+        subtype="DIR_PATH",
+    )
+    box: PointerProperty(
+        name="Object box",
+        description=(
+            "Empty or mesh whose bounds, along the axes of the world, hold the object; tells it "
+            "from its surroundings where the capture has no masks"
+        ),
+        type=bpy.types.Object,
+        poll=lambda _settings, candidate: candidate.type in {"EMPTY", "MESH"},
+    )
+    photographs: CollectionProperty(
+        type=ROBIR_PG_photograph, name="Photographs", description="Which of them take part"
+    )
+    photograph_index: IntProperty(name="Photograph", description="The one marked in the list")
+    skip_missing: BoolProperty(
+        name="Do without missing ones",
+        description="Leave out photographs that have a pose but are not there",
+    )
+    view_scale: FloatProperty(
+        name="Scale of the view",
+        description="How many times as large as in its own unit the capture is shown",
+        default=1.0,
+    )
+    view_shift: FloatVectorProperty(
+        name="Shift of the view",
+        description="Where the origin of the capture's own frame is shown",
+    )
+    out: StringProperty(
+        name="Result",
+        description="Folder for the result; empty makes one beside the capture",
+        subtype="DIR_PATH",
+    )
+    library: StringProperty(
+        name="Library",
+        description="Folder of the results of many captures, one asset each; empty makes one "
+        "beside the folder of captures",
+        subtype="DIR_PATH",
+        update=lambda _settings, _context: batch.look(),
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="How much work is put into the result",
+        items=(
+            ("draft", "Draft", "Minutes on two processor cores"),
+            ("standard", "Standard", "Finer mesh and textures; about four times the work of Draft"),
+            ("high", "High", "As fine as the photographs allow; wants a CUDA device"),
+        ),
+        default="draft",
+    )
+    device: EnumProperty(
+        name="Device",
+        description="What computes",
+        items=(
+            ("auto", "Automatic", "CUDA where there is one, otherwise the processor"),
+            ("cpu", "Processor", "Works everywhere"),
+            ("cuda", "CUDA", "A graphics card made by NVIDIA"),
+        ),
+        default="auto",
+    )
+    result: StringProperty(
+        name="Shown result",
+        description="Result folder that the panels Result, Relight and Export work with",
+        subtype="DIR_PATH",
+        update=lambda _settings, _context: read_shown(),
+    )
+    studio_light: EnumProperty(
+        name="Studio light",
+        description="Light that Blender ships",
+        items=STUDIO_LIGHTS,
+        default="studio",
+    )
+    rotation: FloatProperty(
+        name="Rotation",
+        description="Turn of the light about the up axis, counter-clockwise seen from above",
+        subtype="ANGLE",
+        soft_min=-3.141592653589793,
+        soft_max=3.141592653589793,
+        update=lambda settings, _context: turn_light(settings.id_data, settings.rotation),
+    )
+    turntable_frames: IntProperty(
+        name="Frames",
+        description="Frames of a full turn of the light",
+        default=48,
+        min=2,
+        soft_max=240,
+    )
+    use_sun_lamp: BoolProperty(
+        name="Sun as a lamp",
+        description="Give a recovered sun as a Sun lamp, so that its shadows stay crisp",
+        default=True,
+        update=lambda settings, _context: use_lamps(settings.id_data, settings.use_sun_lamp),
+    )
+
+
+class ROBIR_PG_state(bpy.types.PropertyGroup):
+    """What goes on at this moment; emptied when a file is opened."""
+
+    task: StringProperty(
+        description='"" idle, "look", "reconstruct", "install", "check_engine", "remove_engine", '
+        '"turntable" or "lights"'
+    )
+    fraction: FloatProperty(description="Share of the task that is done", min=0.0, max=1.0)
+    stage: StringProperty(description="Stage of the reconstruction at work")
+    message: StringProperty(description="What is being done")
+    seconds_left: FloatProperty(description="Estimated seconds to the end; -1 unknown", default=-1)
+    held_out_psnr: FloatProperty(
+        description="Agreement with photographs kept aside, dB; -1 unknown", default=-1
+    )
+    job: StringProperty(description="Result folder of the reconstruction at work")
+    error: StringProperty(description="What went wrong, one sentence")
+    error_cure: StringProperty(description="What to do about it")
+    looked_at: StringProperty(description="Capture that was looked at, as the settings name it")
+    recognised: StringProperty(description="What it was recognised as")
+    findings: CollectionProperty(type=ROBIR_PG_finding, description="Findings of the check")
+    engine_text: StringProperty(description="What the last check of the engine said")
+    engine_ok: BoolProperty(description="The engine was checked and works")
+    preview_serial: IntProperty(description="Goes up when the preview picture was read again")
+
+
+CLASSES = (ROBIR_PG_finding, ROBIR_PG_photograph, ROBIR_PG_settings, ROBIR_PG_state)
+
+
+def register() -> None:
+    """Attach the groups to scenes and to the window manager."""
+    bpy.types.Scene.robir = PointerProperty(type=ROBIR_PG_settings)
+    bpy.types.WindowManager.robir = PointerProperty(
+        type=ROBIR_PG_state, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    bpy.app.handlers.load_post.append(_forget_state)
+
+
+def unregister() -> None:
+    """Detach the groups; what files have saved stays in them."""
+    bpy.app.handlers.load_post.remove(_forget_state)
+    del bpy.types.WindowManager.robir
+    del bpy.types.Scene.robir
+
+
+@persistent
+def _forget_state(*_: object) -> None:
+    """Empty the state: it speaks of the capture of the file that was open before."""
+    for manager in bpy.data.window_managers:
+        manager.property_unset("robir")

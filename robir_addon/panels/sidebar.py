@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sidebar's tab, its panels in order of work; they draw what is known and decide nothing.
+
+What the result's report says was read by `summary`, what goes on comes from
+`WindowManager.robir`, which `monitor` fills; drawing itself reads nothing.
+"""
+
+from pathlib import Path
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from ..capture.photographs import draw_photographs
+from ..capture.recent import recent_captures
+from ..capture.viewport import COLLECTION
+from ..operators.photographs import can_leave_out
+from ..paragraphs import paragraph
+from ..relighting.lights import SHOWN_LIGHTS, STUDIO_LIGHTS, shown_light, strength_of
+from ..relighting.pictures import light_pictures
+from ..result.summary import shown_summary
+from ..words import words
+from ..work import batch, growth
+from ..work.worker import shown_box
+from .drawing import Panel, big, install_text, preferences_button, progress, split
+from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
+
+_FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
+_QUEUE_ICONS = {"failed": "CANCEL", "running": "PLAY", "done": "CHECKMARK", "dropped": "X"}
+_STAGES = {
+    "capture": "Photographs",
+    "geometry": "Shape",
+    "transport": "Visibility",
+    "appearance": "Light and materials",
+    "export": "Files and report",
+}
+
+
+class ROBIR_PT_capture(Panel, bpy.types.Panel):
+    """Which photographs, and what they were recognised as."""
+
+    bl_label = "Capture"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Choose a folder; then its name and what is in it."""
+        layout = self.layout
+        settings, state = context.scene.robir, context.window_manager.robir
+        if not settings.capture:
+            big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
+            paragraph(
+                layout,
+                context,
+                words(
+                    "Or drop its transforms.json, cameras.bin, cameras_sphere.npz or "
+                    "poses_bounds.npy into the viewport"
+                ),
+                "INFO",
+            )
+            layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
+            for capture in recent_captures():
+                recent = layout.operator(
+                    "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False
+                )
+                recent.directory = capture
+            return
+        row = layout.row(align=True)
+        row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
+        cameras = bpy.data.collections.get(COLLECTION)
+        if cameras is not None:
+            # the icon that Blender has one before this stands for the other state
+            row.prop(cameras, "hide_viewport", text="", icon="HIDE_OFF")
+        row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
+        row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
+        row.operator("robir.clear_capture", text="", icon="X")
+        if state.task == "look":
+            progress(layout, context)
+        elif state.recognised and _is_looked_at(context):
+            paragraph(layout, context, state.recognised, "CHECKMARK")
+        choices = split(layout)
+        choices.prop(settings, "masks")
+        row = choices.row(align=True)
+        row.prop(settings, "box")
+        if shown_box(settings) is None:
+            row.operator("robir.add_box", text="", icon="ADD")
+        draw_photographs(layout, settings)
+
+
+class ROBIR_PT_check(Panel, bpy.types.Panel):
+    """Findings of the check, worst first, each with its cure."""
+
+    bl_label = "Check"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a capture was looked at."""
+        state = context.window_manager.robir
+        return _is_looked_at(context) and bool(state.recognised or state.findings)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Faults in boxes; what is only good to know folded away."""
+        layout, settings = self.layout, context.scene.robir
+        findings = list(context.window_manager.robir.findings)
+        faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
+        notes = [f for f in findings if f.level == "note"]
+        if not faults:
+            layout.label(text="No faults found", icon="CHECKMARK")
+        place = layout
+        if faults and settings.result:  # out of the way of what comes next
+            header, place = layout.panel("ROBIR_faults", default_closed=True)
+            text = words("Faults ({count})", count=len(faults))
+            header.label(text=text, icon=_FAULT_ICONS[faults[0].level])
+        for fault in faults if place else ():
+            box = place.box()
+            paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
+            if fault.cure:
+                paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+            if can_leave_out(fault, settings):
+                box.operator("robir.leave_out").finding = findings.index(fault)
+        if notes:
+            header, body = layout.panel("ROBIR_notes", default_closed=True)
+            header.label(text=words("Good to know ({count})", count=len(notes)))
+            for note in notes if body is not None else ():
+                paragraph(body, context, f"{note.text}. {note.cure}" if note.cure else note.text)
+
+
+class ROBIR_PT_presets(PresetPanel, bpy.types.Panel):
+    """Sets of choices under a name."""
+
+    bl_label = "Reconstruction Presets"
+    preset_subdir = ROBIR_MT_presets.preset_subdir
+    preset_operator = ROBIR_MT_presets.preset_operator
+    preset_add_operator = ROBIR_OT_add_preset.bl_idname
+
+
+class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
+    """The few choices that matter, one button, and how far it is."""
+
+    bl_label = "Reconstruct"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """The list of presets."""
+        ROBIR_PT_presets.draw_panel_header(self.layout)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Choices while nothing runs, progress while it does."""
+        state = context.window_manager.robir
+        if state.task == "reconstruct":
+            self._draw_running(context)
+            return
+        settings, layout = context.scene.robir, self.layout
+        column = split(layout)
+        column.prop(settings, "preset")
+        column.prop(settings, "device")
+        column.prop(settings, "out")
+        row = big(layout)
+        row.operator("robir.reconstruct", icon="PLAY")
+        row.operator("robir.attach", text="", icon="LINKED")
+        layout.operator("robir.delight", icon="SHADING_TEXTURE")
+
+    def _draw_running(self, context: bpy.types.Context) -> None:
+        state, layout = context.window_manager.robir, self.layout
+        if state.stage:
+            layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
+        progress(layout, context)
+        if state.held_out_psnr >= 0.0:
+            text = words("{psnr:.1f} dB on photographs kept aside", psnr=state.held_out_psnr)
+            paragraph(layout, context, text)
+        pictures = layout.row(align=True)
+        for icon in growth.icons():
+            pictures.template_icon(icon_value=icon, scale=5.5)
+
+
+class ROBIR_PT_result(Panel, bpy.types.Panel):
+    """What came out, beside what went in."""
+
+    bl_label = "Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The result's name, what its report says, and ways to look at it."""
+        layout, settings = self.layout, context.scene.robir
+        if not settings.result:
+            layout.operator("robir.import_result", icon="IMPORT")
+            return
+        row = layout.row(align=True)
+        row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
+        row.operator("robir.import_result", text="", icon="FILEBROWSER")
+        row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
+        row.operator("robir.remove_result", text="", icon="X")
+        column = layout.column(align=True)
+        compare = column.row(align=True)
+        compare.operator("robir.compare", icon="IMAGE_REFERENCE")
+        compare.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
+        column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
+        column.operator("robir.match_view_transform", icon="COLOR")
+        column.operator("robir.open_report", icon="URL")
+        summary = shown_summary(settings)
+        if summary is None:
+            return
+        paragraph(layout, context, summary.facts[0])
+        header, body = layout.panel("ROBIR_choices", default_closed=True)
+        header.label(text="What the model chose")
+        if body is not None:
+            facts = body.column(align=True)
+            for fact in summary.facts[1:]:
+                paragraph(facts, context, fact, "DOT")
+            for chosen, why in summary.choices:
+                paragraph(body, context, chosen)
+                paragraph(body, context, why).active = False
+        if summary.warnings:
+            header, body = layout.panel("ROBIR_warnings", default_closed=True)
+            text = words("Warnings ({count})", count=len(summary.warnings))
+            header.label(text=text, icon="ERROR")
+            for warning in summary.warnings if body is not None else ():
+                paragraph(body, context, warning)
+
+
+class ROBIR_PT_place(Panel, bpy.types.Panel):
+    """The result in its real size, and what is not wanted of it."""
+
+    bl_label = "Size and Place"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Two buttons that move all, two that delete parts."""
+        column = self.layout.column(align=True)
+        column.operator("robir.set_real_size", icon="DRIVER_DISTANCE")
+        column.operator("robir.stand_on_floor", icon="TRIA_DOWN_BAR")
+        column = self.layout.column(align=True)
+        column.operator("robir.drop_ground", icon="MOD_BOOLEAN")
+        column.operator("robir.crop_to_box", icon="MESH_CUBE")
+
+
+class ROBIR_PT_relight(Panel, bpy.types.Panel):
+    """The recovered light, or another."""
+
+    bl_label = "Relight"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Lights to choose from, how they are turned, and a film of that."""
+        layout, settings = self.layout, context.scene.robir
+        shown, strength = shown_light(context.scene), strength_of(context.scene)
+        pictures = light_pictures(settings.result)
+        if pictures:
+            self._draw_pictures(shown if strength is not None else None, pictures)
+        else:
+            self._draw_list(shown if strength is not None else None)
+        is_other = bool(shown) and all(shown != stem for stem, _, _ in STUDIO_LIGHTS)
+        layout.operator("robir.use_environment", icon="WORLD", depress=is_other)
+        column = split(layout)
+        if strength is not None:
+            column.prop(strength, "default_value", text="Strength")
+        column.prop(settings, "rotation")
+        column.prop(settings, "use_sun_lamp")
+        column.prop(settings, "turntable_frames")
+        if context.window_manager.robir.task in ("turntable", "lights"):
+            progress(layout, context)
+            return
+        layout.operator("robir.turntable", icon="RENDER_ANIMATION")
+        if not pictures:
+            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
+
+    def _draw_pictures(self, shown: str | None, pictures: dict[str, int]) -> None:
+        """This object under each light; the one that shines is pressed."""
+        grid = self.layout.grid_flow(columns=3, even_columns=True, row_major=True)
+        for stem, name, _ in SHOWN_LIGHTS:
+            cell = grid.column(align=True)
+            cell.template_icon(icon_value=pictures.get(stem, 0), scale=4.5)
+            look = {"text": words(name), "translate": False, "depress": stem == shown}
+            if stem:
+                cell.operator("robir.use_studio_light", **look).light = stem
+            else:
+                cell.operator("robir.use_recovered_light", **look)
+
+    def _draw_list(self, shown: str | None) -> None:
+        """The same by name, before there are pictures."""
+        column = self.layout.column(align=True)
+        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=shown == "")
+        studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
+        text = "Studio Light: {light}" if studio else "Studio Light"
+        column.operator_menu_enum(
+            "robir.use_studio_light",
+            "light",
+            text=words(text, light=words(studio)),
+            icon="LIGHTPROBE_SPHERE",
+        )
+
+
+class ROBIR_PT_export(Panel, bpy.types.Panel):
+    """The result in files for other programs."""
+
+    bl_label = "Export"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One button a kind of file."""
+        column = self.layout.column(align=True)
+        column.operator("robir.export_glb", icon="FILE_3D")
+        column.operator("robir.export_usd", icon="FILE_3D")
+        column.operator("robir.export_textures", icon="TEXTURE")
+        column.operator("robir.mark_asset", icon="ASSET_MANAGER")
+
+
+class ROBIR_PT_library(Panel, bpy.types.Panel):
+    """Many captures: what is done of them, and their assets."""
+
+    bl_label = "Library"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The folder, what is at work, and what failed or waits, one line each."""
+        layout, known = self.layout, batch.shown()
+        split(layout).prop(context.scene.robir, "library")
+        row = big(layout)
+        if known.is_live:
+            row.operator("robir.stop_batch", icon="PAUSE")
+        else:
+            row.operator("robir.run_batch", icon="PLAY")
+        if known.captures:
+            layout.progress(factor=known.fraction, type="BAR", text=known.text)
+        for name, state, message in known.captures[: batch.MOST]:
+            line = layout.row(align=True)
+            text = f"{name}: {message}" if message else name
+            line.label(text=text, icon=_QUEUE_ICONS.get(state, "DOT"), translate=False)
+            if state in ("waiting", "running"):
+                line.operator("robir.drop_from_batch", text="", icon="X").name = name
+        if len(known.captures) > batch.MOST:
+            more = words("and {count} more", count=len(known.captures) - batch.MOST)
+            layout.label(text=more, translate=False)
+        layout.operator("robir.add_library", icon="ASSET_MANAGER")
+
+
+class ROBIR_PT_engine(Panel, bpy.types.Panel):
+    """What computes: whether it works, and how to get it."""
+
+    bl_label = "Engine"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """What the last check said, and what can be done."""
+        layout, state = self.layout, context.window_manager.robir
+        if state.engine_text:
+            icon = "CHECKMARK" if state.engine_ok else "ERROR"
+            paragraph(layout, context, state.engine_text, icon)
+        if state.task in ("install", "check_engine", "remove_engine"):
+            progress(layout, context)
+        column = layout.column(align=True)
+        column.operator("robir.check_engine", icon="CHECKMARK")
+        column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
+        column.operator("robir.remove_engine", icon="TRASH")
+        preferences_button(layout, text=words("Preferences"))
+
+
+def _is_looked_at(context: bpy.types.Context) -> bool:
+    """Whether what is known is about the chosen capture, which undo may have changed."""
+    looked_at = context.window_manager.robir.looked_at
+    return bool(looked_at) and looked_at == context.scene.robir.capture
+
+
+def _name(folder: str) -> str:
+    return Path(bpy.path.abspath(folder)).name
+
+
+CLASSES = (
+    ROBIR_PT_presets,
+    ROBIR_PT_capture,
+    ROBIR_PT_check,
+    ROBIR_PT_reconstruct,
+    ROBIR_PT_result,
+    ROBIR_PT_place,
+    ROBIR_PT_relight,
+    ROBIR_PT_export,
+    ROBIR_PT_library,
+    ROBIR_PT_engine,
+)

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of a result: its World, its Sun lamps, other environments, and how they are turned.
+
+A recovered sun is shown in one of two ways: as a Sun lamp beside an environment without it, or as
+part of the whole environment. Any other environment hides the lamps. The World that a scene had
+before is remembered in the scene, so that it can be given back.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import bpy
+from mathutils import Quaternion, Vector
+
+from ..blocks import MARK, enable_nodes, load_image, reload_image, with_mark
+from ..engine import Sentence
+from ..errors import ResultError
+from ..gateway import JobPaths
+
+STUDIO_LIGHTS = (
+    ("city", "City", "Street between buildings under an open sky"),
+    ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
+    ("forest", "Forest", "Sky through trees, green from below"),
+    ("interior", "Interior", "Room lit by its windows"),
+    ("night", "Night", "Few small lamps in the dark"),
+    ("studio", "Studio", "Two large soft boxes"),
+    ("sunrise", "Sunrise", "Low sun and a clear sky; long shadows"),
+    ("sunset", "Sunset", "Warm light from the horizon"),
+)
+"""Environment maps that Blender ships: file stem, name, tool-tip."""
+
+SHOWN_LIGHTS = (("", Sentence("Recovered"), "Light of the photographs"), *STUDIO_LIGHTS)
+"""What the lights' pictures show."""
+
+_BEFORE = "robir_world_before"
+_WHOLE = "robir_whole_light"
+_WITHOUT_SUN = "robir_light_without_sun"
+_TOWARDS = "robir_towards_light"
+
+
+def add_lamps(lamps: list[dict[str, Any]], name: str, mark: str) -> list[bpy.types.Object]:
+    """Sun lamps, not yet linked to a collection.
+
+    Args:
+        lamps: The "sun_lamps" of light.json.
+        name: Name of the result.
+        mark: Result folder they belong to.
+
+    Returns:
+        One object a lamp. Blender's strength of a Sun lamp is the irradiance of a surface that
+        faces it, whatever the lamp's angle.
+    """
+    made = []
+    for lamp in lamps:
+        data = bpy.data.lights.new(f"{name} sun", "SUN")
+        strongest = max(lamp["irradiance"])
+        data.energy = strongest
+        data.color = [channel / max(strongest, 1e-12) for channel in lamp["irradiance"]]
+        data.angle = lamp["angular_diameter"]
+        sun = bpy.data.objects.new(data.name, data)
+        for block in (data, sun):
+            block[MARK] = mark
+        sun[_TOWARDS] = lamp["direction"]
+        sun.rotation_mode = "QUATERNION"
+        _aim(sun, 0.0)
+        made.append(sun)
+    return made
+
+
+def make_world(name: str, paths: JobPaths, mark: str) -> bpy.types.World:
+    """The World of a result, made anew or emptied; `show_recovered_light` fills it.
+
+    Both images of the recovered light are kept by the World, so that a saved file has them.
+    """
+    known = with_mark(bpy.data.worlds, mark)
+    world = known[0] if known else bpy.data.worlds.new(name)
+    world[MARK] = mark
+    enable_nodes(world)
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes.clear()
+    place = nodes.new("ShaderNodeTexCoord")
+    turn = nodes.new("ShaderNodeMapping")
+    picture = nodes.new("ShaderNodeTexEnvironment")
+    background = nodes.new("ShaderNodeBackground")
+    output = nodes.new("ShaderNodeOutputWorld")
+    for column, node in enumerate((place, turn, picture, background, output)):
+        node.location = (220 * column - 800, 0)
+    links.new(place.outputs["Generated"], turn.inputs["Vector"])
+    links.new(turn.outputs["Vector"], picture.inputs["Vector"])
+    links.new(picture.outputs["Color"], background.inputs["Color"])
+    links.new(background.outputs["Background"], output.inputs["Surface"])
+    world[_WHOLE] = load_image(paths.environment, "Linear Rec.709", mark)
+    if paths.environment_without_sun.is_file():
+        world[_WITHOUT_SUN] = load_image(paths.environment_without_sun, "Linear Rec.709", mark)
+    elif _WITHOUT_SUN in world:
+        del world[_WITHOUT_SUN]
+    return world
+
+
+def refresh_world(world: bpy.types.World, paths: JobPaths) -> None:
+    """Read the recovered light anew; nodes, strength and another chosen light stay.
+
+    Args:
+        world: One that `make_world` made.
+        paths: Of its result folder.
+
+    Raises:
+        ResultError: If a file is missing or damaged.
+    """
+    reload_image(world[_WHOLE])
+    if not paths.environment_without_sun.is_file():
+        _forget_sun(world)
+    elif _WITHOUT_SUN in world:
+        reload_image(world[_WITHOUT_SUN])
+    else:
+        world[_WITHOUT_SUN] = load_image(
+            paths.environment_without_sun, "Linear Rec.709", world[MARK]
+        )
+
+
+def _forget_sun(world: bpy.types.World) -> None:
+    """The light has no sun that could be a lamp: where that was shown, the whole light is."""
+    without = world.get(_WITHOUT_SUN)
+    if without is None:
+        return
+    for node in world.node_tree.nodes:
+        if node.type == "TEX_ENVIRONMENT" and node.image == without:
+            node.image = world[_WHOLE]
+    del world[_WITHOUT_SUN]
+
+
+def are_lit(lamps: list[bpy.types.Object]) -> bool:
+    """Whether one of the lamps shines."""
+    return any(not lamp.hide_render for lamp in lamps)
+
+
+def light_lamps(scene: bpy.types.Scene, mark: str, lit: bool) -> None:
+    """Light or hide a result's lamps; those of other results in the scene are hidden."""
+    for lamp in [o for o in scene.objects if _TOWARDS in o and MARK in o]:
+        lamp.hide_render = lamp.hide_viewport = not (lit and lamp[MARK] == mark)
+
+
+def world_of(mark: str) -> bpy.types.World | None:
+    """The World of an imported result."""
+    return next(iter(with_mark(bpy.data.worlds, mark)), None)
+
+
+def lamps_of(mark: str) -> list[bpy.types.Object]:
+    """The Sun lamps of an imported result."""
+    return [o for o in with_mark(bpy.data.objects, mark) if _TOWARDS in o]
+
+
+def show_recovered_light(
+    scene: bpy.types.Scene, world: bpy.types.World, use_sun_lamp: bool
+) -> None:
+    """Light the scene as the photographs were.
+
+    Args:
+        scene: Scene to light; its own World is remembered.
+        world: One that `make_world` made.
+        use_sun_lamp: Whether a recovered sun is a lamp or part of the environment.
+    """
+    without = world.get(_WITHOUT_SUN)
+    as_lamp = use_sun_lamp and without is not None and bool(lamps_of(world[MARK]))
+    _show(scene, world, without if as_lamp else world[_WHOLE])
+    light_lamps(scene, world[MARK], as_lamp)
+
+
+def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path) -> None:
+    """Light the scene with another lat-long image, and with no lamp of ours.
+
+    Args:
+        scene: Scene to light; its own World is remembered.
+        world: One that `make_world` made.
+        file: .exr or .hdr, linear Rec.709.
+
+    Raises:
+        ResultError: If the file is missing or damaged.
+    """
+    picture = _node(world, "TEX_ENVIRONMENT").image
+    if picture is None or environment_file(world) != file:
+        picture = load_image(file, "Linear Rec.709", world[MARK])
+    _show(scene, world, picture)
+    light_lamps(scene, world[MARK], False)
+
+
+def shows_recovered_light(world: bpy.types.World) -> bool:
+    """Whether the World holds the recovered light, rather than another environment."""
+    known = [image for image in (world.get(_WHOLE), world.get(_WITHOUT_SUN)) if image]
+    return any(n.type == "TEX_ENVIRONMENT" and n.image in known for n in world.node_tree.nodes)
+
+
+def environment_file(world: bpy.types.World) -> Path:
+    """File of the environment that the World shows."""
+    return Path(os.path.normpath(bpy.path.abspath(_node(world, "TEX_ENVIRONMENT").image.filepath)))
+
+
+def shown_light(scene: bpy.types.Scene) -> str:
+    """Stem of the file whose light shines; empty for the recovered light or none of ours."""
+    world = scene.world
+    if world is None or MARK not in world or shows_recovered_light(world):
+        return ""
+    pictures = (n.image for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
+    return next((Path(image.filepath).stem for image in pictures if image is not None), "")
+
+
+def strength_of(scene: bpy.types.Scene) -> bpy.types.NodeSocket | None:
+    """What says how strong the light of the scene's World is, if the World is one of ours."""
+    world = scene.world
+    if world is None or MARK not in world:
+        return None
+    found = (n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    return next((node.inputs["Strength"] for node in found), None)
+
+
+def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
+    """Change how the recovered light is given; nothing happens while another light shines."""
+    world = scene.world
+    if world is not None and MARK in world and shows_recovered_light(world):
+        show_recovered_light(scene, world, use_sun_lamp)
+
+
+def turn_light(scene: bpy.types.Scene, rotation: float) -> None:
+    """Turn the light of the scene's World, if it is one of ours, and the lamps with it.
+
+    Args:
+        scene: Scene that is lit.
+        rotation: Radians about the up axis, counter-clockwise seen from above.
+    """
+    world = scene.world
+    if world is None or MARK not in world:
+        return
+    for node in world.node_tree.nodes:  # none, if the user rebuilt the World
+        if node.type == "MAPPING":
+            # it turns the direction that is looked up, so the picture turns the other way
+            node.inputs["Rotation"].default_value = (0.0, 0.0, -rotation)
+    for lamp in lamps_of(world[MARK]):
+        _aim(lamp, rotation)
+
+
+def give_back_world(scene: bpy.types.Scene) -> None:
+    """Light the scene by the World it had before the first import."""
+    scene.world = scene.get(_BEFORE)
+    if _BEFORE in scene:
+        del scene[_BEFORE]
+
+
+def _show(scene: bpy.types.Scene, world: bpy.types.World, picture: bpy.types.Image) -> None:
+    before = scene.world
+    if before is not None and MARK not in before:
+        scene[_BEFORE] = before  # a user of the data-block, so that saving keeps it
+    scene.world = world
+    node = _node(world, "TEX_ENVIRONMENT")
+    replaced, node.image = node.image, picture
+    if replaced is not None and replaced.users == 0 and replaced.get(MARK) == world[MARK]:
+        bpy.data.images.remove(replaced)
+
+
+def _aim(lamp: bpy.types.Object, rotation: float) -> None:
+    """A Sun lamp shines along its -z axis."""
+    towards = Vector(lamp[_TOWARDS]).to_track_quat("Z", "Y")
+    lamp.rotation_quaternion = Quaternion((0.0, 0.0, 1.0), rotation) @ towards
+
+
+def _node(world: bpy.types.World, kind: str) -> bpy.types.Node:
+    found = next((node for node in world.node_tree.nodes if node.type == kind), None)
+    if found is None:
+        raise ResultError("the World {name} was rebuilt; import the result again", name=world.name)
+    return found

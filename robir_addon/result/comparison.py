@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One view of a result as four pictures side by side: photograph, re-render, albedo, roughness."""
+
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mathutils import Vector
+from mathutils.bvhtree import BVHTree
+
+from ..errors import ResultError
+from ..gateway import JobPaths
+from .glb import GlbMesh, read_glb
+from .pictures import read_codes
+
+MAX_SIDE = 400
+"""Longer side of one picture, pixels; a ray is traced for each."""
+
+_MARGIN = 0.04
+_GAP = 0.02
+
+
+_DAMAGE = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged file of arrays raises."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Pictures of one view.
+
+    Attributes:
+        view: The view's name.
+        rendered_by: "Cycles" or "RobIR", whichever made the re-render.
+        codes: (H, W, 4) all four beside each other, row 0 at the bottom.
+    """
+
+    view: str
+    rendered_by: str
+    codes: np.ndarray
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """A view of the capture that was rendered again.
+
+    Attributes:
+        entry: The view in cameras.json.
+        rendered_by: "Cycles" or "RobIR".
+        picture: (H, W, 4) codes, row 0 at the bottom.
+    """
+
+    entry: dict[str, Any]
+    rendered_by: str
+    picture: np.ndarray
+
+
+def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> RenderedView:
+    """The re-render of a view, by Cycles where there is one, else by the solver.
+
+    Args:
+        paths: Of the result folder.
+        table: Contents of cameras.json.
+        view: Name of the view; "" takes the first one that Cycles rendered, else the first.
+
+    Raises:
+        ResultError: If no such view was rendered again, or a file is damaged.
+    """
+    own, cycles = _own_renders(paths), _cycles_renders(paths)
+    views = {entry["name"]: entry for entry in table["views"]}
+    rendered = [*_in_order(views, cycles), *_in_order(views, own)]
+    chosen = view or next(iter(rendered), "")
+    if chosen not in rendered:
+        known = ", ".join(sorted(set(rendered))) or "none"
+        raise ResultError(
+            "view {view!r} was not rendered again; choose one of: {known}", view=chosen, known=known
+        )
+    if chosen in cycles:
+        return RenderedView(views[chosen], "Cycles", read_codes(cycles[chosen]))
+    return RenderedView(views[chosen], "RobIR", own[chosen])
+
+
+def neighbour(paths: JobPaths, table: dict[str, Any], view: str, step: int) -> str:
+    """The view some steps farther among those that were rendered again, round and round.
+
+    Raises:
+        ResultError: If a file is damaged.
+    """
+    views = [entry["name"] for entry in table["views"]]
+    known = _in_order(views, {**_own_renders(paths), **_cycles_renders(paths)})
+    return known[(known.index(view) + step) % len(known)] if view in known else view
+
+
+def _in_order(views: Iterable[str], rendered: Mapping[str, object]) -> list[str]:
+    return [name for name in views if name in rendered]
+
+
+def compare(paths: JobPaths, table: dict[str, Any], view: str = "") -> Comparison:
+    """Put the pictures of a view beside each other, cut to the object.
+
+    Args:
+        paths: Of the result folder.
+        table: Contents of cameras.json.
+        view: Name of the view; "" takes the first one that was rendered again.
+
+    Raises:
+        ResultError: If no such view was rendered again, or a file is missing.
+    """
+    again = rendered_view(paths, table, view)
+    entry = again.entry
+    longer = max(entry["width"], entry["height"])
+    # small photographs are shown in whole multiples, so that the textures show more than they do
+    scale = MAX_SIDE / longer if longer > MAX_SIDE else MAX_SIDE // longer
+    size = (max(1, round(entry["width"] * scale)), max(1, round(entry["height"] * scale)))
+    photo = read_codes(paths.cameras.parent / entry["image"])
+    textures = _seen_textures(paths, entry, size)
+    pictures = _cut([_scaled(photo, size), _scaled(again.picture, size), *textures])
+    gap = np.zeros((pictures[0].shape[0], max(1, round(_GAP * pictures[0].shape[1])), 4))
+    beside = [part for picture in pictures for part in (gap, picture)][1:]
+    return Comparison(entry["name"], again.rendered_by, np.concatenate(beside, axis=1))
+
+
+def _cycles_renders(paths: JobPaths) -> dict[str, Path]:
+    prefix = "rerender_"
+    files = sorted(paths.renders.glob(f"{prefix}*.png"))
+    return {file.stem.removeprefix(prefix): file for file in files}
+
+
+def _own_renders(paths: JobPaths) -> dict[str, np.ndarray]:
+    """The solver's own pictures by view, codes 0..1, row 0 at the bottom."""
+    file = paths.stage("appearance") / "held_out.npz"
+    if not file.is_file():
+        return {}
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: _with_alpha(arrays[name][::-1] / 255.0) for name in arrays.files}
+    except _DAMAGE as fault:
+        raise ResultError(
+            "{file} is damaged ({fault}); reconstruct again", file=file, fault=fault
+        ) from fault
+
+
+def _with_alpha(codes: np.ndarray) -> np.ndarray:
+    if codes.shape[-1] == 4:
+        return codes
+    return np.concatenate([codes, np.ones((*codes.shape[:2], 1))], axis=-1)
+
+
+def _scaled(codes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A picture at another size: nearest pixels where it grows, means of them where it shrinks."""
+    for axis, wanted in ((0, size[1]), (1, size[0])):
+        have = codes.shape[axis]
+        if wanted < have:
+            first = np.arange(wanted) * have // wanted
+            shape = [-1 if a == axis else 1 for a in range(codes.ndim)]
+            counts = np.diff(np.append(first, have)).reshape(shape)
+            codes = np.add.reduceat(codes, first, axis=axis) / counts
+        else:
+            codes = codes.take(np.arange(wanted) * have // wanted, axis=axis)
+    return codes
+
+
+def _seen_textures(
+    paths: JobPaths, view: dict[str, Any], size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo and roughness as the view's camera sees them, without light."""
+    uv, hit = _surface_seen(read_glb(paths.asset), view, size)
+    pictures = []
+    for name in ("albedo", "roughness"):
+        texture = read_codes(paths.textures / f"{name}.png")
+        side = np.array(texture.shape[1::-1])
+        column, row = np.clip((uv * side).astype(int), 0, side - 1).T
+        seen = np.zeros((size[1], size[0], 4))
+        seen[hit] = texture[row, column]
+        seen[..., 3] = hit
+        pictures.append(seen)
+    return pictures[0], pictures[1]
+
+
+def _surface_seen(
+    mesh: GlbMesh, view: dict[str, Any], size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates (M, 2) of the M pixels that see the surface, and which (H, W) these are.
+
+    One ray through the middle of each pixel, row 0 at the bottom.
+    """
+    tree = BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist(), all_triangles=True)
+    pose = np.array(view["camera_to_world"])
+    columns = (np.arange(size[0]) + 0.5) / size[0] * view["width"]
+    rows = (1.0 - (np.arange(size[1]) + 0.5) / size[1]) * view["height"]
+    x, y = np.meshgrid((columns - view["cx"]) / view["fx"], (view["cy"] - rows) / view["fy"])
+    rays = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ pose[:3, :3].T
+    origin = Vector(pose[:3, 3])
+    found = [tree.ray_cast(origin, Vector(ray)) for ray in rays.tolist()]
+    hit = np.array([index is not None for _, _, index, _ in found], bool)
+    points = np.array([place[:] for place, _, index, _ in found if index is not None])
+    face = np.array([index for _, _, index, _ in found if index is not None], int)
+    if len(face) == 0:
+        return np.zeros((0, 2)), hit.reshape(size[1], size[0])
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]].astype(float), 1, 0)
+    normal = np.cross(b - a, c - a)
+    whole = np.maximum((normal**2).sum(axis=-1), 1e-30)
+    share_b = (np.cross(c - a, a - points) * normal).sum(axis=-1) / whole
+    share_c = (np.cross(a - b, b - points) * normal).sum(axis=-1) / whole
+    shares = np.stack([1.0 - share_b - share_c, share_b, share_c], axis=-1)
+    uv = (shares[..., None] * mesh.corner_uvs[face]).sum(axis=1)
+    return uv, hit.reshape(size[1], size[0])
+
+
+def _cut(pictures: list[np.ndarray]) -> list[np.ndarray]:
+    """The part of all pictures that holds the object in the first or the last, with a margin.
+
+    The re-render may lack an outline of its own.
+    """
+    seen = np.any([picture[..., 3] > 0.0 for picture in (pictures[0], pictures[-1])], axis=0)
+    if not seen.any():
+        return pictures
+    rows, columns = np.nonzero(seen.any(axis=1))[0], np.nonzero(seen.any(axis=0))[0]
+    margin = max(1, round(_MARGIN * max(seen.shape)))
+    low = max(0, rows[0] - margin), max(0, columns[0] - margin)
+    high = rows[-1] + 1 + margin, columns[-1] + 1 + margin
+    return [picture[low[0] : high[0], low[1] : high[1]] for picture in pictures]

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads the mesh of an asset.glb that RobIR wrote, back into the capture's frame (numpy only)."""
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ResultError
+
+_DAMAGE = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+    struct.error,
+)  # fmt: skip
+"""What reading a damaged asset raises."""
+
+_TYPES = {5126: np.float32, 5125: np.uint32}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+
+
+@dataclass(frozen=True)
+class GlbMesh:
+    """Triangles with what each corner carries.
+
+    Attributes:
+        name: Name of the mesh.
+        vertices: (N, 3) positions, capture frame; seams of the texture are closed.
+        faces: (F, 3) indices into vertices.
+        corner_normals: (F, 3, 3) unit normals.
+        corner_uvs: (F, 3, 2) texture coordinates, v upwards.
+        specular: 1 where what is no metal reflects as any paint, 0 where it does not.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    corner_normals: np.ndarray
+    corner_uvs: np.ndarray
+    specular: float
+
+
+def read_glb(path: Path) -> GlbMesh:
+    """Read an asset.
+
+    Raises:
+        ResultError: If the file is missing, damaged or not RobIR's.
+    """
+    try:
+        document, binary = _chunks(path.read_bytes())
+        mesh = document["meshes"][0]
+        primitive = mesh["primitives"][0]
+        arrays = {
+            name: _array(document, binary, index) for name, index in primitive["attributes"].items()
+        }
+        corners = _array(document, binary, primitive["indices"]).reshape(-1, 3)
+        position = _z_up(arrays["POSITION"])
+        normal, uv = _z_up(arrays["NORMAL"]), arrays["TEXCOORD_0"]
+        extensions = document["materials"][primitive["material"]].get("extensions", {})
+        specular = float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
+        _check(arrays, corners)
+        name = str(mesh["name"])
+    except _DAMAGE as fault:
+        raise ResultError(
+            "{file} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
+            "--resume to export it again",
+            file=path,
+            fault=fault,
+        ) from fault
+    vertices, welded = np.unique(position, axis=0, return_inverse=True)
+    return GlbMesh(
+        name=name,
+        vertices=vertices,
+        faces=welded.reshape(-1)[corners].astype(np.int32),
+        corner_normals=normal[corners],
+        corner_uvs=np.stack([uv[corners][..., 0], 1.0 - uv[corners][..., 1]], axis=-1),
+        specular=specular,
+    )
+
+
+def _check(arrays: dict[str, np.ndarray], corners: np.ndarray) -> None:
+    """Refuse arrays of unlike length, and corners that are not there."""
+    count = len(arrays["POSITION"])
+    lengths = {len(arrays[key]) for key in ("NORMAL", "TEXCOORD_0")}
+    if lengths != {count} or not len(corners) or corners.max() >= count:
+        raise ValueError("its vertices do not fit together")
+
+
+def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
+    """The JSON document and the binary chunk."""
+    magic, version, total = struct.unpack_from("<4sII", content)
+    if magic != b"glTF" or version != 2 or total != len(content):
+        raise ValueError("not a whole glTF 2 binary file")
+    (length,) = struct.unpack_from("<I", content, 12)
+    return json.loads(content[20 : 20 + length]), memoryview(content)[20 + length + 8 :]
+
+
+def _array(document: dict[str, Any], binary: memoryview, index: int) -> np.ndarray:
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    width = _WIDTHS[accessor["type"]]
+    values = np.frombuffer(
+        binary, _TYPES[accessor["componentType"]], accessor["count"] * width, view["byteOffset"]
+    )
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def _z_up(points: np.ndarray) -> np.ndarray:
+    """From glTF's y-up, the exact inverse of what the exporter did."""
+    return np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Brings a result folder into the open Blender file.
+
+One collection holds it all: the object with its Principled material, the capture's cameras with
+their photographs behind, and the recovered sun as a lamp. The recovered light becomes the scene's
+World; the World it had before is remembered. Importing the same folder again replaces mesh and
+pictures, cameras and lamps; what the user made, or made of the object and its light, is kept.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..blocks import MARK, remove_marked, with_mark
+from ..capture.cameras import VIEW, add_camera, use_camera
+from ..errors import ResultError
+from ..gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record, special_fault
+from ..relighting.lights import (
+    add_lamps,
+    are_lit,
+    give_back_world,
+    lamps_of,
+    light_lamps,
+    make_world,
+    refresh_world,
+    show_recovered_light,
+    shows_recovered_light,
+    turn_light,
+    world_of,
+)
+from .glb import GlbMesh, read_glb
+from .materials import add_asset, refresh_asset, texture_sockets
+from .placing import move_again
+
+_ROLE = "robir_role"
+
+_CAMERAS = {
+    "views": [CAMERA | {"image": str}],
+    "bounds": {"centre": NUMBERS, "radius": float},
+    "ground?": {"normal": NUMBERS, "offset": float},
+}
+_LAMP = {"irradiance": NUMBERS, "direction": NUMBERS, "angular_diameter": float}
+_LIGHT = {"sun_lamps?": [_LAMP]}
+_TONE_CURVE = {
+    "family": str,
+    "exposure": float,
+    "blender_view_transform": (None, str),
+    "blender_gamma?": float,
+}
+_RUN = {"preset": str, "device": str, "seed": int}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import made.
+
+    Attributes:
+        collection: Holds the object and the lamps, and a collection of the cameras.
+        asset: The reconstructed object.
+        cameras: One camera object a view, by the view's name.
+        lamps: Sun lamps, if the light has suns; hidden where the environment holds them.
+        world: The recovered light.
+    """
+
+    collection: bpy.types.Collection
+    asset: bpy.types.Object
+    cameras: dict[str, bpy.types.Object]
+    lamps: list[bpy.types.Object]
+    world: bpy.types.World
+
+
+def mark_of(root: Path) -> str:
+    """What the data-blocks of a result folder are marked with."""
+    return os.path.normpath(root.absolute())  # no look at the disk: polls ask for it
+
+
+def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = True) -> Imported:
+    """Import a finished result folder.
+
+    Args:
+        root: The result folder, OUT of `robir reconstruct`.
+        scene: Scene to put it into. Its view transform stays as it is, and so does its camera
+            if it has one.
+        use_sun_lamp: Give a recovered sun as a lamp; otherwise it is part of the environment.
+
+    Returns:
+        What was made.
+
+    Raises:
+        ResultError: If the folder holds no finished export; then nothing has changed.
+    """
+    mark = mark_of(root)
+    paths = JobPaths(Path(mark))
+    if fault := special_fault(paths):  # Blender would wait for ever where it opens a pipe
+        raise ResultError(fault)
+    table = read_cameras(paths)
+    views = table["views"]
+    # results of before there were lamps have none
+    suns = _read(paths.light, _LIGHT).get("sun_lamps", [])
+    mesh = read_glb(paths.asset)
+    needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
+    missing = next((file for file in needed if not file.is_file()), None)
+    if missing is not None:
+        raise ResultError("{file} is missing; export the result again", file=missing)
+    name = paths.root.name
+    before, world = asset_of(root), world_of(mark)
+    if before is not None and world is not None:
+        return _refresh(paths, scene, (table, suns, mesh), use_sun_lamp)
+    _remove_objects(mark)
+    collection = _collection(name, "result", mark, scene.collection)
+    stands = _collection(f"{name} cameras", "cameras", mark, collection)
+    asset = add_asset(mesh, name, paths, mark)
+    collection.objects.link(asset)
+    lamps = _add_lamps(suns, paths, table["bounds"], collection)
+    cameras = _add_cameras(paths, table, stands)
+    world = make_world(name, paths, mark)
+    show_recovered_light(scene, world, use_sun_lamp)
+    turn_light(scene, 0.0)
+    if scene.camera is None:
+        first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
+        use_camera(scene, cameras[first])
+    return Imported(collection, asset, cameras, lamps, world)
+
+
+def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> None:
+    """Bring the recovered light of a finished result folder into a scene, without its object.
+
+    Args:
+        root: The result folder.
+        scene: Scene to light.
+        use_sun_lamp: As for `import_result`.
+
+    Raises:
+        ResultError: If the folder holds no finished export; then nothing has changed.
+    """
+    mark = mark_of(root)
+    paths = JobPaths(Path(mark))
+    if fault := special_fault(paths):
+        raise ResultError(fault)
+    table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
+    for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):
+        if not file.is_file():
+            raise ResultError("{file} is missing; export the result again", file=file)
+    bpy.data.batch_remove(lamps_of(mark))
+    world = world_of(mark)
+    if world is None:
+        world = make_world(paths.root.name, paths, mark)
+    else:
+        refresh_world(world, paths)
+    collection = _collection(paths.root.name, "result", mark, scene.collection)
+    _add_lamps(suns, paths, table["bounds"], collection)
+    show_recovered_light(scene, world, use_sun_lamp)
+    turn_light(scene, scene.robir.rotation)
+
+
+def _refresh(
+    paths: JobPaths,
+    scene: bpy.types.Scene,
+    read: tuple[dict[str, Any], list[dict[str, Any]], GlbMesh],
+    use_sun_lamp: bool,
+) -> Imported:
+    """Replace what the worker made, and keep what the user has done with it.
+
+    The object keeps its name, place, modifiers, collections and material; the scene its camera and
+    its light, however that is turned.
+    """
+    table, suns, mesh = read
+    mark = mark_of(paths.root)
+    asset, world = asset_of(paths.root), world_of(mark)
+    refresh_asset(asset, mesh, paths)
+    refresh_world(world, paths)
+    were_lit = are_lit(lamps_of(mark))
+    chosen = scene.camera.get(VIEW) if scene.camera and scene.camera.get(MARK) == mark else None
+    others = [o for o in with_mark(bpy.data.objects, mark) if o.type in ("CAMERA", "LIGHT")]
+    bpy.data.batch_remove(others)
+    remove_marked(mark, bpy.data.cameras, bpy.data.lights)
+    bpy.data.batch_remove([i for i in with_mark(bpy.data.images, mark) if not i.users])
+    name = paths.root.name
+    collection = _collection(name, "result", mark, scene.collection)
+    stands = _collection(f"{name} cameras", "cameras", mark, collection)
+    lamps = _add_lamps(suns, paths, table["bounds"], collection)
+    cameras = _add_cameras(paths, table, stands)
+    move_again(asset, [*cameras.values(), *lamps])
+    if chosen in cameras:
+        scene.camera = cameras[chosen]
+    if scene.world == world and shows_recovered_light(world):
+        show_recovered_light(scene, world, use_sun_lamp)
+    else:
+        light_lamps(scene, mark, were_lit)
+    return Imported(collection, asset, cameras, lamps, world)
+
+
+def _add_lamps(
+    suns: list[dict[str, Any]],
+    paths: JobPaths,
+    bounds: dict[str, Any],
+    collection: bpy.types.Collection,
+) -> list[bpy.types.Object]:
+    lamps = add_lamps(suns, paths.root.name, mark_of(paths.root))
+    for lamp in lamps:  # a lamp shines from everywhere along its direction; this is for the eye
+        towards = lamp.rotation_quaternion.to_matrix().col[2]
+        lamp.location = [
+            c + 1.5 * bounds["radius"] * t for c, t in zip(bounds["centre"], towards, strict=True)
+        ]
+        collection.objects.link(lamp)
+    return lamps
+
+
+def _add_cameras(
+    paths: JobPaths, table: dict[str, Any], stands: bpy.types.Collection
+) -> dict[str, bpy.types.Object]:
+    centre = table["bounds"]["centre"]
+    cameras = {v["name"]: add_camera(v, paths.cameras.parent, centre) for v in table["views"]}
+    for camera in cameras.values():
+        for block in (camera, camera.data, camera.data.background_images[0].image):
+            block[MARK] = mark_of(paths.root)
+        stands.objects.link(camera)
+    return cameras
+
+
+def remove_result(root: Path) -> None:
+    """Take an imported result out of the file; its scenes get their own World back."""
+    mark = mark_of(root)
+    for scene in bpy.data.scenes:
+        if scene.world is not None and scene.world.get(MARK) == mark:
+            give_back_world(scene)
+    _remove_objects(mark)
+    for collection in with_mark(bpy.data.collections, mark):
+        _release(collection)
+    remove_marked(mark, bpy.data.collections, bpy.data.worlds, bpy.data.images)
+
+
+def asset_of(root: Path) -> bpy.types.Object | None:
+    """The object of an imported result, if it is in the file."""
+    return next((o for o in with_mark(bpy.data.objects, mark_of(root)) if o.type == "MESH"), None)
+
+
+def read_cameras(paths: JobPaths) -> dict[str, Any]:
+    """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
+
+    Where the mesh shows flat ground, also "ground".
+
+    Raises:
+        ResultError: If it is missing or damaged, or names what lies outside the result.
+    """
+    table = _read(paths.cameras, _CAMERAS)
+    for view in table["views"]:
+        try:
+            file_in(paths.renders, view["name"])
+            is_strange = leads_out(paths.cameras.parent / view["image"], [paths.root])
+        except ValueError as fault:
+            raise ResultError(
+                "{file} holds a view that cannot be: {fault}", file=paths.cameras, fault=fault
+            ) from fault
+        if is_strange or min(view[key] for key in ("width", "height", "fx", "fy")) <= 0:
+            raise ResultError(
+                "{file}: the view {name!a} cannot be", file=paths.cameras, name=view["name"]
+            )
+    if not table["views"]:
+        raise ResultError("{file} holds no views; export the result again", file=paths.cameras)
+    return table
+
+
+def read_tone_curve(paths: JobPaths) -> dict[str, Any]:
+    """Contents of tone_curve.json, as far as Blender is concerned.
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    return _read(paths.tone_curve, _TONE_CURVE)
+
+
+def read_run(paths: JobPaths) -> dict[str, Any]:
+    """Contents of run.json, as far as an asset is concerned.
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    return _read(paths.run, _RUN)
+
+
+def _read(path: Path, form: dict[str, Any]) -> dict[str, Any]:
+    """Contents of one of the result folder's JSON files; damage is a ResultError."""
+    try:
+        return read_record(path, form)
+    except (OSError, ValueError) as fault:
+        raise ResultError(
+            "{file} cannot be read ({fault}); choose a folder that `robir reconstruct` finished",
+            file=path,
+            fault=fault,
+        ) from fault
+
+
+def _remove_objects(mark: str) -> None:
+    """Remove what an earlier import made, but for the collection and the World."""
+    data = bpy.data
+    kinds = (data.objects, data.meshes, data.cameras, data.lights, data.materials, data.images)
+    remove_marked(mark, *kinds)
+
+
+def _collection(
+    name: str, role: str, mark: str, parent: bpy.types.Collection
+) -> bpy.types.Collection:
+    """A collection of the result's; one that the user moved within its parent stays there."""
+    known = [c for c in with_mark(bpy.data.collections, mark) if c.get(_ROLE) == role]
+    collection = known[0] if known else bpy.data.collections.new(name)
+    collection[MARK], collection[_ROLE] = mark, role
+    if collection not in parent.children_recursive:
+        parent.children.link(collection)
+    return collection
+
+
+def _release(collection: bpy.types.Collection) -> None:
+    """Hand what the user put into a collection to the scenes that showed it."""
+    for scene in bpy.data.scenes:
+        if collection not in scene.collection.children_recursive:
+            continue
+        home = scene.collection
+        for foreign in collection.objects:
+            if foreign.name not in home.objects:
+                home.objects.link(foreign)
+        for child in collection.children:
+            if MARK not in child and child.name not in home.children:
+                home.children.link(child)

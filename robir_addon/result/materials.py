@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The asset as a mesh object with UVs and a Principled material."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..blocks import MARK, enable_nodes, load_image, reload_image, with_mark
+from ..gateway import JobPaths
+from .glb import GlbMesh
+from .placing import fit_again
+
+_DIGEST = "robir_digest"
+"""Custom property of a mesh: its digest as it was imported."""
+
+_SPECULAR = "robir_specular"
+"""Custom property of a material: the specular level as it was imported."""
+
+_FED = "robir_fed"
+"""Custom property of a material: the sockets that have been given a texture, in one string."""
+
+_LEVEL = "Specular IOR Level"
+
+
+def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
+    """Texture files of the material with the socket they feed and their colour space."""
+    files = {
+        "Base Color": (paths.textures / "albedo.png", "sRGB"),
+        "Roughness": (paths.textures / "roughness.png", "Non-Color"),
+        "Metallic": (paths.textures / "metallic.png", "Non-Color"),
+    }
+    if not files["Metallic"][0].is_file():  # written only where something is metal
+        del files["Metallic"]
+    return [(file, socket, space) for socket, (file, space) in files.items()]
+
+
+def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types.Object:
+    """The object in the capture's frame, not yet linked to a collection."""
+    data = _mesh(mesh, mark)
+    data.materials.append(new_material(name, mesh.specular, paths, mark))
+    asset = bpy.data.objects.new(mesh.name, data)
+    asset[MARK] = mark
+    return asset
+
+
+def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> None:
+    """Give the object a newer mesh and newer pictures; all else about it is the user's and stays.
+
+    Args:
+        asset: The imported object.
+        mesh: The newer mesh.
+        paths: Of its result folder.
+
+    Raises:
+        ResultError: If a texture is missing or damaged; then the object is as it was.
+    """
+    mark, before = asset[MARK], asset.data
+    known = {_file(image): image for image in with_mark(bpy.data.images, mark)}
+    for file, _, space in texture_sockets(paths):
+        if file in known:
+            reload_image(known[file])
+        else:
+            load_image(file, space, mark)
+    data = _mesh(mesh, mark)
+    for material in before.materials:
+        data.materials.append(material)
+        if material is not None and _SPECULAR in material:
+            _refresh_material(material, mesh.specular, paths)
+    fit_again(asset, data)
+    data[_DIGEST] = _digest(data)
+    name = before.name
+    asset.data = data
+    if before.users == 0:
+        bpy.data.meshes.remove(before)
+    data.name = name
+
+
+def is_edited(asset: bpy.types.Object) -> bool:
+    """Whether the user has changed the mesh itself since it was imported."""
+    data = asset.data
+    if data.shape_keys is not None or len(asset.vertex_groups) or len(data.uv_layers) != 1:
+        return True
+    return data.get(_DIGEST, "") not in ("", _digest(data))
+
+
+def mark_as_imported(asset: bpy.types.Object) -> None:
+    """Count the mesh as it is now as the worker's: nothing of the user's would be lost with it."""
+    asset.data[_DIGEST] = _digest(asset.data)
+
+
+def _mesh(mesh: GlbMesh, mark: str) -> bpy.types.Mesh:
+    data = bpy.data.meshes.new(mesh.name)
+    data[MARK] = mark
+    data.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
+    layer = data.uv_layers.new(name="UVMap")
+    layer.uv.foreach_set("vector", mesh.corner_uvs.reshape(-1).astype(np.float32))
+    data.polygons.foreach_set("use_smooth", np.ones(len(mesh.faces), dtype=bool))
+    data.normals_split_custom_set(mesh.corner_normals.reshape(-1, 3).tolist())
+    data.update()
+    data[_DIGEST] = _digest(data)
+    return data
+
+
+def _digest(data: bpy.types.Mesh) -> str:
+    """Of corners, faces, their materials and texture coordinates."""
+    digest = hashlib.sha256()
+    for values, name, width, kind in (
+        (data.vertices, "co", 3, np.float32),
+        (data.loops, "vertex_index", 1, np.int32),
+        (data.polygons, "loop_start", 1, np.int32),
+        (data.polygons, "material_index", 1, np.int32),
+        (data.uv_layers[0].uv, "vector", 2, np.float32),
+    ):
+        numbers = np.empty(len(values) * width, kind)
+        values.foreach_get(name, numbers)
+        digest.update(numbers.tobytes())
+    return digest.hexdigest()
+
+
+def new_material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.types.Material:
+    """Principled material from the texture files of a result.
+
+    Args:
+        name: Its name.
+        specular: Share of the reflection that an IOR of 1.5, Blender's default, has.
+        paths: Of the result folder.
+        mark: What its data-blocks are marked with.
+
+    Raises:
+        ResultError: If a texture is missing or damaged.
+    """
+    material = bpy.data.materials.new(name)
+    material[MARK] = mark
+    enable_nodes(material)
+    shader = _principled(material)
+    shader.inputs[_LEVEL].default_value *= specular  # 0.5: as the IOR says
+    material[_SPECULAR] = shader.inputs[_LEVEL].default_value
+    for row, (file, socket, space) in enumerate(texture_sockets(paths)):
+        _feed(material, load_image(file, space, mark), socket, row)
+    material[_FED] = " ".join(socket for _, socket, _ in texture_sockets(paths))
+    return material
+
+
+def _refresh_material(material: bpy.types.Material, specular: float, paths: JobPaths) -> None:
+    """Give the material what the newer result has more, take what it lacks, and keep edits."""
+    shader = _principled(material)
+    if shader is None:
+        return
+    level = 0.5 * specular
+    if abs(shader.inputs[_LEVEL].default_value - material[_SPECULAR]) < 1e-6:
+        shader.inputs[_LEVEL].default_value = material[_SPECULAR] = level
+    nodes = material.node_tree.nodes
+    sockets = texture_sockets(paths)
+    images = {_file(i): i for i in with_mark(bpy.data.images, material[MARK])}
+    for row, (file, socket, _) in enumerate(sockets):
+        if socket not in material[_FED]:  # where it was, another or none is the user's choice
+            _feed(material, images[file], socket, row)
+    material[_FED] = " ".join(socket for _, socket, _ in sockets)
+    gone = [i for f, i in images.items() if f.parent == paths.textures and not f.is_file()]
+    for node in [n for n in nodes if n.type == "TEX_IMAGE" and n.image in gone]:
+        nodes.remove(node)
+
+
+def _file(image: bpy.types.Image) -> Path:
+    return Path(bpy.path.abspath(image.filepath))
+
+
+def _principled(material: bpy.types.Material) -> Any:
+    return next((n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED"), None)
+
+
+def _feed(material: bpy.types.Material, image: bpy.types.Image, socket: str, row: int) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.location = (-420, 300 - 300 * row)
+    texture.label = socket
+    texture.image = image
+    links.new(texture.outputs["Color"], _principled(material).inputs[socket])

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures as arrays of display codes 0..1, row 0 at the bottom, RGBA with straight alpha."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..blocks import MARK, load_image
+
+
+def read_codes(file: Path) -> np.ndarray:
+    """An 8-bit picture file as it is stored, (H, W, 4).
+
+    Raises:
+        ResultError: If it is missing or damaged.
+    """
+    image = load_image(file, "Non-Color", "")  # the numbers as they are
+    try:
+        width, height = image.size
+        codes = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(codes)
+    finally:
+        bpy.data.images.remove(image)
+    return codes.reshape(height, width, 4)
+
+
+def put_image(name: str, codes: np.ndarray, mark: str) -> bpy.types.Image:
+    """An image of the file with these codes; one of the same name and kind is overwritten.
+
+    Args:
+        name: Of the data-block; editors that show it show the new picture.
+        codes: (H, W, 4).
+        mark: Result folder it belongs to.
+    """
+    height, width = codes.shape[:2]
+    image = bpy.data.images.get(name)
+    if image is None or image.source != "GENERATED" or MARK not in image:
+        image = bpy.data.images.new(name, width, height, alpha=True)
+    elif tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image[MARK] = mark
+    image.pixels.foreach_set(np.ascontiguousarray(codes, np.float32).ravel())
+    image.update()
+    return image
+
+
+def show_image(context: bpy.types.Context, image: bpy.types.Image) -> None:
+    """Show an image in an Image Editor that is open, else in a window of its own."""
+    if bpy.app.background:
+        return
+    manager = context.window_manager
+    window, area = _image_editor(manager)
+    if area is None:
+        known = set(manager.windows)
+        bpy.ops.wm.window_new()
+        window = next(w for w in manager.windows if w not in known)
+        area = window.screen.areas[0]
+        area.type = "IMAGE_EDITOR"
+    area.spaces.active.image = image
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    with context.temp_override(window=window, area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)
+
+
+def _image_editor(
+    manager: bpy.types.WindowManager,
+) -> tuple[bpy.types.Window | None, bpy.types.Area | None]:
+    for window in manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and area.ui_type == "IMAGE_EDITOR":
+                return window, area
+    return None, None

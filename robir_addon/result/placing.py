@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A result in its real size and place, and the parts of its mesh that are not wanted.
+
+The object's mesh is moved and scaled itself, so that its scale stays 1 and its origin lies at its
+foot. What was done is remembered on the object, and done again to a newer mesh. The cameras of the
+photographs and the lamps go along.
+"""
+
+from collections.abc import Sequence
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ..blocks import MARK, with_mark
+from ..errors import ResultError
+
+_FITTED = "robir_fitted"
+"""Custom property of the object: scale and shift (3) of its mesh against the capture's frame."""
+
+_MOVED = "robir_moved"
+"""Custom property of the object: scale and shift (3) of cameras and lamps, world."""
+
+_SAME = (1.0, 0.0, 0.0, 0.0)
+
+GROUND_SHARE = 0.03
+"""Height above the ground, in radii of the object's bounds, up to which faces belong to it."""
+
+
+def scale_result(asset: bpy.types.Object, factor: float) -> None:
+    """Make the object, its cameras and lamps so many times as large, about the object's origin."""
+    _fit(asset, factor, Vector())
+    origin = asset.matrix_world.translation
+    _move_others(asset, factor, origin - factor * origin)
+
+
+def stand(asset: bpy.types.Object) -> None:
+    """Put the object's origin to its foot, the middle of its bounds' lower side, and that to 0."""
+    corners = [asset.matrix_world @ Vector(corner) for corner in asset.bound_box]
+    low, high = (Vector(map(end, zip(*corners, strict=True))) for end in (min, max))
+    foot = Vector((0.5 * (low.x + high.x), 0.5 * (low.y + high.y), low.z))
+    _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
+    _move_others(asset, 1.0, -foot)
+    placed = asset.matrix_world.copy()
+    placed.translation = (0.0, 0.0, 0.0)
+    asset.matrix_world = placed
+
+
+def fit_again(asset: bpy.types.Object, data: bpy.types.Mesh) -> None:
+    """Do to a newer mesh, in the capture's frame, what was done to the object's before."""
+    scale, *shift = asset.get(_FITTED, _SAME)
+    data.transform(Matrix.Translation(shift) @ Matrix.Scale(scale, 4))
+
+
+def move_again(asset: bpy.types.Object, others: Sequence[bpy.types.Object]) -> None:
+    """Take cameras and lamps that were made anew to where those before had been taken."""
+    scale, *shift = asset.get(_MOVED, _SAME)
+    _move(others, scale, Vector(shift))
+
+
+def faces_of_ground(
+    asset: bpy.types.Object, normal: Sequence[float], offset: float, most: float
+) -> np.ndarray:
+    """Which faces are ground: those that reach no higher above its plane than so much.
+
+    Args:
+        asset: The imported object.
+        normal: Of the plane, capture frame.
+        offset: Of the plane from the capture's origin along the normal.
+        most: Height, capture's unit.
+
+    Returns:
+        (F,) bool.
+    """
+    scale, *shift = asset.get(_FITTED, _SAME)
+    height = ((_corners(asset) - shift) / scale) @ np.asarray(normal) - offset
+    return (height <= most).all(axis=1)
+
+
+def faces_outside(asset: bpy.types.Object, box: bpy.types.Object) -> np.ndarray:
+    """Which faces have their middle outside a box, (F,) bool.
+
+    Args:
+        asset: The imported object.
+        box: Empty, whose size and place are the box, or mesh, whose bounds are.
+    """
+    if box.type == "EMPTY":
+        low, high = np.full(3, -box.empty_display_size), np.full(3, box.empty_display_size)
+    else:
+        corners = np.array(box.bound_box)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+    into = np.array(box.matrix_world.inverted() @ asset.matrix_world)
+    middle = _corners(asset).mean(axis=1) @ into[:3, :3].T + into[:3, 3]
+    return ((middle < low) | (middle > high)).any(axis=1)
+
+
+def delete_faces(asset: bpy.types.Object, chosen: np.ndarray) -> None:
+    """Delete some faces of the object, and the vertices that only these had.
+
+    Raises:
+        ResultError: If that is none of them, or all.
+    """
+    if not chosen.any():
+        raise ResultError("there is nothing of the object to delete")
+    if chosen.all():
+        raise ResultError("nothing would be left of the object; nothing was deleted")
+    mesh = bmesh.new()
+    try:
+        mesh.from_mesh(asset.data)
+        mesh.faces.ensure_lookup_table()
+        wanted = [mesh.faces[int(index)] for index in np.flatnonzero(chosen)]
+        bmesh.ops.delete(mesh, geom=wanted, context="FACES")
+        mesh.to_mesh(asset.data)
+    finally:
+        mesh.free()
+    asset.data.update()
+
+
+def _corners(asset: bpy.types.Object) -> np.ndarray:
+    """(F, 3, 3) corners of the triangles, object frame."""
+    data = asset.data
+    points = np.empty(3 * len(data.vertices), np.float32)
+    data.vertices.foreach_get("co", points)
+    data.calc_loop_triangles()
+    if len(data.loop_triangles) != len(data.polygons):
+        raise ResultError("the object has faces that are no triangles; it was edited too far")
+    index = np.empty(3 * len(data.polygons), np.int32)
+    data.loops.foreach_get("vertex_index", index)
+    return points.reshape(-1, 3)[index.reshape(-1, 3)].astype(np.float64)
+
+
+def _fit(asset: bpy.types.Object, factor: float, shift: Vector) -> None:
+    """Scale and shift the mesh in the object's frame, and remember it."""
+    asset.data.transform(Matrix.Translation(shift) @ Matrix.Scale(factor, 4), shape_keys=True)
+    asset.data.update()
+    asset[_FITTED] = _after(asset.get(_FITTED, _SAME), factor, shift)
+
+
+def _move_others(asset: bpy.types.Object, factor: float, shift: Vector) -> None:
+    others = [o for o in with_mark(bpy.data.objects, asset[MARK]) if o.type in ("CAMERA", "LIGHT")]
+    _move(others, factor, shift)
+    asset[_MOVED] = _after(asset.get(_MOVED, _SAME), factor, shift)
+
+
+def _move(others: Sequence[bpy.types.Object], factor: float, shift: Vector) -> None:
+    for other in others:
+        if other.parent is None:  # what hangs on something else goes with that
+            other.location = factor * other.location + shift
+
+
+def _after(before: Sequence[float], factor: float, shift: Vector) -> list[float]:
+    """Scale and shift of one similarity after another."""
+    scale, *first = before
+    return [factor * scale, *(factor * one + two for one, two in zip(first, shift, strict=True))]

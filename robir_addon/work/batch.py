@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the batch of the shown library stands: read by a timer, for drawing itself reads nothing.
+
+A batch is a process of its own that `robir batch` leads; all that is known of it is its state file.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..errors import RequestError
+from ..gateway import holder, library
+from ..words import duration, words
+from . import monitor
+from .worker import absolute
+
+MOST = 12
+"""Captures that are listed; those that need a look come first."""
+
+_PERIOD = 1.0
+_ORDER = ("failed", "running", "waiting", "dropped", "done")
+_STARTING = 20
+"""Looks that a batch has to come to its lock."""
+
+
+@dataclass(frozen=True)
+class Queue:
+    """A batch as it is shown.
+
+    Attributes:
+        is_live: Whether it is at work.
+        fraction: Share that is over, in [0, 1].
+        text: The same in words.
+        captures: Name, state and message of each.
+    """
+
+    is_live: bool = False
+    fraction: float = 0.0
+    text: str = ""
+    captures: tuple[tuple[str, str, str], ...] = ()
+
+
+_shown = [Queue()]
+_patience = [0]
+
+
+def shown() -> Queue:
+    """What was read last; touches no file."""
+    return _shown[0]
+
+
+def library_paths(settings: bpy.types.PropertyGroup) -> library.LibraryPaths | None:
+    """The chosen library; None where none is chosen."""
+    root = absolute(settings.library)
+    return None if root is None else library.LibraryPaths(Path(root))
+
+
+def chosen(settings: bpy.types.PropertyGroup) -> library.LibraryPaths:
+    """The chosen library.
+
+    Raises:
+        RequestError: If none is chosen.
+    """
+    paths = library_paths(settings)
+    if paths is None:
+        raise RequestError("Choose a library, or run a batch first")
+    return paths
+
+
+def follow() -> None:
+    """Look now, and go on looking for as long as a batch is at work."""
+    _patience[0] = _STARTING
+    look()
+
+
+def look() -> None:
+    """Read where the batch stands."""
+    _shown[0] = _read()
+    if shown().is_live and not bpy.app.background and not bpy.app.timers.is_registered(_again):
+        bpy.app.timers.register(_again, first_interval=_PERIOD, persistent=True)
+
+
+def _again() -> float | None:
+    _shown[0] = _read()
+    monitor.redraw()
+    return _PERIOD if shown().is_live else None
+
+
+def _read() -> Queue:
+    paths = library_paths(bpy.context.scene.robir)
+    if paths is None:
+        return Queue()
+    is_held = holder(paths.lock) is not None
+    _patience[0] = 0 if is_held else max(0, _patience[0] - 1)
+    is_live = is_held or _patience[0] > 0
+    try:
+        state = library.read_batch(paths)
+    except (OSError, ValueError):  # none yet, or a damaged one: the next look tells
+        return Queue(is_live=is_live, text=words("starting") if is_live else "")
+    rows = [(row["name"], row["state"], row["message"]) for row in state["captures"]]
+    rows.sort(key=lambda row: _ORDER.index(row[1]) if row[1] in _ORDER else len(_ORDER))
+    done = sum(row[1] == "done" for row in rows)
+    text = words("{done} of {count} done", done=done, count=len(rows))
+    if is_live and state["seconds_left"] is not None:
+        text = words(
+            "{share}, {duration} left", share=text, duration=duration(state["seconds_left"])
+        )
+    return Queue(is_live, min(max(state["fraction"], 0.0), 1.0), text, tuple(rows))
+
+
+@persistent
+def _look_after_load(*_: object) -> None:
+    look()
+
+
+def register() -> None:
+    """Look again when another file is opened."""
+    bpy.app.handlers.load_post.append(_look_after_load)
+
+
+def unregister() -> None:
+    """Look no more."""
+    bpy.app.handlers.load_post.remove(_look_after_load)
+    if bpy.app.timers.is_registered(_again):
+        bpy.app.timers.unregister(_again)
+    _shown[0] = Queue()
