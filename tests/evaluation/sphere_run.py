@@ -237,7 +237,7 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
             }
         ],
     )
-    exposure = {"steps": {}, "corner_steps": 0.0, "other_light": []}
+    exposure = {"steps": {}, "corner_steps": 0.0, "slope_steps": {}, "other_light": []}
     write_json(appearance / "exposure.json", exposure)
     held_out = {v.name: v.image_display for v in views if v.split == "held_out"}
     np.savez(appearance / "held_out.npz", **held_out)

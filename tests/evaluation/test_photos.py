@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from transport.shapes import looking_at
+from transport.shapes import looking_at, mesh_of, patch
 
 from robir.capture.capture import View
 from robir.evaluation.photos import Exposures, exposed, photo_scores
@@ -80,13 +80,43 @@ def test_corners_and_own_exposure_are_undone_and_put_back():
         camera=camera,
         split="train",
     )
-    table = {"steps": {"a": [0.5, 0.5, 0.5]}, "corner_steps": 0.8, "other_light": []}
-    exposures = Exposures.of(table, {"family": "standard", "parameters": {}})
+    table = {
+        "steps": {"a": [0.5, 0.5, 0.5]},
+        "corner_steps": 0.8,
+        "slope_steps": {},
+        "other_light": [],
+    }
+    wall = mesh_of(patch((-9, -9, 0), (18, 0, 0), (0, 18, 0)))
+    exposures = Exposures.of(table, {"family": "standard", "parameters": {}}, wall)
     even = exposures.evened(view).image_display
     assert even == pytest.approx(255 * srgb(np.full((SIZE, SIZE, 3), 0.2)), abs=1.5)
     again = exposures.as_photographed(even, view)
     assert again == pytest.approx(taken, abs=2.5)
     plain = Exposures.of(
-        table | {"steps": {}, "corner_steps": 0.0}, {"family": "standard", "parameters": {}}
+        table | {"steps": {}, "corner_steps": 0.0}, {"family": "standard", "parameters": {}}, wall
     )
     assert plain.evened(view) is view and plain.as_photographed(even, view) is even
+
+
+def test_a_wall_that_faces_the_light_of_one_photograph_is_brighter_in_it():
+    """By a step per unit of the normal, and the wall faces along z."""
+    wall = mesh_of(patch((-9, -9, 0), (18, 0, 0), (0, 18, 0)))
+    table = {
+        "steps": {"a": [0.0, 0.0, 0.0]},
+        "corner_steps": 0.0,
+        "slope_steps": {"a": [7.0, -3.0, 1.0]},
+        "other_light": [],
+    }
+    exposures = Exposures.of(table, {"family": "standard", "parameters": {}}, wall)
+    grey = np.rint(255 * srgb(np.full((SIZE, SIZE, 3), 0.2))).astype(np.uint8)
+    view = View(
+        name="a",
+        image_display=grey,
+        mask=np.full((SIZE, SIZE), 255, np.uint8),
+        camera=looking_at((0, 0, 3), size=SIZE),
+        split="train",
+    )
+    brighter = 255 * srgb(np.full((SIZE, SIZE, 3), 0.4))
+    assert exposures.as_photographed(grey, view) == pytest.approx(brighter, abs=2)
+    darker = 255 * srgb(np.full((SIZE, SIZE, 3), 0.1))
+    assert exposures.evened(view).image_display == pytest.approx(darker, abs=2)

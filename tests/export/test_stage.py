@@ -198,7 +198,7 @@ def test_exposures_of_photographs_are_reported(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     names = [view.name for view in load_capture(paths.stage("capture")).views]
     steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
-    table = {"steps": steps, "corner_steps": 0.25, "other_light": []}
+    table = {"steps": steps, "corner_steps": 0.25, "slope_steps": {}, "other_light": []}
     write_json(paths.stage("appearance") / "exposure.json", table)
     stage.run(context(paths, Recorder(), renders=False))
     exposure = read_json(paths.report_json)["exposure"]
@@ -221,6 +221,7 @@ def test_alike_photographs_are_said_to_be_alike(exported):
         "other_light": [],
         "spread_steps": 0.0,
         "corner_steps": 0.0,
+        "own_lights": False,
         "views": {},
     }
     page = exported[0].report.read_text(encoding="utf-8")
@@ -232,7 +233,7 @@ def test_photographs_under_another_light_are_named_and_not_scored(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     views = load_capture(paths.stage("capture")).views
     odd = [next(v.name for v in views if v.split == split) for split in ("train", "held_out")]
-    table = {"steps": {}, "corner_steps": 0.0, "other_light": odd}
+    table = {"steps": {}, "corner_steps": 0.0, "slope_steps": {}, "other_light": odd}
     write_json(paths.stage("appearance") / "exposure.json", table)
     stage.run(context(paths, Recorder(), renders=False))
     numbers = read_json(paths.report_json)

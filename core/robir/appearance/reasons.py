@@ -9,6 +9,7 @@ from robir.appearance.light.solver import Light
 from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
+from robir.appearance.photometry.own_light import LEAST_SHARE
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.display_power import POWERS, PowerChoice
 from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
@@ -143,15 +144,18 @@ def camera_choices(
     alike, apart = "one for all", "each photograph its own"
     steps = gains.falloff.corner_steps
     even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
-    number = len(unlike)
+    number, own = len(unlike), bool(gains.slopes)
+    light = f"{apart if own else 'one'}, without {number} of them" if number else apart
     return (
         Choice(
             choice="light of the photographs",
-            chosen=f"one, without {number} of them" if number else "one",
-            alternatives=("one",) if number else (),
+            chosen=light if number or own else "one",
+            alternatives=("one",) if own else (apart,),
             why="a photograph is left out where it is more than "
             f"{other_light.LEAST_STEPS} steps brighter or darker than the rest and its points "
-            f"differ in that by more than {other_light.LEAST_LEFT:.0%}",
+            f"differ in that by more than {other_light.LEAST_LEFT:.0%}; each has its own light "
+            "where that lets photographs predict points elsewhere, by more than "
+            f"{LEAST_SHARE:.0%} of the squared difference",
         ),
         Choice(
             choice="exposure",

@@ -237,9 +237,13 @@ def _picture(
     sums = [np.bincount(seen.pixel, radiance[:, channel], len(rows)) for channel in range(3)]
     mean = np.stack(sums, axis=1)[filled] / count[filled, None]
     centres = np.stack([columns[filled], rows[filled]], axis=1) + 0.5
-    gain = problem.gains.dimmed(
-        problem.gains.of((view.name,)), off_axis_codes(view.camera, centres)
+    normals = np.stack(
+        [np.bincount(seen.pixel, part, len(rows))[filled] for part in seen.points.normal.T], axis=1
     )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
+    first = torch.zeros(len(filled), dtype=torch.int64)
+    off_axis = off_axis_codes(view.camera, centres)
+    gain = problem.gains.at((view.name,), off_axis, normals.astype(np.float32), first)
     shown = problem.curve.display_from_linear(gain * torch.from_numpy(mean.astype(np.float32)))
     image = np.zeros((*view.mask.shape, 3), np.uint8)
     image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())

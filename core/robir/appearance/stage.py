@@ -16,7 +16,8 @@ from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.photometry.exposure import COMPARISON, Comparison, Gains
+from robir.appearance.photometry.comparison import COMPARISON, Comparison
+from robir.appearance.photometry.exposure import Gains
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.solution import SOLUTION, solve
@@ -40,7 +41,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 63
+REVISION = 64
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -267,9 +268,4 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
 
 def _write_exposure(folder: Path, gains: Gains, other_light: frozenset[str]) -> None:
     """Store how each photograph was exposed and lit, and how much darker the corners of all are."""
-    table = {
-        "steps": gains.steps(),
-        "corner_steps": gains.falloff.corner_steps,
-        "other_light": sorted(other_light),
-    }
-    write_json(folder / "exposure.json", table)
+    write_json(folder / "exposure.json", gains.plain() | {"other_light": sorted(other_light)})

@@ -27,7 +27,11 @@ Array = NDArray[np.floating[Any]]
 TONE_CURVE = {"family": str, "parameters": {...: float}}
 """What tone_curve.json has to hold."""
 
-_EXPOSURE = {"steps": {...: NUMBERS}, "corner_steps": float, "other_light": [str]}
+_EXPOSURE = {
+    "steps": {...: NUMBERS}, "corner_steps": float, "slope_steps": {...: NUMBERS},
+    "other_light": [str],
+}  # fmt: skip
+_BY_VIEW = "steps", "slope_steps"
 _NORMALS = {"normals": "f V 3"}
 _TEXTURES = {
     "inside": "b T T", "albedo_linear": "f T T 3", "roughness": "f T T", "metallic?": "f T T",
@@ -102,8 +106,8 @@ def stored_exposure(path: Path) -> dict[str, Any]:
         StorageError: If it is missing or damaged.
     """
     exposure = stored_facts(path, _EXPOSURE)
-    if any(len(steps) != 3 for steps in exposure["steps"].values()):
-        raise StorageError(f"{path} is damaged (no three channels); reconstruct with --resume")
+    if any(len(row) != 3 for name in _BY_VIEW for row in exposure[name].values()):
+        raise StorageError(f"{path} is damaged (not three values); reconstruct with --resume")
     return exposure
 
 

@@ -161,9 +161,10 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
     capture = whole.without(exposure["other_light"]).normalised()
     if not capture.held_out:
         return _table([], {}, "No photograph was held out: there is nothing to judge by.")
-    exposures = Exposures.of(exposure, tone_curve)
+    mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
+    exposures = Exposures.of(exposure, tone_curve, mesh)
     views = [resize_view(view, SIDE) for view in capture.held_out]
-    pictures = level_pictures(paths, capture, views, exposures)
+    pictures = level_pictures(paths, (mesh, exposures), capture, views)
     judged = [_judged(view, pictures["mesh"][view.name]) for view in views]
     if strip is not None:
         save_sheet(strip, strip_rows(judged, pictures))
@@ -173,28 +174,28 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
 def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
     """Contents of exposure.json, which not every method writes, and of tone_curve.json."""
     folder = paths.stage("appearance")
-    exposure = {"steps": {}, "corner_steps": 0.0, "other_light": []}
+    exposure = {"steps": {}, "corner_steps": 0.0, "slope_steps": {}, "other_light": []}
     if (folder / "exposure.json").is_file():
         exposure = stored_exposure(folder / "exposure.json")
     return exposure, stored_facts(folder / "tone_curve.json", TONE_CURVE)
 
 
 def level_pictures(
-    paths: JobPaths, capture: Capture, views: Sequence[View], exposures: Exposures
+    paths: JobPaths, known: tuple[Mesh, Exposures], capture: Capture, views: Sequence[View]
 ) -> dict[str, Pictures]:
     """What each level shows of the views, at their exposure.
 
     Args:
         paths: Result folder.
+        known: Its surface, and how all photographs were exposed and lit.
         capture: Its photographs, those in another light left out, unit frame.
         views: The held-out ones at the size that is scored.
-        exposures: Of all photographs.
 
     Returns:
         Pictures of the views' size by level; empty where the level is not to be had.
     """
+    mesh, exposures = known
     photographs = [exposures.evened(resize_view(view, SIDE)) for view in capture.train]
-    mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
     nearest, mean = _warped(mesh, photographs, views)
     stored = {
         "field": paths.stage("geometry") / "field_held_out.npz",

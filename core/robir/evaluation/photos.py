@@ -15,6 +15,8 @@ from PIL import Image
 
 from robir.capture.capture import View
 from robir.evaluation import metrics
+from robir.evaluation.surfaces import MeshCaster
+from robir.geometry.mesh.triangles import Mesh
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE
@@ -76,35 +78,50 @@ def exposed(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposures:
-    """How the photographs of a capture were exposed.
+    """How the photographs of a capture were exposed and lit.
 
     Attributes:
         steps: By which each channel is brighter than at the common exposure, log2, by the view's
             name; a view that is not there was exposed like all.
         corner_steps: By which the corners of all photographs are darker than their middle.
+        slope_steps: By which each is brighter per unit of the normal, log2; empty where all are in
+            one light.
         curve: The tone curve under which this holds.
+        surface: Of the object, where there are slopes; in the frame of the views.
     """
 
     steps: Mapping[str, Sequence[float]]
     corner_steps: float
+    slope_steps: Mapping[str, Sequence[float]]
     curve: AbstractToneCurve
+    surface: MeshCaster | None
 
     @classmethod
-    def of(cls, exposure: Mapping[str, Any], tone_curve: Mapping[str, Any]) -> Exposures:
-        """What the appearance stage's exposure.json and tone_curve.json hold."""
+    def of(
+        cls, exposure: Mapping[str, Any], tone_curve: Mapping[str, Any], mesh: Mesh
+    ) -> Exposures:
+        """What the appearance stage's exposure.json and tone_curve.json hold.
+
+        Args:
+            exposure: Contents of the one.
+            tone_curve: Contents of the other.
+            mesh: The surface, in the frame of the views.
+        """
         return cls(
             steps=exposure["steps"],
             corner_steps=exposure["corner_steps"],
+            slope_steps=exposure["slope_steps"],
+            surface=MeshCaster(mesh) if exposure["slope_steps"] else None,
             curve=curve_from_name(tone_curve["family"], tone_curve["parameters"]),
         )
 
     def as_photographed(self, picture: Picture, view: View) -> Picture:
-        """A picture of a view, at the common exposure and any size, at that of its photograph."""
+        """A picture of a view, at the common exposure and any size, as its photograph was taken."""
         steps = self._steps(view, picture.shape[:2])
         return picture if steps is None else exposed(picture, steps, self.curve)
 
     def evened(self, view: View) -> View:
-        """A photograph brought to the common exposure."""
+        """A photograph brought to the common exposure and light."""
         steps = self._steps(view, view.mask.shape)
         if steps is None:
             return view
@@ -117,7 +134,11 @@ class Exposures:
         camera = view.camera.resized(shape[1], shape[0])
         off_axis = camera.off_axis(camera.pixel_centres()).reshape(shape)
         own = np.array(self.steps.get(view.name, [0.0, 0.0, 0.0]))
-        return own - self.corner_steps * off_axis[..., None]
+        steps = own - self.corner_steps * off_axis[..., None]
+        if self.surface is not None and view.name in self.slope_steps:
+            normal = self.surface.cast(camera).normal
+            steps = steps + (normal @ np.array(self.slope_steps[view.name]))[..., None]
+        return steps
 
 
 def mean_scores(scores: list[dict[str, float] | None]) -> dict[str, Any]:

@@ -240,7 +240,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
     capture, rendering = products.capture, products.rendering
     by_name = {view.name: view for view in capture.views}
     run = read_json(paths.run)
-    exposures = Exposures.of(products.exposure, products.tone_curve)
+    exposures = Exposures.of(products.exposure, products.tone_curve, products.mesh)
     held_out = mean_scores(
         [photo_scores(image, by_name[name]) for name, image in own.items() if name in by_name]
     )
@@ -292,10 +292,11 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
     Args:
         exposure: "steps" (log2) of each channel by the view's name, empty where all are alike, and
             "corner_steps" by which the corners of all are darker than the middle, and
-            "other_light", names of the photographs that were left out for it.
+            "other_light", names of the photographs that were left out for it; "slope_steps" of
+            each where they are in lights of their own.
 
     Returns:
-        "is_even"; "other_light"; "spread_steps", the standard deviation of the views' exposures;
+        "is_even"; "own_lights"; "other_light"; "spread_steps", standard deviation of the exposures;
         "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
         "white_balance" of red and blue against green, in steps; "corner_steps".
     """
@@ -309,6 +310,7 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
     spread = float(np.std([view["exposure"] for view in views.values()])) if views else 0.0
     return {
         "is_even": not views,
+        "own_lights": bool(exposure["slope_steps"]),
         "other_light": exposure["other_light"],
         "spread_steps": round(spread, 3),
         "corner_steps": round(exposure["corner_steps"], 3),

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from robir.appearance.photometry.comparison import find_falloff
 from robir.appearance.photometry.exposure import (
     Exposures,
     Gains,
     comparable,
     decoded,
-    find_falloff,
 )
 from robir.appearance.photometry.gains import _least_squares, are_uneven, solve_gains
 from robir.appearance.photometry.statistics import diffuse_radiance, linear_observations
@@ -187,10 +187,10 @@ def test_photographs_are_compared_along_chains():
 
 
 def test_alike_photographs_decode_to_the_very_same_values(glossy):
-    linear, weight, _ = glossy
+    linear, weight, normals = glossy
     seen = photographed(linear, "filmic", weight)
     curve = curve_from_name("filmic")
-    same = linear_observations(seen, curve, Gains({}))
+    same = linear_observations(seen, curve, Gains({}), normals)
     assert torch.equal(same, decoded(seen, curve))
     plain = curve.linear_from_display(torch.from_numpy(seen.display.astype(np.float32) / 255))
     torch.testing.assert_close(same, plain, rtol=1e-5, atol=0)
@@ -202,15 +202,18 @@ def test_what_one_exposure_clips_another_shows():
     seen = photographed(linear, "standard", np.ones((1, 3)))
     assert seen.clipped[0, 0].all()
     gains = Gains({"view0": np.full(3, 2.0), "view1": np.full(3, 0.5), "view2": np.full(3, 0.5)})
-    evened = linear_observations(seen, curve_from_name("standard"), gains)
+    up = np.array([[0, 0, 1]], np.float32)
+    evened = linear_observations(seen, curve_from_name("standard"), gains, up)
     assert evened.numpy() == pytest.approx(0.8, rel=0.01)
     assert diffuse_radiance(seen, evened).linear.numpy() == pytest.approx(0.8, rel=0.01)
 
 
 def test_gains_are_named_and_told_in_steps():
     gains = Gains({"a": np.array([2.0, 1.0, 0.5])})
-    assert gains.steps() == {"a": [1.0, 0.0, -1.0]}
-    assert gains.of(("b", "a")).tolist() == [[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]
+    assert gains.plain()["steps"] == {"a": [1.0, 0.0, -1.0]}
+    up, middle = np.array([[0, 0, 1]] * 2, np.float32), np.zeros(2, np.uint8)
+    found = gains.at(("b", "a"), middle, up, torch.tensor([0, 1]))
+    assert found.tolist() == [[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]
 
 
 def walk(rng) -> tuple[np.ndarray, np.ndarray]:
@@ -237,9 +240,9 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     reach = np.quantile(square[weight > 0.5], 0.98)
     wrong = -gains.falloff.strength * reach - np.log(dimmed[square <= reach].min())
     assert abs(wrong) / np.log(2) < 0.03
-    found = np.array([gains.steps()[name] for name in seen.views]) * np.log(2)
+    found = np.array([gains.plain()["steps"][name] for name in seen.views]) * np.log(2)
     assert np.abs(found - true).max() / np.log(2) < 0.08
-    evened = linear_observations(seen, curve_from_name(family), gains).numpy()
+    evened = linear_observations(seen, curve_from_name(family), gains, normals).numpy()
     clear = (weight > 0.5) & (seen.display.min(2) > 10) & ~seen.clipped.any(2)
     assert np.median(np.abs(np.log(evened / linear))[clear]) < 0.03
 

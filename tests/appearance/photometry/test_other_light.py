@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.photometry.exposure import COMPARISON, Comparison
+from robir.appearance.photometry.comparison import COMPARISON, Comparison
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View

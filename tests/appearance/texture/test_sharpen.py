@@ -60,7 +60,7 @@ def floor():
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
     normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape)
     seen = observe(EmbreeTracer(mesh.vertices, mesh.faces), position, normal, views, 1e-4)
-    linear = linear_observations(seen, curve, Gains({})).numpy()
+    linear = linear_observations(seen, curve, Gains({}), normal).numpy()
     share = (seen.weight > 0) / (seen.weight > 0).sum(1, keepdims=True)
     return position, linear, share.astype(np.float32), seen.weight, views
 

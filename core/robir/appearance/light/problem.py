@@ -210,7 +210,7 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     """
     observations = scene.transport.observations
     gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
-    linear = linear_observations(observations, curve, gains)
+    linear = linear_observations(observations, curve, gains, scene.transport.surfels.normal)
     total = diffuse_radiance(observations, linear)
     # What bounces is everything that leaves the surface, highlights aside.
     exitant = with_hidden(scene, total)

@@ -63,16 +63,16 @@ class Seen:
 
 def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
     """What the photographs show of some samples."""
-    observations = problem.scene.transport.observations
+    transport = problem.scene.transport
+    observations, normals = transport.observations, transport.surfels.normal[rows]
     sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
-    gain = problem.gains.of(observations.views)[view]
     off_axis = observations.off_axis[rows][rays.sample, rays.view]
     return Seen(
         curve=problem.curve,
         linear=problem.linear[rows][sample, view],
         display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
         clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
-        gain=problem.gains.dimmed(gain, off_axis),
+        gain=problem.gains.at(observations.views, off_axis, normals[rays.sample], view),
     )
 
 

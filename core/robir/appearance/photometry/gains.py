@@ -81,7 +81,7 @@ def are_uneven(log: Array, normals: Floats) -> bool:
     if np.sqrt((gains**2).mean()) <= LEAST_STEPS * np.log(2):
         return False
     orientation = orientations(normals)
-    is_first = _halves(orientation)[orientation]
+    is_first = halves(orientation)[orientation]
     if min(is_first.sum(), (~is_first).sum()) < FEWEST_POINTS:
         return False
     plain, rich, groups = [], [], []
@@ -90,8 +90,8 @@ def are_uneven(log: Array, normals: Floats) -> bool:
         shown = log[judged]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
         groups.append(np.stack([view, orientation[judged][point]]))
-        plain.append(_others_errors(shown, np.zeros_like(gains))[point, view])
-        rich.append(_others_errors(shown, gains)[point, view])
+        plain.append(others_errors(shown, np.zeros_like(gains))[point, view])
+        rich.append(others_errors(shown, gains)[point, view])
     proof = Proof.of(
         np.concatenate(plain), np.concatenate(rich), tuple(np.concatenate(groups, axis=1))
     )
@@ -104,7 +104,7 @@ def orientations(normals: Floats) -> NDArray[np.int64]:
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
+def halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which orientations make up one half of the points, about: the largest first, by turns."""
     counts, lead = np.bincount(orientation), 0
     is_first = np.zeros(len(counts), bool)
@@ -114,7 +114,7 @@ def _halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
     return is_first
 
 
-def _others_errors(log: Array, gains: Array) -> Array:
+def others_errors(log: Array, gains: Array) -> Array:
     """Squared display errors (P, V) of what each view shows, predicted by the others."""
     evened = log - gains
     known = np.isfinite(evened[..., :1])

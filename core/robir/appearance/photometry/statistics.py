@@ -65,19 +65,20 @@ class Radiance:
 
 
 def linear_observations(
-    observations: Observations, curve: AbstractToneCurve, gains: Gains
+    observations: Observations, curve: AbstractToneCurve, gains: Gains, normals: NDArray[np.float32]
 ) -> Tensor:
     """Radiance of every observation under a tone curve, at the capture's common exposure.
 
     Args:
         observations: Colours in the photographs.
         curve: Tone curve to undo.
-        gains: How each photograph was exposed, under this curve.
+        gains: How each photograph was exposed and lit, under this curve.
+        normals: (N, 3) of the points, unit frame.
 
     Returns:
         (N, V, 3) float32, linear Rec.709; anything where the view does not show the sample.
     """
-    return gains.undone(decoded(observations, curve), observations)
+    return gains.undone(decoded(observations, curve), observations, normals)
 
 
 def sharpest_views(weight: NDArray[np.float32]) -> NDArray[np.float32]:

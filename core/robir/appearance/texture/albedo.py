@@ -147,7 +147,7 @@ class Painting:
         blend = Blend(problem, texels)
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
-        linear = linear_observations(seen, problem.curve, problem.gains)
+        linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
         below_gloss = gloss.has_highlights and not problem.scene.by_camera
         observed = seen.weight, seen.positions
         share = texture_weights(observed, texels.position, linear, below_gloss=below_gloss)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What photographs of the same points tell about how they were exposed and lit.
+
+Whether anything is needed is judged under a plain tone curve, as any curve makes the same
+photographs brighter. Gains are taken only where they are larger than gloss feigns them, and where
+gains from points of some orientations let photographs predict points of the others: an exposure
+changes all alike, while sheen depends on where a point faces, so that other points alone would
+prove that of a ground as well. A falloff towards the corners, common to all photographs, is proven
+by those it was not solved by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from robir.appearance.photometry.exposure import (
+    FEWEST_VIEWS,
+    FRONTAL,
+    Exposures,
+    comparable,
+    log_radiance,
+)
+from robir.appearance.photometry.gains import FEWEST_POINTS, are_uneven, orientations, solve_gains
+from robir.appearance.photometry.other_light import find_unlike, unlike
+from robir.appearance.photometry.own_light import have_own_lights
+from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
+from robir.appearance.proof import Proof, fitted_views
+from robir.capture.capture import Capture, View
+from robir.capture.images.loading import resize_view
+from robir.capture.readers.nerf_synthetic import is_by_camera
+from robir.geometry.mesh.tracing import AbstractTracer
+from robir.maths.tone import curve_from_name
+from robir.maths.tone_curve import AbstractToneCurve
+from robir.steps import Step
+from robir.transport.baked import Transport
+from robir.transport.observe import Observations, observe
+from robir.transport.surfels import Surfels
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+POINTS = 1500
+"""Surface points that are compared."""
+
+SIDE = 200
+"""Longest side, pixels, that photographs are read at."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """Photographs of the same points, and what these tell about how they were lit and exposed.
+
+    Attributes:
+        capture: All views, the held-out ones included: those need a gain to be compared with.
+        points: Surface points that are compared.
+        observations: Of them in the training views under the common light.
+        log: As from `comparable`, under a plain tone curve: the true one is not known yet.
+        kept: Which points that is of.
+        observed: Reads the points in any views.
+        other_light: Names of the photographs taken under another light than most, held-out ones
+            included.
+        falloff: Of all photographs towards their corners, under a plain tone curve.
+        are_apart: Whether photographs have gains of their own.
+        has_own_lights: Whether each is in a light of its own, its gain being part of that.
+    """
+
+    capture: Capture
+    points: Surfels
+    observations: Observations
+    log: Array
+    kept: NDArray[np.bool_]
+    observed: Callable[[Sequence[View]], Observations]
+    other_light: frozenset[str] = frozenset()
+    falloff: Falloff = NO_FALLOFF
+    are_apart: bool = False
+    has_own_lights: bool = False
+
+    @classmethod
+    def of(
+        cls, transport: Transport, tracer: AbstractTracer, capture: Capture, seed: int
+    ) -> Comparison:
+        """Some points that enough views show, as these show them.
+
+        Args:
+            transport: Baked transport with the samples' observations.
+            tracer: Tracer of the mesh.
+            capture: All views.
+            seed: Of the choice of points.
+        """
+        surfels, seen = transport.surfels, transport.observations
+        usable = np.flatnonzero((seen.weight > FRONTAL).sum(1) >= FEWEST_VIEWS)
+        rng = np.random.default_rng(seed)
+        chosen = np.sort(rng.choice(usable, min(POINTS, len(usable)), replace=False))
+        keep = np.zeros(len(surfels), bool)
+        keep[chosen] = True
+        points = surfels.subset(keep)
+
+        def observed(views: Sequence[View]) -> Observations:
+            small = tuple(resize_view(view, SIDE) for view in views)
+            offset = transport.visibility.offset
+            return observe(tracer, points.position, points.normal, small, offset)
+
+        few = seen.subset(keep)
+        log, kept = comparable(few, _plain())
+        return cls(
+            capture=capture,
+            points=points,
+            observations=few,
+            log=log,
+            kept=kept,
+            observed=observed,
+        )
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """What tells how photographs were exposed; None where they were exposed alike."""
+        if not (self.are_apart or self.has_own_lights or self.falloff.strength):
+            return None
+        return Exposures(
+            observations=self.observed(self.capture.without(self.other_light).views),
+            normals=self.points.normal,
+            are_apart=self.are_apart or self.has_own_lights,
+            has_falloff=self.falloff.strength > 0,
+            has_own_lights=self.has_own_lights,
+        )
+
+    @property
+    def tells(self) -> bool:
+        """Whether enough is seen in common to tell anything."""
+        return len(self.log) >= FEWEST_POINTS
+
+    @property
+    def normals(self) -> Floats:
+        """(N, 3) of the points that are kept."""
+        return self.points.normal[self.kept]
+
+    @property
+    def off_axis(self) -> NDArray[np.uint8]:
+        """(N, V) of the points that are kept, as in `Observations.off_axis`."""
+        return self.observations.off_axis[self.kept]
+
+
+def _plain() -> AbstractToneCurve:
+    return curve_from_name("standard")
+
+
+def _leave_out_other_light(state: Comparison) -> Comparison:
+    if not state.tells:
+        return state
+    few = state.observations
+    odd, common = find_unlike(state.log, solve_gains(state.log, state.normals))
+    other = {few.views[index] for index in np.flatnonzero(odd)}
+    if not other:
+        return state
+    if aside := state.capture.held_out:
+        apart = log_radiance(state.observed(aside), _plain())[state.kept]
+        other |= {aside[index].name for index in np.flatnonzero(unlike(apart, common))}
+    few = few.of_views(~odd)
+    log, kept = comparable(few, _plain())
+    return replace(state, other_light=frozenset(other), observations=few, log=log, kept=kept)
+
+
+def _find_falloff(state: Comparison) -> Comparison:
+    if not state.tells:
+        return state
+    return replace(state, falloff=find_falloff(state.log, state.normals, state.off_axis))
+
+
+def _find_gains(state: Comparison) -> Comparison:
+    if not state.tells:
+        return state
+    dimming = state.falloff.log(state.off_axis)[..., None]
+    return replace(state, are_apart=are_uneven(state.log - dimming, state.normals))
+
+
+def _find_own_lights(state: Comparison) -> Comparison:
+    # a rendering has one light
+    if not state.tells or not is_by_camera(state.capture):
+        return state
+    log = state.log - state.falloff.log(state.off_axis)[..., None]
+    positions = state.points.position[state.kept]
+    return replace(state, has_own_lights=have_own_lights(log, state.normals, positions))
+
+
+COMPARISON: tuple[Step[Comparison], ...] = (
+    Step(
+        name="other-light",
+        purpose="leaves out photographs taken under another light than most",
+        source="ours: outliers that no gain explains",
+        run=_leave_out_other_light,
+    ),
+    Step(
+        name="vignetting",
+        purpose="finds how much darker the corners of all photographs are",
+        source="cos^4 law to first order, proven by photographs that had no part",
+        run=_find_falloff,
+    ),
+    Step(
+        name="exposure",
+        purpose="finds whether photographs were exposed or balanced apart",
+        source="log-linear gains by robust least squares, proven by points of other orientations",
+        run=_find_gains,
+    ),
+    Step(
+        name="own-light",
+        purpose="finds whether each photograph was taken in a light of its own",
+        source="first-order irradiance, proven by points of other places",
+        run=_find_own_lights,
+    ),
+)
+"""What is asked of photographs of the same points, in this order."""
+
+
+def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
+    """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
+
+    Solved by the fitted views, it must let the points that these show predict the kept ones better,
+    each of those at its own exposure, and not by points of a few orientations alone.
+
+    Args:
+        log: (P, V, 3) log radiance from `comparable`.
+        normals: (P, 3) of the points.
+        off_axis: (P, V) as in `Observations.off_axis`.
+    """
+    is_fitted = fitted_views(log.shape[1])
+    enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= FEWEST_VIEWS
+    if enough.sum() < FEWEST_POINTS:
+        return NO_FALLOFF
+    log, normals, off_axis = log[enough], normals[enough], off_axis[enough]
+    falloff = solve_falloff(log[:, is_fitted], normals, off_axis[:, is_fitted])
+    if falloff.strength <= 0:
+        return NO_FALLOFF
+    point, view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))
+    # sheen at grazing angles, which is where the edges of photographs look, errs by orientation
+    orientation = orientations(normals)
+    plain, rich = (
+        _kept_errors(log, normals, model.log(off_axis), is_fitted)
+        for model in (NO_FALLOFF, falloff)
+    )
+    is_proven = Proof.of(plain, rich, (view, orientation[point])).is_given
+    return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
+
+
+def _kept_errors(
+    log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
+) -> Array:
+    """Squared display errors (M,) of what kept views show, predicted by the fitted ones.
+
+    Args:
+        log: (P, V, 3) log radiance, NaN where a view does not show a point.
+        normals: (P, 3) of the points.
+        dimming: (P, V) log radiance against the middle of a photograph.
+        is_fitted: (V,).
+    """
+    evened = log - dimming[..., None]
+    gains = solve_gains(evened[:, is_fitted], normals)
+    points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
+    apart = evened[:, ~is_fitted] - points[:, None]
+    apart -= np.nanmedian(apart, axis=0)
+    shown = log[:, ~is_fitted]
+    known = np.isfinite(shown[..., 0])
+    curve = curve_from_name("standard")
+    seen, predicted = (
+        curve.display_from_linear(torch.from_numpy(np.exp(values[known])))
+        for values in (shown, shown - apart)
+    )
+    return ((seen - predicted) ** 2).mean(1).numpy()
