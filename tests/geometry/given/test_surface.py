@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from geometry.scenes import ball, capture_of
+from geometry.scenes import ball, capture_of, checker
 from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Bounds, Finding
@@ -46,13 +46,18 @@ def statue() -> trimesh.Trimesh:
     return trimesh.util.concatenate(parts)
 
 
+def paint(points: np.ndarray) -> np.ndarray:
+    """Cubes of paint, in none of whose sides a side of the statue lies."""
+    return checker(points + 0.037)
+
+
 CENTRE, RADIUS = np.array([3.0, -1.0, 2.0]), 2.5
 
 
 @pytest.fixture(scope="module")
 def capture():
     """In a frame of its own: the unit frame scaled and shifted."""
-    unit = capture_of(statue(), views=14, side=96, low=-0.6)
+    unit = capture_of(statue(), views=14, side=96, low=-0.6, paint=paint)
     views = []
     for view in unit.views:
         pose = view.camera.camera_to_world.copy()

@@ -21,6 +21,7 @@ from robir.capture.images.loading import size_within
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given.occluders import cleared
 from robir.geometry.given.placing import (
     AS_IT_IS,
     BETTER,
@@ -62,8 +63,8 @@ class Handed:
     Attributes:
         mesh: Unwrapped; textures belong to it.
         light: A copy on which light is solved, or None where the mesh itself serves.
-        views: All views of the capture; with the outlines of the mesh as masks where these had been
-            guessed.
+        views: All views of the capture where their masks had been guessed; the outlines of the mesh
+            take their place, without what stands before it in a photograph. Else None.
         metrics: For the stage's manifest.
         notes: Sentences for the user.
     """
@@ -106,11 +107,14 @@ def hand_in(
     ready = made_ready(given, config, reporter.warn)
     solid = ready.light or ready.mesh
     codes = {finding.code for finding in capture.findings}
-    views = None
+    views, before = None, ()
     reporter.progress(0.8, "drawing the mesh's outlines")
     if codes & {GUESSED_MASKS, MESH_MASKS}:
         tracer = EmbreeTracer(solid.vertices, solid.faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
+        reporter.progress(0.9, "looking for what stands before the object")
+        found = cleared(solid, views)
+        views, before = found.views, found.notes()
     return Handed(
         mesh=ready.mesh,
         light=ready.light,
@@ -124,7 +128,7 @@ def hand_in(
             "surface": "given",
             "layout": "new" if ready.is_unwrapped_anew else "own",
         },
-        notes=(*given.notes, *ready.notes),
+        notes=(*given.notes, *ready.notes, *before),
     )
 
 
