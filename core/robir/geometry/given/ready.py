@@ -33,6 +33,9 @@ OVERLAP = 0.03
 ATLAS = 1024
 """Texels along a side by which a layout is judged."""
 
+OUTWARD = 0.99
+"""Share of the faces whose normals are on the side of their front, in a mesh with a normal map."""
+
 NORMAL_SCALE = 0.25
 """Distance, unit frame, that counts as much as two normals one unit apart."""
 
@@ -44,6 +47,7 @@ class Ready:
     Attributes:
         mesh: Unwrapped; the user's own vertices and faces unless it was decimated.
         light: A copy with few faces and without noise, or None where the mesh itself is that.
+        normal_map: The user's, where the mesh keeps its texture coordinates.
         noise: Standard deviation of the vertices along their normals, unit frame.
         is_unwrapped_anew: Whether its texture coordinates are not the user's.
         notes: Sentences for the user.
@@ -51,6 +55,7 @@ class Ready:
 
     mesh: Mesh
     light: Mesh | None
+    normal_map: NDArray[np.uint8] | None
     noise: float
     is_unwrapped_anew: bool
     notes: tuple[str, ...]
@@ -69,33 +74,67 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
     few = plain_mesh(vertices, faces)
     if is_dense := len(faces) > budget:
         few = thinned(compacted(vertices, faces[_have_area(vertices, faces)]), THINNED * budget)
-    calm, noise = without_noise(vertices if not is_dense else few.vertices * 1.0, few.faces)
+    calm, noise = without_noise(
+        few.vertices.astype(np.float64) if is_dense else vertices, few.faces
+    )
     notes = (_told(noise),) if noise else ()
     few = plain_mesh(calm, few.faces)
     layout, fault = _layout(given)
+    detail, lost = _detail(given, fault is None)
+    notes = (*notes, *lost)
     if is_dense:
         few = with_creases(decimate(few, budget))
-    if fault is None:
-        mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
-        if is_dense:
-            mesh = replace(mesh, normals=_normals_of(few, mesh))
-            return Ready(mesh=mesh, light=few, noise=noise, is_unwrapped_anew=False, notes=notes)
-        made = with_creases(replace(few, uvs=layout, uv_faces=given.faces))
-    else:
+    if fault is not None:
         note = f"The mesh gets new texture coordinates: {fault}."
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
         made = with_creases(unwrap(_rewelded(few), config.unwrap_seconds, warn))
-    is_copy = is_dense or len(made.faces) != len(faces)
-    mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
+        is_copy = is_dense or len(made.faces) != len(faces)
+        mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
+    else:
+        made = few if is_dense else with_creases(replace(few, uvs=layout, uv_faces=given.faces))
+        if detail is not None:
+            mesh = _with_own_normals(given, layout)
+        elif is_dense:
+            mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
+            mesh = replace(mesh, normals=_normals_of(made, mesh))
+        else:
+            mesh = _moved_back(made, vertices[faces]) if noise else made
     return Ready(
         mesh=mesh,
         light=None if mesh is made else made,
+        normal_map=detail,
         noise=noise,
         is_unwrapped_anew=fault is not None,
         notes=notes,
     )
+
+
+def _detail(given: Given, keeps_layout: bool) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+    """The normal map that the result can have, and a sentence where it loses the mesh's."""
+    if given.normal_map is None or given.normals is None:
+        return None, ()
+    why = "it belongs to texture coordinates that are not kept"
+    if keeps_layout:
+        a, b, c = (given.vertices[given.faces[:, k]] for k in range(3))
+        outward = np.cross(b - a, c - a)
+        own = given.normals[given.faces].sum(1)
+        if ((own * outward).sum(1) >= 0).mean() > OUTWARD:
+            return given.normal_map, ()
+        why = "the mesh's normals point to the inside"
+    return None, (f"The mesh's normal map is not passed on to the result ({why}).",)
+
+
+def _with_own_normals(given: Given, layout: NDArray[np.float32]) -> Mesh:
+    """The user's mesh with the normals that its normal map is made for, shared where they agree."""
+    assert given.normals is not None
+    both = np.concatenate([given.vertices, given.normals], axis=1).astype(np.float32)
+    _, first, index = np.unique(both, axis=0, return_index=True, return_inverse=True)
+    faces = index.reshape(-1)[given.faces].astype(np.int32)
+    mesh = plain_mesh(given.vertices[first], faces)
+    normals = given.normals[first].astype(np.float32)
+    return replace(mesh, normals=normals, uvs=layout, uv_faces=given.faces)
 
 
 def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:

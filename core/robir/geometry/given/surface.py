@@ -63,6 +63,7 @@ class Handed:
     Attributes:
         mesh: Unwrapped; textures belong to it.
         light: A copy on which light is solved, or None where the mesh itself serves.
+        normal_map: As `Given` has it, where the result can have it too.
         views: All views of the capture where their masks had been guessed; the outlines of the mesh
             take their place, without what stands before it in a photograph. Else None.
         metrics: For the stage's manifest.
@@ -71,6 +72,7 @@ class Handed:
 
     mesh: Mesh
     light: Mesh | None
+    normal_map: NDArray[np.uint8] | None
     views: tuple[View, ...] | None
     metrics: dict[str, float | str]
     notes: tuple[str, ...]
@@ -118,6 +120,7 @@ def hand_in(
     return Handed(
         mesh=ready.mesh,
         light=ready.light,
+        normal_map=ready.normal_map,
         views=views,
         metrics={
             "faces": len(ready.mesh.faces),
@@ -173,7 +176,8 @@ def _placed(
             f"axes of the capture, without a negative scale; {picture} shows both"
         )
     if config.fit_mesh:
-        moved = replace(given, vertices=place(vertices))
+        normals = None if given.normals is None else given.normals @ place.turn.T
+        moved = replace(given, vertices=place(vertices), normals=normals)
         return moved.noted(f"The mesh was {own.described()}.", *_poor_fit(then)), then
     _show(tracer, (AS_IT_IS, place), views, picture)
     raise CaptureError(
