@@ -58,8 +58,11 @@ UNLIKE = 5.0
 """Spreads from the median that are something else."""
 
 SHARE = 0.5
-"""Of the points about a place that must be so; and of a photograph's points, above which it is no
-thing in front but another light or a wrong camera."""
+"""Of the points about a place that must be so."""
+
+MOST = 0.4
+"""Of a photograph's points; above it this is no thing in front but another light or a wrong camera,
+or one so large that the photograph's exposure is told by it."""
 
 BLUR = 1.5
 """Width about such a place, pixels."""
@@ -215,7 +218,7 @@ def _patch(place: NDArray[np.int16], far: NDArray[np.float32], view: View) -> ND
         return gaussian_filter(count.reshape(shape).astype(np.float64), BLUR)
 
     odd = known & (far > UNLIKE)
-    if not odd.any() or odd.sum() > SHARE * known.sum():
+    if not odd.any() or odd.sum() > MOST * known.sum():
         return np.zeros(shape, bool)
     inside = view.mask > 127
     all_known = density(known)
