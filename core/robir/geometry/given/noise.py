@@ -57,8 +57,8 @@ FARTHEST = 3.0
 """Standard deviations of the noise by which a vertex moves at most."""
 
 SHAPE = 0.1
-"""Correlation between neighbours from which what was taken away is shape. It is below 0.05 for
-scans with noise, and above 0.15 for meshes that were decimated far."""
+"""Correlation between neighbours from which what was taken away is shape. It is below 0.06 for
+scans with noise, and above 0.2 for meshes that were decimated far."""
 
 
 def without_noise(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, float]:
