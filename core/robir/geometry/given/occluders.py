@@ -60,7 +60,7 @@ UNLIKE = 5.0
 SHARE = 0.5
 """Of the points about a place that must be so."""
 
-MOST = 0.4
+MOST = 0.5
 """Of a photograph's points; above it this is no thing in front but another light or a wrong camera,
 or one so large that the photograph's exposure is told by it."""
 
