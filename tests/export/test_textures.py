@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Islands grow by what was asked, codes and colour states are what the files promise."""
 
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
 from evaluation import sphere_run
 from PIL import Image
 
+from robir.errors import StorageError
 from robir.export import textures
 
 
@@ -57,7 +60,8 @@ def test_margin_follows_the_size(size, margin):
 def test_files_carry_their_colour_state(tmp_path):
     arrays = sphere_run.sphere_textures()
     done = textures.finished_textures(arrays, 12)
-    (tmp_path / "metallic.png").write_bytes(b"old")
+    for name in ("metallic.png", "normal.png"):
+        (tmp_path / name).write_bytes(b"old")
     textures.write_textures(done, tmp_path)
     inside = arrays["inside"]
     names = {file.name for file in tmp_path.iterdir()}
@@ -92,3 +96,15 @@ def test_metal_gets_its_own_file(tmp_path):
     textures.write_textures(textures.finished_textures(arrays, 12), tmp_path)
     with Image.open(tmp_path / "metallic.png") as image:
         assert (np.array(image)[arrays["inside"]] == 255).all()
+
+
+def test_a_normal_map_is_written_and_read_as_it_is(tmp_path):
+    bumps = np.random.default_rng(0).integers(0, 256, (16, 24, 3)).astype(np.uint8)
+    done = textures.finished_textures(sphere_run.sphere_textures(), 12)
+    textures.write_textures(replace(done, normal_map=bumps), tmp_path)
+    path = tmp_path / "normal.png"
+    assert (textures.stored_normal_map(path) == bumps).all()
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(StorageError, match=r"normal\.png cannot be read"):
+        textures.stored_normal_map(path)
+    assert textures.stored_normal_map(tmp_path / "none.png") is None

@@ -8,20 +8,27 @@ error meant for the user. Anything else is a bug.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import trimesh
 from capture import app_writers, writers
 from capture.scene import cameras, shoot
+from evaluation import sphere_run
 from PIL import Image
 
 from robir.capture.arrays import stored_arrays
 from robir.capture.checks.frame_checks import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation
 from robir.capture.images.loading import read_mask
+from robir.capture.mesh_file import SUFFIXES, read_mesh
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError
+from robir.export.gltf import write_glb
+from robir.export.textures import finished_textures
 from robir.jobs import client
 from robir.pipeline.folder import read_run
 from robir.pipeline.ledger import stage_state
@@ -46,6 +53,9 @@ _POSES = {
     "metashape": (app_writers.metashape, "cameras.xml"),
     "meshroom": (partial(app_writers.meshroom, version=(1, 2, 6)), "cameras.sfm"),
 }
+MESHES = {f"mesh_{suffix[1:]}": suffix for suffix in SUFFIXES}
+"""Targets that are meshes, with the suffix of each."""
+
 _PICTURES = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 
 
@@ -63,6 +73,7 @@ class Targets:
         for kind in _PICTURES:
             Image.fromarray(shots[0].rgba).convert("RGB").save(picture, format=kind)
             self._add("image", picture, partial(_read_picture, picture))
+        self._add_meshes(folder / "meshes")
         self._add_results(folder / "result", shots)
 
     def _add(self, name: str, file: Path, read: Callable[[], object]) -> None:
@@ -76,6 +87,25 @@ class Targets:
         self.calls[name] = call
         self.seeds.setdefault(name, []).append(file.read_bytes())
         self.seeds[name] += [p.read_bytes() for p in sorted((CRASHES / name).glob("*"))]
+
+    def _add_meshes(self, folder: Path) -> None:
+        folder.mkdir()
+        box = trimesh.creation.box()
+        box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2] / 2 + 0.5)
+        for name, suffix in MESHES.items():
+            file = folder / f"scan{suffix}"
+            content = box.export(file_type=suffix[1:])
+            if isinstance(content, dict):  # glTF and its buffers
+                for part, data in content.items():
+                    (folder / part).write_bytes(data)
+                content = content["model.gltf"]
+            file.write_bytes(content.encode() if isinstance(content, str) else content)
+            self._add(name, file, partial(read_mesh, file))
+        textures = finished_textures(sphere_run.sphere_textures(), 12)
+        textures = replace(textures, normal_map=np.full((4, 4, 3), 128, np.uint8))
+        file = folder / "scan.glb"
+        write_glb(file, sphere_run.world_mesh(), textures, "scan")
+        self._add("mesh_glb", file, partial(read_mesh, file))
 
     def _add_results(self, root: Path, shots: list) -> None:
         from hostile.results import write_result

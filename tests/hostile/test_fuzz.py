@@ -9,7 +9,7 @@ import time
 
 import pytest
 from hostile.damage import NASTY, WHOLE, flipped, places, replaced
-from hostile.targets import _POSES, Targets
+from hostile.targets import _POSES, MESHES, Targets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +17,7 @@ SECONDS = 0.7
 """For each target; all of them stay below a minute."""
 
 NAMES = (*_POSES, *("image", "status", "worker", "worker_log", "run", "manifest"))
-NAMES += ("capture_json", "arrays")
+NAMES += ("capture_json", "arrays", *MESHES)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,9 @@ _JSON = st.recursive(
 )
 
 
-@pytest.mark.parametrize("name", ["nerfstudio", "polycam", "meshroom", "status", "run"])
+@pytest.mark.parametrize(
+    "name", ["nerfstudio", "polycam", "meshroom", "status", "run", "mesh_gltf"]
+)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_json_value_in_any_place(targets, name, data):

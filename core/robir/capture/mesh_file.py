@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.images.normal_map import normal_image, normal_map
 from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.names import checked_name, leads_out
@@ -38,12 +40,17 @@ class Given:
         vertices: (Nv, 3) float64, the capture's frame and unit or, placed, the unit frame.
         faces: (Nf, 3) int32, in the file's order.
         uvs: (Nv, 2) float64, v upwards; NaN for vertices without any.
+        normals: (Nv, 3) float64, unit; None where there is no normal map.
+        normal_map: (H, W, 3) codes of a map of tangent space over these normals and texture
+            coordinates, row 0 at v = 1, green towards larger v; None if the file has none.
         notes: Sentences for the user.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     uvs: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
+    normal_map: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
 
     def noted(self, *notes: str) -> Given:
@@ -66,13 +73,16 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
     try:
         parts = {"": _content(path)}
         if suffix == ".gltf":
-            for buffer in json.loads(parts[""]).get("buffers", ()):
-                uri = str(buffer.get("uri", ""))
+            document = json.loads(parts[""])
+            pictures = list(_normal_pictures(document))
+            for entry in (*document.get("buffers", ()), *pictures):
+                uri = str(entry.get("uri", ""))
                 if uri and not uri.startswith("data:"):
                     part = path.parent / checked_name(uri)
                     if leads_out(part, [path.parent]):
                         raise ValueError(f"{uri} lies outside its folder")  # noqa: TRY301
-                    parts[uri] = _content(part)
+                    if part.exists() or entry not in pictures:
+                        parts[uri] = _content(part)
     except (OSError, ValueError, AttributeError, TypeError, RecursionError) as fault:
         raise CaptureError(f"the mesh {path} cannot be read ({fault}); check the file") from fault
     return parts
@@ -90,21 +100,25 @@ def read_mesh(path: Path) -> Given:
     suffix = path.suffix.lower().removeprefix(".")
     content = parts.pop("")
     try:
+        detail, notes = None, ()
         if suffix in ("gltf", "glb"):
-            content = _without_pictures(content, is_binary=suffix == "glb")
+            document, rest = _opened(content, is_binary=suffix == "glb")
+            detail, notes = _detail(document, rest, parts)
+            content = _without_pictures(document, rest, is_binary=suffix == "glb")
         words: dict[str, Any] = {"skip_materials": True} if suffix in ("obj", "ply") else {}
         scene = trimesh.load_scene(
             io.BytesIO(content), file_type=suffix, resolver=parts, process=False, **words
         )
         pieces = [scene.graph[node] for node in scene.graph.nodes_geometry]
-        given = _merged([(matrix, scene.geometry[name]) for matrix, name in pieces])
+        found = [(matrix, scene.geometry[name]) for matrix, name in pieces]
+        given = replace(_merged(found, detail is not None), normal_map=detail, notes=notes)
     except Exception as fault:  # a foreign parser on foreign bytes may raise anything
         raise CaptureError(
             f"the mesh {path} cannot be read ({fault or type(fault).__name__}); check the file"
         ) from fault
     if suffix in ("gltf", "glb"):
-        x, y, z = given.vertices.T
-        given = replace(given, vertices=np.stack([x, -z, y], axis=1))
+        normals = None if given.normals is None else _z_up(given.normals)
+        given = replace(given, vertices=_z_up(given.vertices), normals=normals)
     return _sound(given, path)
 
 
@@ -113,9 +127,13 @@ def _content(path: Path) -> bytes:
         return file.read()
 
 
-def _merged(pieces: list[tuple[Any, Any]]) -> Given:
+def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+
+
+def _merged(pieces: list[tuple[Any, Any]], has_normals: bool) -> Given:
     """One soup of all pieces that have faces, each at its place."""
-    vertices, faces, uvs, count = [], [], [], 0
+    vertices, faces, uvs, normals, count = [], [], [], [], 0
     for matrix, piece in pieces:
         if len(getattr(piece, "faces", ())) == 0:
             continue
@@ -129,6 +147,9 @@ def _merged(pieces: list[tuple[Any, Any]]) -> Given:
         uv = getattr(piece.visual, "uv", None)
         fits = uv is not None and np.shape(uv) == (len(own), 2)
         uvs.append(np.asarray(uv, np.float64) if fits else np.full((len(own), 2), np.nan))
+        if has_normals:
+            normal = np.asarray(piece.vertex_normals, np.float64) @ np.linalg.inv(matrix[:3, :3])
+            normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-30))
         count += len(own)
     if not faces:
         return Given(
@@ -138,6 +159,7 @@ def _merged(pieces: list[tuple[Any, Any]]) -> Given:
         vertices=np.concatenate(vertices),
         faces=np.concatenate(faces).astype(np.int32),
         uvs=np.concatenate(uvs),
+        normals=np.concatenate(normals) if has_normals else None,
     )
 
 
@@ -165,16 +187,42 @@ def _sound(given: Given, path: Path) -> Given:
     )
 
 
-def _without_pictures(content: bytes, *, is_binary: bool) -> bytes:
-    """A glTF file without its pictures, which nobody needs and which foreign bytes may hide in."""
+def _normal_pictures(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The picture beside a glTF file that is needed, if there is one."""
+    try:
+        image = normal_image(document)
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return  # told when the mesh is read
+    if isinstance(image, dict):
+        yield image
+
+
+def _detail(
+    document: dict[str, Any], rest: bytes, parts: dict[str, bytes]
+) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+    """The normal map of a glTF file, or a sentence about why it cannot be taken."""
+    try:
+        return normal_map(document, rest[8:], parts), ()
+    except Exception as fault:  # whatever is wrong with it, the mesh may still be good
+        reason = fault or type(fault).__name__
+        return None, (f"The mesh's normal map is not passed on to the result ({reason}).",)
+
+
+def _opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
+    """The JSON of a glTF file, and what follows it in a GLB."""
     if not is_binary:
-        return json.dumps(_bare(json.loads(content))).encode()
-    magic, version, _ = struct.unpack_from("<4sII", content)
+        return json.loads(content), b""
     (length,) = struct.unpack_from("<I", content, 12)
-    text = json.dumps(_bare(json.loads(content[20 : 20 + length]))).encode()
+    return json.loads(content[20 : 20 + length]), content[20 + length :]
+
+
+def _without_pictures(document: dict[str, Any], rest: bytes, *, is_binary: bool) -> bytes:
+    """A glTF file for a parser that shall not look at pictures, in which foreign bytes may hide."""
+    text = json.dumps(_bare(document)).encode()
+    if not is_binary:
+        return text
     text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    head = struct.pack("<4sII", magic, version, 20 + len(text) + len(rest))
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
     return head + struct.pack("<I4s", len(text), _JSON) + text + rest
 
 

@@ -100,6 +100,12 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data) + -len(buffer.data) % 4}],
     }
+    if textures.normal_map is not None:
+        view = buffer.add_view(_png(textures.normal_map))
+        document["images"].append({"bufferView": view, "mimeType": "image/png", "name": "normal"})
+        document["textures"].append({"sampler": 0, "source": 2})
+        document["materials"][0]["normalTexture"] = {"index": 2}
+        document["buffers"][0]["byteLength"] = len(buffer.data) + -len(buffer.data) % 4
     if textures.specular != 1.0:
         document["extensionsUsed"] = [_SPECULAR]
     _write_chunks(path, document, bytes(buffer.data))

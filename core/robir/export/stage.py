@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from robir.export.config import ExportConfig
 from robir.export.environment import export_light
 from robir.export.gltf import write_glb
 from robir.export.report import Products, Rendering, write_report
-from robir.export.textures import finished_textures, write_textures
+from robir.export.textures import finished_textures, stored_normal_map, write_textures
 from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
@@ -27,7 +27,7 @@ from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import NUMBERS
 from robir.transport.observe import spread_views
 
-REVISION = 10
+REVISION = 11
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -66,6 +66,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     arrays = load_textures(paths, "metallic", "coverage", "uncertainty", "disagreement")
     report.progress(0.05, "writing textures and the asset")
     textures = finished_textures(arrays, len(judged.train))
+    textures = replace(textures, normal_map=stored_normal_map(paths.normal_map))
     write_textures(textures, paths.textures)
     write_glb(paths.asset, mesh, textures, asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
+from robir.errors import StorageError
 from robir.evaluation.metrics import srgb_from_linear
 from robir.jobs.paths import replacing
 
@@ -38,6 +39,8 @@ class Textures:
         uncertainty: (T, T), one standard error of the natural log of albedo, up to one factor a
             channel for the whole object.
         specular: 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not.
+        normal_map: (H, W, 3) codes of the tangent-space normal map that a handed-in mesh brought,
+            green towards larger v, or None.
     """
 
     albedo_linear: Array
@@ -46,6 +49,7 @@ class Textures:
     coverage: Array
     uncertainty: Array
     specular: float
+    normal_map: Codes | None = None
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
@@ -95,20 +99,39 @@ def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
     )
 
 
+def stored_normal_map(path: Path) -> Codes | None:
+    """The normal map (H, W, 3) that the geometry stage kept, or None where it kept none.
+
+    Raises:
+        StorageError: If it is damaged.
+    """
+    if not path.is_file():
+        return None
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            return np.array(picture.convert("RGB"))
+    except (OSError, ValueError, SyntaxError) as fault:
+        raise StorageError(
+            f"{path} cannot be read ({fault}). Run the geometry stage again."
+        ) from fault
+
+
 def write_textures(textures: Textures, folder: Path) -> None:
     """Write the images of export/textures.
 
-    albedo.png is sRGB, albedo.exr linear half; roughness.png and metallic.png are plain numbers
-    ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error of log
-    albedo, UNCERTAINTY_AT_255 at code 255.
+    albedo.png is sRGB, albedo.exr linear half; roughness.png, metallic.png and normal.png are plain
+    numbers ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error
+    of log albedo, UNCERTAINTY_AT_255 at code 255.
     """
     write_png(folder / "albedo.png", codes(srgb_from_linear(textures.albedo_linear)))
     write_exr(folder / "albedo.exr", textures.albedo_linear.astype(np.float16))
     write_png(folder / "roughness.png", codes(textures.roughness))
-    if textures.metallic is None:
-        (folder / "metallic.png").unlink(missing_ok=True)
-    else:
-        write_png(folder / "metallic.png", codes(textures.metallic))
+    metallic = None if textures.metallic is None else codes(textures.metallic)
+    for name, image in (("metallic.png", metallic), ("normal.png", textures.normal_map)):
+        if image is None:
+            (folder / name).unlink(missing_ok=True)
+        else:
+            write_png(folder / name, image)
     write_png(folder / "coverage.png", codes(textures.coverage))
     write_png(folder / "uncertainty.png", codes(textures.uncertainty / UNCERTAINTY_AT_255))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 
 from robir.capture.capture import Capture
 from robir.capture.store import load_capture, save_masks, save_turned
@@ -29,10 +30,10 @@ from robir.geometry.rival import smooth_surface
 from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
-from robir.jobs.paths import write_json
+from robir.jobs.paths import replacing, write_json
 from robir.steps import Course, Step, check_left_out
 
-REVISION = 31
+REVISION = 32
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
@@ -115,6 +116,9 @@ def _take(
     handed.mesh.save(folder / "mesh.npz")
     if handed.light is not None:
         handed.light.save(folder / LIGHT)
+    if handed.normal_map is not None:
+        with replacing(context.paths.normal_map) as temporary:
+            Image.fromarray(handed.normal_map).save(temporary, format="PNG", compress_level=1)
     context.reporter.progress(1.0, "mesh taken")
     return handed.metrics
 

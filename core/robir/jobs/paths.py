@@ -121,6 +121,11 @@ class JobPaths:
         return self.stage("geometry") / "cameras.json"
 
     @property
+    def normal_map(self) -> Path:
+        """Normal map of a handed-in mesh that keeps its texture coordinates; else absent."""
+        return self.stage("geometry") / "normal_map.png"
+
+    @property
     def cut_masks(self) -> Path:
         """Masks of the views where the geometry stage cut guessed ones again; else absent."""
         return self.stage("geometry") / "masks"

@@ -3,12 +3,11 @@
 
 Two meshes may come of it. Textures belong to the user's: its faces in their order and, where they
 are any good, its texture coordinates. Light is solved on a copy with few faces where it has many,
-which is faster and does not know the noise of a scan.
+which is faster, and without the noise of a scan where it has that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import uniform_filter
-from scipy.spatial import cKDTree
 
 from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
 from robir.capture.images.loading import size_within
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given.occluders import cleared
 from robir.geometry.given.placing import (
     AS_IT_IS,
     BETTER,
@@ -33,30 +32,13 @@ from robir.geometry.given.placing import (
     Similarity,
     better_place,
 )
+from robir.geometry.given.ready import made_ready, welded
 from robir.geometry.given.sides import inside_out
-from robir.geometry.mesh.isosurface import compacted, plain_mesh
-from robir.geometry.mesh.simplify import decimate, thinned, with_creases
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
 from robir.jobs.context import Reporter
 from robir.jobs.paths import replacing
 from robir.maths.vectors import farthest_points
-
-LIGHT_FACES = 4
-"""Faces of the copy on which light is solved, over the face budget of a surface of our own."""
-
-THINNED = 8
-"""Faces, over those of that copy, to which a mesh of more is thinned quickly first."""
-
-OUTSIDE = 1e-3
-"""Of the texture's side: as far as texture coordinates may leave it by rounding."""
-
-OVERLAP = 0.03
-"""Share of a layout that may lie on itself: charts' rims do."""
-
-ATLAS = 1024
-"""Texels along a side by which a layout is judged."""
 
 UNRELATED = 0.5
 """Share of outline and mask that both have, below which a mesh shows something else."""
@@ -73,9 +55,6 @@ SHOWN = 4
 TILE = 240
 """Longer side of each of them, pixels."""
 
-NORMAL_SCALE = 0.25
-"""Distance, unit frame, that counts as much as two normals one unit apart."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handed:
@@ -84,14 +63,16 @@ class Handed:
     Attributes:
         mesh: Unwrapped; textures belong to it.
         light: A copy on which light is solved, or None where the mesh itself serves.
-        views: All views of the capture; with the outlines of the mesh as masks where these had been
-            guessed.
+        normal_map: As `Given` has it, where the result can have it too.
+        views: All views of the capture where their masks had been guessed; the outlines of the mesh
+            take their place, without what stands before it in a photograph. Else None.
         metrics: For the stage's manifest.
         notes: Sentences for the user.
     """
 
     mesh: Mesh
     light: Mesh | None
+    normal_map: NDArray[np.uint8] | None
     views: tuple[View, ...] | None
     metrics: dict[str, float | str]
     notes: tuple[str, ...]
@@ -125,26 +106,32 @@ def hand_in(
     given, agreement = _placed(given, captures, config, picture)
     given = _turned(given, capture)
     reporter.progress(0.4, "making the mesh ready for textures")
-    mesh, light, new = _finished(given, config, reporter.warn)
+    ready = made_ready(given, config, reporter.warn)
+    solid = ready.light or ready.mesh
     codes = {finding.code for finding in capture.findings}
-    views = None
+    views, before = None, ()
     reporter.progress(0.8, "drawing the mesh's outlines")
     if codes & {GUESSED_MASKS, MESH_MASKS}:
-        tracer = EmbreeTracer((light or mesh).vertices, (light or mesh).faces)
+        tracer = EmbreeTracer(solid.vertices, solid.faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
+        reporter.progress(0.9, "looking for what stands before the object")
+        found = cleared(solid, views)
+        views, before = found.views, found.notes()
     return Handed(
-        mesh=mesh,
-        light=light,
+        mesh=ready.mesh,
+        light=ready.light,
+        normal_map=ready.normal_map,
         views=views,
         metrics={
-            "faces": len(mesh.faces),
+            "faces": len(ready.mesh.faces),
             "faces_given": faces,
-            "faces_for_light": len((light or mesh).faces),
+            "faces_for_light": len(solid.faces),
+            "noise": round(ready.noise, 6),
             "outline_agreement": round(agreement.share, 4),
             "surface": "given",
-            "layout": "new" if new else "own",
+            "layout": "new" if ready.is_unwrapped_anew else "own",
         },
-        notes=(*given.notes, *new),
+        notes=(*given.notes, *ready.notes, *before),
     )
 
 
@@ -189,7 +176,8 @@ def _placed(
             f"axes of the capture, without a negative scale; {picture} shows both"
         )
     if config.fit_mesh:
-        moved = replace(given, vertices=place(vertices))
+        normals = None if given.normals is None else given.normals @ place.turn.T
+        moved = replace(given, vertices=place(vertices), normals=normals)
         return moved.noted(f"The mesh was {own.described()}.", *_poor_fit(then)), then
     _show(tracer, (AS_IT_IS, place), views, picture)
     raise CaptureError(
@@ -246,7 +234,7 @@ def _show(
 
 def _turned(given: Given, capture: Capture) -> Given:
     """The mesh with the sides outward that cameras look at."""
-    vertices, faces = _welded(given)
+    vertices, faces = welded(given)
     rays = Outlines(capture.train, FINE)
     wrong = inside_out(vertices, faces, (rays.origins, rays.directions))
     if not wrong.any():
@@ -256,85 +244,3 @@ def _turned(given: Given, capture: Capture) -> Given:
     return replace(given, faces=turned).noted(
         f"{wrong.mean():.0%} of the mesh's faces showed their back to the cameras and were turned."
     )
-
-
-def _welded(given: Given) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices that faces share wherever they have the same place, and the faces over them."""
-    _, first, index = np.unique(
-        given.vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True
-    )
-    return given.vertices[first], index.reshape(-1)[given.faces].astype(np.int32)
-
-
-def _finished(
-    given: Given, config: GeometryConfig, warn: Callable[[str], None]
-) -> tuple[Mesh, Mesh | None, tuple[str, ...]]:
-    """The mesh for textures and, where that has many faces, another for light.
-
-    A sentence says where the mesh could not keep its own texture coordinates.
-    """
-    budget = LIGHT_FACES * config.face_budget
-    vertices, faces = _welded(given)
-    light = None
-    if len(faces) > budget:
-        a, b, c = (vertices[faces[:, k]] for k in range(3))
-        solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
-        dense = thinned(compacted(vertices, faces[solid]), THINNED * budget)
-        light = with_creases(decimate(dense, budget))
-    layout, fault = _layout(given)
-    if fault is None:
-        mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
-        if light is None:
-            return with_creases(mesh), None, ()
-        return replace(mesh, normals=_normals_of(light, mesh)), light, ()
-    note = f"The mesh gets new texture coordinates: {fault}."
-    if light is not None:
-        note = f"{note[:-1]}; with them it has {len(light.faces)} faces instead of {len(faces)}."
-    bare = plain_mesh(vertices, faces) if light is None else compacted(light.vertices, light.faces)
-    welded = _rewelded(bare)
-    return with_creases(unwrap(welded, config.unwrap_seconds, warn)), None, (note,)
-
-
-def _rewelded(mesh: Mesh) -> Mesh:
-    """A mesh whose vertices are shared again that creases have split."""
-    vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    return plain_mesh(vertices, index.reshape(-1)[mesh.faces])
-
-
-def _layout(given: Given) -> tuple[NDArray[np.float32], str | None]:
-    """The mesh's own texture coordinates (Nv, 2), or why they cannot be used."""
-    uvs = given.uvs.astype(np.float32)
-    used = uvs[np.unique(given.faces)]
-    known = np.isfinite(used).all(1)
-    if not known.any():
-        return uvs, "it has none"
-    if not known.all():
-        return uvs, f"{(~known).mean():.0%} of its corners have none"
-    if used.min() < -OUTSIDE or used.max() > 1 + OUTSIDE:
-        return uvs, (
-            f"its own lie outside 0..1 (from {used.min():.2f} to {used.max():.2f}), so that places "
-            "share texels or tiles would be needed"
-        )
-    uvs = np.nan_to_num(uvs).clip(0, 1)
-    a, b, c = (uvs[given.faces[:, k]].astype(np.float64) for k in range(3))
-    (ax, ay), (bx, by) = (b - a).T, (c - a).T
-    area = 0.5 * np.abs(ax * by - ay * bx).sum()
-    if area < 1e-3:
-        return uvs, "its own cover next to nothing of a texture"
-    mesh = replace(plain_mesh(given.vertices, given.faces), uvs=uvs, uv_faces=given.faces)
-    covered = float((rasterise_atlas(mesh, ATLAS)[0] >= 0).mean())
-    if covered < (1 - OVERLAP) * area:
-        return uvs, f"{1 - covered / area:.0%} of its own overlap, so that places share texels"
-    return uvs, None
-
-
-def _normals_of(light: Mesh, mesh: Mesh) -> NDArray[np.float32]:
-    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest."""
-    points, query = (
-        np.concatenate([one.vertices, NORMAL_SCALE * one.normals], axis=1) for one in (light, mesh)
-    )
-    distance, index = cKDTree(points).query(query, k=3, eps=0.1)
-    weight = 1 / (distance + 1e-4)
-    total = np.einsum("nk,nkd->nd", weight, light.normals[index])
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return (total / np.maximum(length, 1e-9)).astype(np.float32)
