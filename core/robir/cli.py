@@ -19,6 +19,7 @@ from pathlib import Path
 
 from robir import __version__, commands
 from robir.errors import CancelledError, RobirError
+from robir.jobs.library import FORMATS
 from robir.presets import PRESETS
 
 _log = logging.getLogger("robir")
@@ -151,6 +152,13 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--preset", choices=sorted(PRESETS), help="of all captures")
     _add_set(parser)
     parser.add_argument(
+        "--format",
+        type=_formats,
+        metavar="LIST",
+        help="what LIBRARY offers of each result, with commas: glb, usd, and blend, which makes it "
+        "an asset of Blender's library; default glb,blend",
+    )
+    parser.add_argument(
         "--on",
         choices=("local", "openjd", "slurm"),
         default="local",
@@ -269,6 +277,17 @@ def path_argument(text: str) -> Path:
         if error.errno == errno.ENAMETOOLONG:
             raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
     return Path(text)
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    """Formats of an asset, with commas between them."""
+    chosen = [kind for kind in FORMATS if kind in text.lower().split(",")]
+    unknown = sorted(set(text.lower().split(",")) - set(chosen))
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0]!a} is no format; known: {', '.join(FORMATS)}"
+        )
+    return tuple(chosen)
 
 
 def positive(text: str) -> int:

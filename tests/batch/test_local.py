@@ -216,6 +216,24 @@ def test_a_folder_of_other_things_is_no_place_for_a_result(tmp_path, library, te
     assert "thesis.json" in library.page.read_text()
 
 
+def test_a_library_offers_the_formats_that_are_asked_for(tmp_path, library, template):
+    captures = make_captures(tmp_path / "shots", {"a": ""})
+    JobPaths(template).asset.write_bytes(b"")
+    assert run_batch(template, words(library, captures / "a", "--format", "glb")) == 0
+    offered = re.compile(r'<a href="(a/export/[^"]+)">(\w+)</a>')
+    assert offered.findall(library.page.read_text()) == [("a/export/asset.glb", "glb")]
+    assert not library.facts("a").exists() and not library.catalogues.exists()
+    # what is there already is not made again, what is not is
+    assert run_batch(template, words(library, "--resume", "--format", "blend,glb")) == 0
+    assert starts(library, "a") == 1
+    assert [kind for _, kind in offered.findall(library.page.read_text())] == ["glb", "blend"]
+    assert "shots" in library.catalogues.read_text()
+    assert run_batch(template, words(library, "--resume", "--format", "usd")) == 0
+    assert starts(library, "a") == 2
+    with pytest.raises(SystemExit):
+        run_batch(template, words(library, "--resume", "--format", "fbx"))
+
+
 def test_without_a_plan_there_is_nothing_to_go_on_with(library):
     with pytest.raises(UsageError, match="holds no batch"):
         run_batch(Path(), words(library, "--resume"))

@@ -44,7 +44,7 @@ def test_a_full_disk_in_one_leaves_the_others_alone(tmp_path, small_disk):
         write_specimen(tmp_path / "shots" / name)
     settings = json.dumps([*SETTINGS, *(item for item in LEAST if "export." not in item)])
     plan = tmp_path / "plan.toml"
-    plan.write_text(f"assets = false\nsettings = {settings}\n[[capture]]\npath = 'shots/*'\n")
+    plan.write_text(f"formats = ['glb']\nsettings = {settings}\n[[capture]]\npath = 'shots/*'\n")
     library = LibraryPaths(small_disk.parent)
     command = [sys.executable, "-P", "-m", "robir", "batch", str(plan), "-o", str(library.root)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

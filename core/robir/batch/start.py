@@ -9,6 +9,7 @@ import time
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,16 +78,20 @@ def _make(root: Path) -> None:
 
 
 def _plan(options: Namespace, paths: LibraryPaths) -> Plan:
-    if not options.sources:
-        if not (options.resume or options.page):
-            raise UsageError("name a plan or captures, or go on with --resume")
-        return kept_plan(paths, options.captures)
-    changes: dict[str, Any] = {"settings": options.assignments}
-    if options.preset:
-        changes["preset"] = options.preset
-    plan = read_plan(options.sources, changes, paths)
-    keep_plan(plan, paths)
-    for entry in plan.entries:
+    if options.sources:
+        changes: dict[str, Any] = {"settings": options.assignments}
+        if options.preset:
+            changes["preset"] = options.preset
+        plan = read_plan(options.sources, changes, paths)
+    elif options.resume or options.page:
+        plan = kept_plan(paths, options.captures)
+    else:
+        raise UsageError("name a plan or captures, or go on with --resume")
+    if options.format:
+        plan = replace(plan, options=replace(plan.options, formats=options.format))
+    if options.sources or options.format:
+        keep_plan(plan, paths)
+    for entry in plan.entries if options.sources else ():
         (paths.dropped / entry.name).unlink(missing_ok=True)
     return plan
 
@@ -165,7 +170,7 @@ def _draw(plan: Plan, paths: LibraryPaths) -> int:
     rows = []
     for entry in plan.entries:
         snapshot = client.snapshot(paths.result(entry.name).root.absolute())
-        rows.append(row_of(entry, of_snapshot(entry.name, snapshot), paths))
+        rows.append(row_of(entry, of_snapshot(entry.name, snapshot), paths, plan.options.formats))
     write_page(rows, paths)
     sys.stdout.write(f"{paths.page.resolve()}\n")
     return 0
@@ -218,7 +223,7 @@ class _Book:
         for entry, item in zip(self._plan.entries, self._items, strict=True):
             known = self._rows.get(entry.name)
             if known is None or known[0] != item.standing:
-                row = row_of(entry, item.standing, self._paths)
+                row = row_of(entry, item.standing, self._paths, self._plan.options.formats)
                 self._rows[entry.name] = (item.standing, row)
         self._write_state(seconds_left)
         with suppress(OSError):
