@@ -20,6 +20,7 @@ from pathlib import Path
 from robir import __version__, commands
 from robir.errors import CancelledError, RobirError
 from robir.jobs.library import FORMATS
+from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
 
 _log = logging.getLogger("robir")
@@ -130,6 +131,12 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "catalogue that this TOML file names",
     )
     parser.add_argument(
+        "--until",
+        choices=STAGES,
+        default=STAGES[-1],
+        help="end after this stage; --resume goes on from there, here or on another machine",
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
     )
     _add_progress(parser)
@@ -166,6 +173,15 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "or Slurm",
     )
     parser.add_argument(
+        "--split",
+        action="store_true",
+        help="on a farm: what comes before and after the fit of the surface are tasks of their "
+        "own, so that the fit alone asks for a GPU",
+    )
+    parser.add_argument(
+        "--fit-queue", metavar="PARTITION", help="Slurm's partition for the fit, with --split"
+    )
+    parser.add_argument(
         "--jobs",
         type=positive,
         help="most captures at a time; default: one a core",
@@ -179,6 +195,13 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--page", action="store_true", help="only draw the contact sheet anew")
     parser.add_argument(
         "--task", type=int, metavar="N", help="only capture N of LIBRARY's plan, for farms"
+    )
+    parser.add_argument(
+        "--stages",
+        type=_stages,
+        default=(STAGES[0], STAGES[-1]),
+        metavar="FIRST-LAST",
+        help="with --task: only these stages, once those before them are done, for farms",
     )
     parser.add_argument(
         "--captures",
@@ -277,6 +300,14 @@ def path_argument(text: str) -> Path:
         if error.errno == errno.ENAMETOOLONG:
             raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
     return Path(text)
+
+
+def _stages(text: str) -> tuple[str, str]:
+    """The first and the last of some stages, such as transport-export."""
+    first, separator, last = text.partition("-")
+    if first not in STAGES or (separator and last not in STAGES[STAGES.index(first) :]):
+        raise argparse.ArgumentTypeError(f"{text!a} names no stages; they are {', '.join(STAGES)}")
+    return first, last or first
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -14,6 +14,8 @@ import sys
 import time
 from pathlib import Path
 
+STAGES = ("capture", "geometry", "transport", "appearance", "export")
+
 
 def status(out, state, message, code):
     known = {
@@ -60,6 +62,16 @@ def main():
         ending(out, 1, what)
     elif kind == "die" and starts == 1:
         os.kill(os.getpid(), signal.SIGKILL)
+    if "--until" in sys.argv:
+        until = sys.argv[sys.argv.index("--until") + 1]
+        for stage in STAGES[: STAGES.index(until) + 1]:
+            shutil.copytree(
+                f"{template}/stages/{stage}", out / "stages" / stage, dirs_exist_ok=True
+            )
+        if until != STAGES[-1]:
+            note(out, f"end of {until} on {sys.argv[sys.argv.index('--device') + 1]}")
+            status(out, "cancelled", f"{until} is done", 0)
+            return
     shutil.copytree(template, out, dirs_exist_ok=True)
     note(out, "end")
     status(out, "done", "finished", 0)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import resource
 import signal
@@ -19,19 +18,7 @@ from robir.jobs.client import snapshot
 from robir.jobs.library import LibraryPaths, drop, read_batch, start_batch, stop_batch
 from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, write_json
-from tests.batch import fakes
-from tests.batch.fakes import make_captures, make_template, run_batch
-
-
-@pytest.fixture
-def library(tmp_path):
-    return LibraryPaths(tmp_path / "library")
-
-
-@pytest.fixture
-def template(tmp_path):
-    captures = make_captures(tmp_path / "model", {"a": ""})
-    return make_template(tmp_path / "template", captures / "a")
+from tests.batch.fakes import ROOT, make_captures, run_batch, variables
 
 
 def log(library: LibraryPaths, name: str) -> list[str]:
@@ -62,10 +49,6 @@ def words(library: LibraryPaths, *more: object) -> list[str]:
     return ["-o", str(library.root), "--progress", "plain", *map(str, more)]
 
 
-ROOT = Path(fakes.__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
-
-
 def program(template: Path) -> list[str]:
     return [sys.executable, "-m", "tests.batch.fakes", str(template)]
 
@@ -75,7 +58,7 @@ def begun(library: LibraryPaths, template: Path, *more: object) -> subprocess.Po
     return subprocess.Popen(
         [*program(template), *words(library, *more)],
         cwd=ROOT,
-        env=ENVIRONMENT,
+        env=variables(),
         stderr=subprocess.DEVNULL,
     )
 
@@ -196,14 +179,14 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
 def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):
     go = tmp_path / "go"
     captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": ""})
-    start_batch(program(template), [str(captures / "*")], library, ENVIRONMENT)
+    start_batch(program(template), [str(captures / "*")], library, variables())
     until(lambda: library.state.exists() and states(library)["a"] == "running")
     stop_batch(library)
     until(lambda: holder(library.lock) is None)
     assert holder(JobPaths(library.root / "a").lock) is None
     drop(library, "b")
     go.touch()
-    start_batch(program(template), [], library, ENVIRONMENT)
+    start_batch(program(template), [], library, variables())
     until(lambda: library.page.exists() and states(library)["c"] == "done")
     until(lambda: holder(library.lock) is None)
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}

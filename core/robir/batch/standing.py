@@ -66,6 +66,9 @@ def of_snapshot(name: str, snapshot: Snapshot) -> Standing:
         stage = f"{snapshot.stage}: " if snapshot.stage else ""
         message = f"{stage}{snapshot.message}"
         return Standing(name=name, state="running", fraction=snapshot.fraction, message=message)
+    if snapshot.state == "cancelled" and snapshot.exit_code == 0:  # at the end of its own stages
+        left = {"fraction": snapshot.fraction, "message": snapshot.message}
+        return Standing(name=name, state="waiting", **left)
     is_whole = snapshot.state == "done"
     return Standing(
         name=name,
