@@ -173,15 +173,6 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "or Slurm",
     )
     parser.add_argument(
-        "--split",
-        action="store_true",
-        help="on a farm: what comes before and after the fit of the surface are tasks of their "
-        "own, so that the fit alone asks for a GPU",
-    )
-    parser.add_argument(
-        "--fit-queue", metavar="PARTITION", help="Slurm's partition for the fit, with --split"
-    )
-    parser.add_argument(
         "--jobs",
         type=positive,
         help="most captures at a time; default: one a core",
@@ -193,6 +184,20 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--resume", action="store_true", help="go on with what LIBRARY's plan still lacks"
     )
     parser.add_argument("--page", action="store_true", help="only draw the contact sheet anew")
+    _add_farm(parser)
+    _add_progress(parser)
+
+
+def _add_farm(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--split",
+        action="store_true",
+        help="on a farm: what comes before and after the fit of the surface are tasks of their "
+        "own, so that the fit alone asks for a GPU",
+    )
+    parser.add_argument(
+        "--fit-queue", metavar="PARTITION", help="Slurm's partition for the fit, with --split"
+    )
     parser.add_argument(
         "--task", type=int, metavar="N", help="only capture N of LIBRARY's plan, for farms"
     )
@@ -209,7 +214,6 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DIR",
         help="folder of the captures, where it is not where it was",
     )
-    _add_progress(parser)
 
 
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
