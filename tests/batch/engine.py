@@ -43,6 +43,8 @@ def ending(out, code, message):
 
 def main():
     template, act = sys.argv[1], Path(sys.argv[3], "act").read_text()
+    if act == "really":
+        os.execv(sys.executable, [sys.executable, "-P", "-m", "robir", *sys.argv[2:]])
     out = Path(sys.argv[sys.argv.index("-o") + 1])
     lock = os.open(out / "lock", os.O_RDWR | os.O_CREAT, 0o644)
     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -69,6 +71,8 @@ def main():
                 f"{template}/stages/{stage}", out / "stages" / stage, dirs_exist_ok=True
             )
         if until != STAGES[-1]:
+            run = json.loads(Path(template, "run.json").read_text())
+            (out / "run.json").write_text(json.dumps(run | {"state": "running"}))
             note(out, f"end of {until} on {sys.argv[sys.argv.index('--device') + 1]}")
             status(out, "cancelled", f"{until} is done", 0)
             return

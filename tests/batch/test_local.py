@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from robir.batch.start import batch
+from robir.cli import _parser
 from robir.errors import UsageError
 from robir.jobs.client import snapshot
 from robir.jobs.library import LibraryPaths, drop, read_batch, start_batch, stop_batch
@@ -228,8 +230,13 @@ def test_without_a_plan_there_is_nothing_to_go_on_with(library):
 def test_a_thousand_captures_cost_little_to_schedule(tmp_path, library, template):
     names = [f"capture_{number:04d}" for number in range(1000)]
     captures = make_captures(tmp_path / "shots", dict.fromkeys(names, ""))
+    status = {"state": "done", "stage": "", "fraction": 1.0, "message": "", "seconds_left": None}
+    write_json(JobPaths(template).status, status | {"exit_code": 0, "pid": 1, "heartbeat": 1.0})
+    # the least engine there is, as only the batch's own time counts
+    copying = ["/bin/sh", "-c", 'cp -R "$0"/. "$4"', str(template)]
+    options = _parser().parse_args(["batch", *words(library, captures / "*", "--jobs", 8)])
     before = resource.getrusage(resource.RUSAGE_SELF)
-    assert run_batch(template, words(library, captures / "*", "--jobs", 8)) == 0
+    assert batch(options, copying) == 0
     after = resource.getrusage(resource.RUSAGE_SELF)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     assert spent / len(names) < 0.020
