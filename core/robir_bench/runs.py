@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -50,10 +51,17 @@ def picture_file(run: BenchRun, folder: Path) -> Path:
 
 def read_scores(folder: Path) -> dict[str, Record]:
     """Record of each run that was tried, by name; also of those that are not gathered yet."""
+    loose = []
+    for file in sorted(_loose(folder).glob("*.json")):
+        with suppress(FileNotFoundError):  # gathered meanwhile, so that it is in the other file now
+            loose.append(read_json(file))
+    return {record["name"]: record for record in [*_gathered(folder), *loose]}
+
+
+def _gathered(folder: Path) -> list[Record]:
     file = scores_file(folder)
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    loose = map(read_json, sorted(_loose(folder).glob("*.json")))
-    return {record["name"]: record for record in [*map(json.loads, lines), *loose]}
+    return [json.loads(line) for line in lines]
 
 
 def _loose(folder: Path) -> Path:
@@ -67,14 +75,14 @@ class Scores:
     def __init__(self, folder: Path, runs: Sequence[BenchRun]) -> None:
         """Gather what tasks have left."""
         self._folder, self._runs = folder, runs
-        loose = [file.stem for file in _loose(folder).glob("*.json")]
+        loose = list(_loose(folder).glob("*.json"))
+        before = [record["name"] for record in _gathered(folder)]
         self.records = read_scores(folder)
-        before = [name for name in self.records if name not in loose]
         self._order = dict.fromkeys([*before, *(run.name for run in runs), *self.records])
         if loose:
             self._write()
-            for name in loose:
-                (_loose(folder) / f"{name}.json").unlink()
+            for file in loose:
+                file.unlink(missing_ok=True)
 
     def has(self, run: BenchRun) -> bool:
         """Whether a run was done; one that failed was not."""

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 from bench.fake_robir import write_plan
 
 from robir import cli
+from robir.errors import CancelledError
 from robir.jobs.paths import read_json
 from robir_bench.ablation import ablated
 from robir_bench.crew import Crew
@@ -188,3 +192,25 @@ def test_the_command_does_its_runs_in_processes_of_their_own(tmp_path, monkeypat
     (record,) = read_scores(tmp_path / "out").values()
     assert "nowhere" in record["error"]
     assert Path(capsys.readouterr().out.strip()).is_file()
+
+
+def test_a_crew_that_is_told_to_stop_ends_its_tasks_and_what_they_started(tmp_path, one_by_one):
+    team = Team(tmp_path, *one_by_one)
+    mark = tmp_path / "begun"
+    sleeping = f"sleep 60 & echo $! > {mark}; wait"
+    crew = team.crew(team.runs[0], command=["/bin/sh", "-c", sleeping])
+    stopper = threading.Thread(target=stop_once, args=(mark,))
+    stopper.start()
+    with pytest.raises(CancelledError):
+        crew.work(None)
+    stopper.join()
+    child = Path("/proc", mark.read_text().strip(), "stat")
+    assert not child.exists() or child.read_text().rpartition(")")[2].split()[0] == "Z"
+    assert Scores(team.out, team.runs[:1]).missing == [0]
+
+
+def stop_once(mark: Path) -> None:
+    """Ask this process to end once a file is there and says something."""
+    while not (mark.exists() and mark.read_text().strip()):
+        time.sleep(0.02)
+    os.kill(os.getpid(), signal.SIGTERM)
