@@ -19,6 +19,8 @@ from pathlib import Path
 
 from robir import __version__, commands
 from robir.errors import CancelledError, RobirError
+from robir.jobs.library import FORMATS
+from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
 
 _log = logging.getLogger("robir")
@@ -129,6 +131,12 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "catalogue that this TOML file names",
     )
     parser.add_argument(
+        "--until",
+        choices=STAGES,
+        default=STAGES[-1],
+        help="end after this stage; --resume goes on from there, here or on another machine",
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on in an unfinished result folder"
     )
     _add_progress(parser)
@@ -151,6 +159,13 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--preset", choices=sorted(PRESETS), help="of all captures")
     _add_set(parser)
     parser.add_argument(
+        "--format",
+        type=_formats,
+        metavar="LIST",
+        help="what LIBRARY offers of each result, with commas: glb, usd, and blend, which makes it "
+        "an asset of Blender's library; default glb,blend",
+    )
+    parser.add_argument(
         "--on",
         choices=("local", "openjd", "slurm"),
         default="local",
@@ -169,8 +184,29 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--resume", action="store_true", help="go on with what LIBRARY's plan still lacks"
     )
     parser.add_argument("--page", action="store_true", help="only draw the contact sheet anew")
+    _add_farm(parser)
+    _add_progress(parser)
+
+
+def _add_farm(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--split",
+        action="store_true",
+        help="on a farm: what comes before and after the fit of the surface are tasks of their "
+        "own, so that the fit alone asks for a GPU",
+    )
+    parser.add_argument(
+        "--fit-queue", metavar="PARTITION", help="Slurm's partition for the fit, with --split"
+    )
     parser.add_argument(
         "--task", type=int, metavar="N", help="only capture N of LIBRARY's plan, for farms"
+    )
+    parser.add_argument(
+        "--stages",
+        type=_stages,
+        default=(STAGES[0], STAGES[-1]),
+        metavar="FIRST-LAST",
+        help="with --task: only these stages, once those before them are done, for farms",
     )
     parser.add_argument(
         "--captures",
@@ -178,7 +214,6 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DIR",
         help="folder of the captures, where it is not where it was",
     )
-    _add_progress(parser)
 
 
 def _add_check(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -269,6 +304,25 @@ def path_argument(text: str) -> Path:
         if error.errno == errno.ENAMETOOLONG:
             raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
     return Path(text)
+
+
+def _stages(text: str) -> tuple[str, str]:
+    """The first and the last of some stages, such as transport-export."""
+    first, separator, last = text.partition("-")
+    if first not in STAGES or (separator and last not in STAGES[STAGES.index(first) :]):
+        raise argparse.ArgumentTypeError(f"{text!a} names no stages; they are {', '.join(STAGES)}")
+    return first, last or first
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    """Formats of an asset, with commas between them."""
+    chosen = [kind for kind in FORMATS if kind in text.lower().split(",")]
+    unknown = sorted(set(text.lower().split(",")) - set(chosen))
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0]!a} is no format; known: {', '.join(FORMATS)}"
+        )
+    return tuple(chosen)
 
 
 def positive(text: str) -> int:

@@ -45,9 +45,11 @@ def reconstruct(options: Namespace) -> int:
             is_resume=options.resume,
             mesh=mesh,
             asset=asset,
+            until=options.until,
         )
-        doubt = judged(run(request, display, load_stages()))
-    if doubt is None and options.progress != "json":
+        paths = run(request, display, load_stages())
+    doubt, is_whole = judged(paths), paths.manifest(STAGES[-1]).exists()
+    if is_whole and doubt is None and options.progress != "json":
         print("quality check passed", file=sys.stderr)
     print(options.out.resolve())
     return 0 if doubt is None else doubt.exit_code

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robir.cli import path_argument
+from robir.cli import path_argument, positive
 from robir.errors import UsageError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
     parser = subparsers.add_parser(
         "stability", help="spoil captures one factor at a time and chart what that costs"
     )
-    parser.set_defaults(command=stability)
+    parser.set_defaults(command=stability, population=None, ablate=False)
     parser.add_argument(
         "plan", type=path_argument, metavar="PLAN.toml", help="as for bench, with a table [factors]"
     )
@@ -72,6 +72,21 @@ def _add_runs(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="CPU seconds after which no further run starts; 0 only draws what is done",
     )
+    parser.add_argument(
+        "--on",
+        choices=("local", "openjd", "slurm"),
+        default="local",
+        help="who works: this machine (default), a render farm by an Open Job Description bundle, "
+        "or Slurm",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=positive,
+        default=1,
+        help="most runs at a time on this machine, default 1; one that starts from stages of "
+        "another waits for that",
+    )
+    parser.add_argument("--task", type=int, metavar="N", help="only run N of the plan, for farms")
 
 
 def bench(options: Namespace) -> int:
@@ -80,7 +95,6 @@ def bench(options: Namespace) -> int:
     Of a plan the exit code is the largest of its runs'; of a population, where failures are counted
     among the scores, only a bug is a failure.
     """
-    from robir_bench.page import write_ablation, write_bench, write_population
     from robir_bench.plan import read_plan
     from robir_bench.population import read_population
 
@@ -88,15 +102,20 @@ def bench(options: Namespace) -> int:
         raise UsageError("give either PLAN.toml or --population DIR")
     if options.ablate and options.population is None:
         raise UsageError("--ablate needs --population DIR")
-    if options.population is not None:
-        runs, write = read_population(options.population), write_population
-        if options.ablate:
-            from robir_bench.ablation import ablated
+    is_population = options.population is not None
+    runs = read_population(options.population) if is_population else read_plan(options.plan)
+    if options.ablate:
+        from robir_bench.ablation import ablated
 
-            runs, write = ablated(runs), write_ablation
-        tried = _carried_out(runs, write, options, is_truth_needed=True)
-        return 1 if 1 in tried else 0
-    return max(_carried_out(read_plan(options.plan), write_bench, options, is_truth_needed=False))
+        runs = ablated(runs)
+    if _is_farmed(runs, options, is_truth_needed=is_population):
+        return 0
+    from robir_bench.page import write_ablation, write_bench, write_population
+
+    write = write_population if is_population else write_bench
+    write = write_ablation if options.ablate else write
+    tried = _carried_out(runs, write, options, is_truth_needed=is_population)
+    return int(1 in tried) if is_population else max(tried)
 
 
 def stability(options: Namespace) -> int:
@@ -104,24 +123,64 @@ def stability(options: Namespace) -> int:
 
     A spoilt capture may well be refused; only a bug is a failure of the sweep.
     """
-    from robir_bench.page import write_stability
     from robir_bench.plan import read_sweep
 
     runs = read_sweep(options.plan, options.out)
-    tried = _carried_out(runs, write_stability, options, is_truth_needed=True)
-    return 1 if 1 in tried else 0
+    if _is_farmed(runs, options, is_truth_needed=True):
+        return 0
+    from robir_bench.page import write_stability
+
+    return int(1 in _carried_out(runs, write_stability, options, is_truth_needed=True))
+
+
+def _is_farmed(runs: list[BenchRun], options: Namespace, *, is_truth_needed: bool) -> bool:
+    """Do the one run of a task, or give what is missing to a farm and print where that is.
+
+    Returns:
+        False where neither is asked for.
+    """
+    if options.task is not None:
+        from robir_bench.runs import do_task
+
+        if not 0 <= options.task < len(runs):
+            raise UsageError(f"there are {len(runs)} runs, counted from 0")
+        do_task(runs[options.task], options.out, is_truth_needed=is_truth_needed)
+        return True
+    if options.on == "local":
+        return False
+    from robir.batch.farm import submit_to_slurm, write_openjd
+    from robir_bench.tasks import bench_job
+
+    if options.budget is not None:
+        raise UsageError("--budget is for this machine; Slurm has SBATCH_TIMELIMIT")
+    job = bench_job(runs, options.out, options.population or options.plan, options)
+    if job is None:
+        print("nothing is missing; draw it with --budget 0", file=sys.stderr)
+    elif options.on == "openjd":
+        print(write_openjd(job, options.out / "openjd").resolve())
+    else:
+        print("\n".join(submit_to_slurm(job, options.out / "records")))
+    return True
 
 
 def _carried_out(
     runs: list[BenchRun], write: Callable[..., Path], options: Namespace, *, is_truth_needed: bool
 ) -> set[int]:
     """Do the runs and write their page; the exit codes of those that were tried."""
+    from robir_bench.crew import Crew
     from robir_bench.runs import carry_out, read_scores
+    from robir_bench.tasks import words_of
 
     def say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    carry_out(runs, options.out, options.budget, say, is_truth_needed=is_truth_needed)
+    if options.jobs > 1:
+        words = words_of(options, str(options.population or options.plan), str(options.out))
+        command = [sys.executable, "-P", "-m", "robir", *words, "--task"]
+        crew = Crew(runs=runs, folder=options.out, jobs=options.jobs, command=command, say=say)
+        crew.work(options.budget)
+    else:
+        carry_out(runs, options.out, options.budget, say, is_truth_needed=is_truth_needed)
     records = read_scores(options.out)
     print(write(options.out, runs, records).resolve())
     tried = [records[run.name] for run in runs if run.name in records]

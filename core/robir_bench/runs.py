@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carries out the runs of a bench, each in a process of its own, and records their scores."""
+"""Carries out the runs of a bench, one after another, and records their scores."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from robir.batch.local import worker_environment
 from robir.config import resolve
 from robir.errors import QualityError, RobirError
 from robir.evaluation.relighting import second_light
@@ -48,10 +50,74 @@ def picture_file(run: BenchRun, folder: Path) -> Path:
 
 
 def read_scores(folder: Path) -> dict[str, Record]:
-    """Record of each run that was tried, by name."""
+    """Record of each run that was tried, by name; also of those that are not gathered yet."""
+    loose = []
+    for file in sorted(_loose(folder).glob("*.json")):
+        with suppress(FileNotFoundError):  # gathered meanwhile, so that it is in the other file now
+            loose.append(read_json(file))
+    return {record["name"]: record for record in [*_gathered(folder), *loose]}
+
+
+def _gathered(folder: Path) -> list[Record]:
     file = scores_file(folder)
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    return {record["name"]: record for record in map(json.loads, lines)}
+    return [json.loads(line) for line in lines]
+
+
+def _loose(folder: Path) -> Path:
+    """Where a task of a bench leaves its record, as it may not be the only one at work."""
+    return folder / "records"
+
+
+class Scores:
+    """The records of a folder and their file: what was there, then the rest in the plan's order."""
+
+    def __init__(self, folder: Path, runs: Sequence[BenchRun]) -> None:
+        """Gather what tasks have left."""
+        self._folder, self._runs = folder, runs
+        loose = list(_loose(folder).glob("*.json"))
+        before = [record["name"] for record in _gathered(folder)]
+        self.records = read_scores(folder)
+        self._order = dict.fromkeys([*before, *(run.name for run in runs), *self.records])
+        if loose:
+            self._write()
+            for file in loose:
+                file.unlink(missing_ok=True)
+
+    def has(self, run: BenchRun) -> bool:
+        """Whether a run was done; one that failed was not."""
+        return "scores" in self.records.get(run.name, {})
+
+    @property
+    def missing(self) -> list[int]:
+        """Numbers of the runs that are not done."""
+        return [number for number, run in enumerate(self._runs) if not self.has(run)]
+
+    def keep(self, record: Record) -> None:
+        """Write a record down."""
+        self.records[record["name"]] = record
+        self._write()
+        (_loose(self._folder) / f"{record['name']}.json").unlink(missing_ok=True)
+
+    def _write(self) -> None:
+        with replacing(scores_file(self._folder)) as temporary:
+            known = (self.records[name] for name in self._order if name in self.records)
+            lines = (json.dumps(record) + "\n" for record in known)
+            temporary.write_text("".join(lines), encoding="utf-8")
+
+
+def do_task(run: BenchRun, folder: Path, *, is_truth_needed: bool) -> None:
+    """Do one run if it is not done, and leave its record for whoever gathers them.
+
+    Args:
+        run: What to do; those that it borrows stages from have ended.
+        folder: Of the results.
+        is_truth_needed: Whether a capture without truth counts as failed.
+    """
+    records = read_scores(folder)
+    if "scores" not in records.get(run.name, {}):
+        record = _done(run, folder, records, is_truth_needed)
+        write_json(_loose(folder) / f"{run.name}.json", record)
 
 
 def carry_out(
@@ -72,25 +138,51 @@ def carry_out(
         say: Takes a line about each run.
         is_truth_needed: Whether a capture without truth counts as failed.
     """
-    records = read_scores(folder)
+    scores = Scores(folder, runs)
     begin, spent = Usage.now(), []
     for number, run in enumerate(runs, 1):
-        if "scores" in records.get(run.name, {}):
+        if scores.has(run):
             say(f"{number}/{len(runs)} {run.name}: done before")
             continue
         used = Usage.now().seconds_since(begin)["cpu"]
         if budget is not None and used + (mean(spent) if spent else 0.0) >= budget:
-            left = sum("scores" not in records.get(run.name, {}) for run in runs)
-            say(f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time")
+            say(out_of_budget(used, budget, scores))
             return
-        whole = records.get(replace(run, method=OURS).name, {})
-        same = _same(run, folder, whole)
-        records[run.name] = same or _record(run, folder, is_truth_needed)
+        record = _done(run, folder, scores.records, is_truth_needed)
         spent.append(Usage.now().seconds_since(begin)["cpu"] - used)
-        with replacing(scores_file(folder)) as temporary:
-            lines = (json.dumps(record) + "\n" for record in records.values())
-            temporary.write_text("".join(lines), encoding="utf-8")
-        say(f"{number}/{len(runs)} {run.name}: {records[run.name].get('error', 'done')}")
+        scores.keep(record)
+        say(f"{number}/{len(runs)} {run.name}: {record.get('error', 'done')}")
+
+
+def out_of_budget(used: float, budget: float, scores: Scores) -> str:
+    """What is said where no further run starts."""
+    left = len(scores.missing)
+    return f"{used:.0f} CPU-s of {budget:.0f} are spent; {left} runs are left for next time"
+
+
+def waits_for(runs: Sequence[BenchRun]) -> list[set[int]]:
+    """Numbers of the runs that have to end before each run, all of them earlier in the plan.
+
+    Those are the ones it borrows stages from, and the first that makes the same spoilt capture.
+    """
+    numbers = {run.name: number for number, run in enumerate(runs)}
+    makers: dict[Path, int] = {}
+    waits = []
+    for number, run in enumerate(runs):
+        lenders = (replace(run, method=method).name for method in _loans(run.method))
+        found = {numbers.get(name, number) for name in lenders}
+        if run.perturbation is not None:
+            found.add(makers.setdefault(run.capture, number))
+        waits.append({other for other in found if other < number})
+    return waits
+
+
+def _done(
+    run: BenchRun, folder: Path, records: Mapping[str, Record], is_truth_needed: bool
+) -> Record:
+    """The record of a run, which is done for it unless that is known without."""
+    whole = records.get(replace(run, method=OURS).name, {})
+    return _same(run, folder, whole) or _record(run, folder, is_truth_needed)
 
 
 def _same(run: BenchRun, folder: Path, whole: Record) -> Record | None:
@@ -120,7 +212,7 @@ def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
     truth = ["--truth", str(run.capture)] if is_truth_needed or has_truth(run.capture) else []
     judged = _robir("evaluate", str(out), *truth, "--json")
     if judged.returncode != 0:
-        return run.facts | {"error": _last_line(judged.stderr), "exit_code": judged.returncode}
+        return run.facts | {"error": last_line(judged.stderr), "exit_code": judged.returncode}
     scores = json.loads(judged.stdout)
     _draw(run, folder, scores)
     about = read_json(JobPaths(out).run)
@@ -162,7 +254,7 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
     is_doubtful = fitted.returncode == QualityError.exit_code
     # a result that failed its own quality check is whole, which a fit that broke off is not
     if fitted.returncode != 0 and not (is_doubtful and _is_whole(JobPaths(out))):
-        raise _RunError(_last_line(fitted.stderr), fitted.returncode)
+        raise _RunError(last_line(fitted.stderr), fitted.returncode)
     return read_json(JobPaths(out).report_json)["held_out"]
 
 
@@ -173,7 +265,7 @@ def _relight(run: BenchRun, out: Path) -> None:
         command = ("relight", str(out), "--environment", str(light), "--samples", RELIT_SAMPLES)
         relit = _robir(*command, "--progress", "plain")
         if relit.returncode != 0:
-            raise _RunError(_last_line(relit.stderr), relit.returncode)
+            raise _RunError(last_line(relit.stderr), relit.returncode)
 
 
 def _is_whole(paths: JobPaths) -> bool:
@@ -276,9 +368,11 @@ def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
 
 def _robir(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "robir", *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    environment = worker_environment()  # so that scores do not depend on where and beside what
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
 
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
+    """What a program said last."""
     lines = text.strip().splitlines()
     return lines[-1] if lines else "ended without a message"

@@ -14,6 +14,7 @@ for folder in ("core", "robir_addon", "blender_scenes"):
 
 STARTS_PROGRAMS = {
     "build_addon.py",
+    "core/robir_bench/crew.py",
     "core/robir_bench/peers/prb.py",
     "core/robir_bench/runs.py",
     "core/robir/batch/farm.py",

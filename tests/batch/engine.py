@@ -14,6 +14,8 @@ import sys
 import time
 from pathlib import Path
 
+STAGES = ("capture", "geometry", "transport", "appearance", "export")
+
 
 def status(out, state, message, code):
     known = {
@@ -41,6 +43,8 @@ def ending(out, code, message):
 
 def main():
     template, act = sys.argv[1], Path(sys.argv[3], "act").read_text()
+    if act == "really":
+        os.execv(sys.executable, [sys.executable, "-P", "-m", "robir", *sys.argv[2:]])
     out = Path(sys.argv[sys.argv.index("-o") + 1])
     lock = os.open(out / "lock", os.O_RDWR | os.O_CREAT, 0o644)
     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -60,6 +64,18 @@ def main():
         ending(out, 1, what)
     elif kind == "die" and starts == 1:
         os.kill(os.getpid(), signal.SIGKILL)
+    if "--until" in sys.argv:
+        until = sys.argv[sys.argv.index("--until") + 1]
+        for stage in STAGES[: STAGES.index(until) + 1]:
+            shutil.copytree(
+                f"{template}/stages/{stage}", out / "stages" / stage, dirs_exist_ok=True
+            )
+        if until != STAGES[-1]:
+            run = json.loads(Path(template, "run.json").read_text())
+            (out / "run.json").write_text(json.dumps(run | {"state": "running"}))
+            note(out, f"end of {until} on {sys.argv[sys.argv.index('--device') + 1]}")
+            status(out, "cancelled", f"{until} is done", 0)
+            return
     shutil.copytree(template, out, dirs_exist_ok=True)
     note(out, "end")
     status(out, "done", "finished", 0)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -14,7 +15,13 @@ from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.pipeline.inputs import capture_fingerprint
 from robir.settings import table_from_settings, toml_from_settings
 
+ROOT = Path(__file__).parents[2]
 ENGINE = Path(__file__).with_name("engine.py")
+
+
+def variables() -> dict[str, str]:
+    """Variables of a process that shall run this checkout."""
+    return {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
 
 
 def make_captures(folder: Path, acts: dict[str, str]) -> Path:

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -42,33 +43,38 @@ KINDS = ("batch", "worker", "worker and its own", "all")
 class Range:
     """Captures, their unbroken results, and a batch that is killed."""
 
-    def __init__(self, folder: Path, count: int) -> None:
-        self.captures = [folder / "shots" / f"sphere_{number}" for number in range(count)]
-        for capture in self.captures:
-            write_specimen(capture)
-        plan = folder / "plan.toml"
-        plan.write_text(f"settings = {json.dumps(LEAST)}\n[[capture]]\npath = 'shots/*'\n")
-        self.plan, self.library = plan, LibraryPaths(folder / "library")
-        whole = LibraryPaths(folder / "whole")
-        self.begin(whole, "--jobs", "2").wait()
-        self.expected = {c.name: self.seen(whole, c.name) for c in self.captures}
+    def __init__(
+        self, plan: Path, library: LibraryPaths, expected: Mapping[str, dict[str, str]]
+    ) -> None:
+        """Begin nothing yet.
 
-    def begin(self, library: LibraryPaths, *words: str) -> subprocess.Popen[bytes]:
-        """Start the batch, or go on with it."""
-        source = "--resume" if library.plan.exists() else str(self.plan)
-        command = [sys.executable, "-P", "-m", "robir", "batch", source, "-o", str(library.root)]
+        Args:
+            plan: Of the batch.
+            library: That the batch makes.
+            expected: What `contents` says of each result as no kill leaves it, by name.
+        """
+        self.plan, self.library, self.expected = plan, library, expected
+
+    def begin(self) -> subprocess.Popen[bytes]:
+        """Start the batch, or go on with it, two at a time."""
+        source = "--resume" if self.library.plan.exists() else str(self.plan)
+        command = [sys.executable, "-P", "-m", "robir", "batch", source, "--jobs", "2"]
         return subprocess.Popen(
-            [*command, *words],
+            [*command, "-o", str(self.library.root)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
 
-    def seen(self, library: LibraryPaths, name: str) -> dict[str, str]:
-        return contents(library.result(name).root)
+    def differing(self) -> list[str]:
+        """Captures whose results are not as they have to be."""
+        return [name for name in self.expected if not self.is_whole(name)]
+
+    def is_whole(self, name: str) -> bool:
+        return contents(self.library.result(name).root) == self.expected[name]
 
     def workers(self) -> list[int]:
-        locks = [self.library.result(c.name).lock for c in self.captures]
+        locks = [self.library.result(name).lock for name in self.expected]
         return [pid for lock in locks if (pid := holder(lock))]
 
     def kill(self, process: subprocess.Popen[bytes], kind: str, generator: random.Random) -> None:
@@ -93,17 +99,30 @@ class Range:
             r'<article class="(\w+)".*?data-name="(\w+)"', self.library.page.read_text()
         )
         done = [name for state, name in found if state in ("done", "doubtful")]
-        return [name for name in done if self.seen(self.library, name) != self.expected[name]]
+        return [name for name in done if not self.is_whole(name)]
 
     def finished_twice(self) -> list[str]:
         """Stages that were done more than once."""
         twice = []
-        for capture in self.captures:
-            lines = self.library.result(capture.name).events.read_text().splitlines()
+        for name in self.expected:
+            lines = self.library.result(name).events.read_text().splitlines()
             events = [json.loads(line) for line in lines if line.endswith("}")]
             ends = Counter(e["stage"] for e in events if e["kind"] == "finished")
-            twice += [f"{capture.name}: {stage}" for stage in STAGES if ends[stage] > 1]
+            twice += [f"{name}: {stage}" for stage in STAGES if ends[stage] > 1]
         return twice
+
+
+def unbroken(folder: Path, count: int) -> Range:
+    """Captures of small spheres, and the library that no kill disturbs."""
+    for number in range(count):
+        write_specimen(folder / "shots" / f"sphere_{number}")
+    plan = folder / "plan.toml"
+    plan.write_text(f"settings = {json.dumps(LEAST)}\n[[capture]]\npath = 'shots/*'\n")
+    whole = LibraryPaths(folder / "whole")
+    Range(plan, whole, {}).begin().wait()
+    names = [f"sphere_{number}" for number in range(count)]
+    expected = {name: contents(whole.result(name).root) for name in names}
+    return Range(plan, LibraryPaths(folder / "library"), expected)
 
 
 def main() -> int:
@@ -112,10 +131,10 @@ def main() -> int:
     generator, faults = random.Random(seed), 0
     with tempfile.TemporaryDirectory(prefix="robir-batch-") as folder:
         begin = time.monotonic()
-        shots = Range(Path(folder), captures)
+        shots = unbroken(Path(folder), captures)
         seconds = time.monotonic() - begin
         print(f"unbroken: {seconds:.0f} s for {captures} captures", flush=True)
-        process, left = shots.begin(shots.library, "--jobs", "2"), count
+        process, left = shots.begin(), count
         while left:
             time.sleep(generator.uniform(0.5, 2.0 * seconds / count))
             if process.poll() is not None:
@@ -127,13 +146,11 @@ def main() -> int:
             faults += len(wrong)
             print(f"{count - left}: {kind}; listed wrongly: {wrong}", flush=True)
             if process.poll() is not None:
-                process = shots.begin(shots.library, "--jobs", "2")
+                process = shots.begin()
         code = process.wait()
         for _ in range(2):  # one whose two tries were killed is done by the next start
-            code = shots.begin(shots.library, "--jobs", "2").wait()
-        differing = [c.name for c in shots.captures if shots.seen(shots.library, c.name)
-                     != shots.expected[c.name]]  # fmt: skip
-        twice = shots.finished_twice()
+            code = shots.begin().wait()
+        differing, twice = shots.differing(), shots.finished_twice()
         faults += len(differing) + len(twice)
         print(f"{count - left} kills, code {code}; differing: {differing}; done twice: {twice}")
     return min(faults, 100)

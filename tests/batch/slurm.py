@@ -43,9 +43,14 @@ JobAcctGatherType=jobacct_gather/none
 MpiDefault=none
 ReturnToService=2
 KillWait=30
-NodeName={host} CPUs={cores} RealMemory={memory} State=UNKNOWN
+GresTypes=gpu
+NodeName={host} CPUs={cores} RealMemory={memory} Gres=gpu:1 State=UNKNOWN
 PartitionName=all Nodes={host} Default=YES MaxTime=INFINITE State=UP
+PartitionName=graphics Nodes={host} MaxTime=INFINITE State=UP
 """
+
+_GRES = "Name=gpu File=/dev/null\n"
+"""A graphics card as far as Slurm looks at one."""
 
 
 def missing() -> str:
@@ -76,6 +81,7 @@ def cluster(folder: Path) -> Iterator[Callable[[Sequence[str]], None]]:
             memory=memory - 512,
         )
     )
+    (folder / "gres.conf").write_text(_GRES)
     before = os.environ.get("SLURM_CONF")
     os.environ["SLURM_CONF"] = str(config)
     daemons: list[subprocess.Popen[bytes]] = []

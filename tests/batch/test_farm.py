@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -14,51 +13,13 @@ from pathlib import Path
 import pytest
 from hostile.tiny_run import contents, scenes
 
-from robir.batch.farm import _ranges, write_openjd
+from robir.batch.farm import write_openjd
+from robir.batch.tasks import library_job
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import read_json
-from robir.specimen import SETTINGS, write_specimen
+from tests.batch.fakes import variables
 from tests.batch.slurm import cluster
-
-ROOT = Path(__file__).parents[2]
-LEAST = (
-    *SETTINGS, "geometry.level_steps=[40]", 'appearance.families=["standard"]',
-    "appearance.iterations=20", "appearance.texture_size=64", "transport.num_directions=64",
-)  # fmt: skip
-
-
-def robir(*words: object, expect: int) -> str:
-    command = [sys.executable, "-P", "-m", "robir", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, env=variables(), check=False)
-    assert done.returncode == expect, done.stderr[-2000:]
-    return done.stdout
-
-
-def variables() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
-
-
-@pytest.fixture(scope="module")
-def shots(tmp_path_factory):
-    """One good capture, one that nobody can use, and their plan."""
-    folder = tmp_path_factory.mktemp("shots")
-    write_specimen(folder / "sphere")
-    (folder / "empty").mkdir()
-    (folder / "plan.toml").write_text(
-        f"author = 'Ann'\nlicence = 'CC0-1.0'\nsettings = {json.dumps(LEAST)}\n"
-        "[[capture]]\npath = 'sphere'\ntags = ['round']\n[[capture]]\npath = 'empty'\n"
-    )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def at_home(shots, tmp_path_factory):
-    """The library as this machine makes it."""
-    library = LibraryPaths(tmp_path_factory.mktemp("home") / "library")
-    # 5: nobody sees a sphere's poles, which the quality check minds
-    robir("batch", shots / "plan.toml", "-o", library.root, expect=5)
-    return library
 
 
 def same(one: LibraryPaths, other: LibraryPaths) -> bool:
@@ -90,14 +51,13 @@ def openjd() -> str:
 
 @pytest.mark.slow
 @pytest.mark.blender
-def test_open_job_description_makes_the_same_library(shots, at_home, tmp_path):
-    program, library = openjd(), LibraryPaths(tmp_path / "library")
-    bundle = robir("batch", shots / "plan.toml", "-o", library.root, "--on", "openjd", expect=0)
-    folder = Path(bundle.strip())
+def test_open_job_description_makes_the_same_library(shots, at_home, library, tmp_path, robir):
+    """From parts of the stages as tasks of their own, on a farm that sees both places elsewhere."""
+    program, words = openjd(), ("--on", "openjd", "--split")
+    folder = Path(robir("batch", shots / "plan.toml", "-o", library.root, *words, expect=0).strip())
     assert str(tmp_path) not in "".join(file.read_text() for file in folder.iterdir())
     values = read_json(folder / "parameter_values.json")["parameterValues"]
     places = {value["name"]: str((folder / value["value"]).resolve()) for value in values}
-    # the farm sees both under other names
     far = tmp_path / "far"
     far.mkdir()
     (far / "library").symlink_to(places["Library"])
@@ -119,25 +79,38 @@ def test_open_job_description_makes_the_same_library(shots, at_home, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.blender
-def test_slurm_makes_the_same_library(shots, at_home, tmp_path):
-    library = LibraryPaths(tmp_path / "library")
+def test_slurm_makes_the_same_library(shots, at_home, library, tmp_path, robir):
+    """From parts of the stages as tasks of their own, the fit where there is a graphics card."""
+    words = ("--on", "slurm", "--split", "--fit-queue", "graphics")
     with cluster(tmp_path / "slurm") as wait:
-        queued = robir("batch", shots / "plan.toml", "-o", library.root, "--on", "slurm", expect=0)
-        wait(queued.split())
+        queued = robir("batch", shots / "plan.toml", "-o", library.root, *words, expect=0).split()
+        about = [waiting(number) for number in queued]
+        wait(queued)
+    read, fit, finish, page = about
+    assert f"afterany:{queued[2]}" in page or f"afterok:{queued[2]}" in page
+    assert (f"aftercorr:{queued[0]}" in fit) and (f"aftercorr:{queued[1]}" in finish)
+    assert "Partition=graphics" in fit and "Partition=all" in read and "Partition=all" in finish
+    assert ["gres/gpu" in one or "gres:gpu" in one for one in (read, fit, finish)] == [
+        False, True, False
+    ]  # fmt: skip
     assert same(at_home, library)
 
 
-def test_what_is_done_is_not_handed_over_again(tmp_path):
-    paths = LibraryPaths(tmp_path / "library")
-    folder = write_openjd(paths, tmp_path / "shots", [0, 1, 2, 5, 7, 8], 3 << 30)
-    step = read_json(folder / "template.json")["steps"][0]
+def waiting(number: str) -> str:
+    """What Slurm says of a job."""
+    said = subprocess.run(["scontrol", "show", "job", number], capture_output=True, check=True)
+    return said.stdout.decode()
+
+
+def test_what_is_done_is_not_handed_over_again(library, tmp_path):
+    job = library_job(library, tmp_path / "shots", [0, 1, 2, 5, 7, 8], 3 << 30, None)
+    step = read_json(write_openjd(job, library.openjd) / "template.json")["steps"][0]
     assert step["parameterSpace"]["taskParameterDefinitions"][0]["range"] == "0-2,5,7-8"
     assert step["hostRequirements"]["amounts"][1]["min"] == 3072
-    assert _ranges([4]) == "4"
 
 
-def test_a_task_that_the_plan_lacks_is_refused(shots, tmp_path):
-    paths = LibraryPaths(tmp_path / "library")
+def test_a_task_that_the_plan_lacks_is_refused(shots, library, robir):
+    paths = library
     robir("batch", shots / "plan.toml", "-o", paths.root, "--on", "openjd", expect=0)
     robir("batch", "--resume", "-o", paths.root, "--task", 2, expect=UsageError.exit_code)
     # a capture's own fault is no reason for a farm to try again; the page tells of it

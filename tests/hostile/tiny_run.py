@@ -25,7 +25,7 @@ from robir.specimen import SETTINGS
 RENDERS = ("export.render_views=1", "export.render_samples=2", "export.render_max_side=32")
 """The least that Blender can be asked for."""
 
-_LEAST = (
+LEAST = (
     "geometry.level_steps=[40]", 'appearance.families=["standard"]', "appearance.iterations=20",
     "appearance.texture_size=64", "transport.num_directions=64",
 )  # fmt: skip
@@ -43,7 +43,7 @@ _HISTORY = ("events.jsonl", "log.txt", "worker.json", "worker.log", "preview.png
 def words(capture: Path, out: Path, *, has_renders: bool) -> list[str]:
     """The command that makes the small result, or goes on with it."""
     kept = [s for s in SETTINGS if not (has_renders and s.startswith("export."))]
-    chosen = [*kept, *_LEAST, *(RENDERS if has_renders else ())]
+    chosen = [*kept, *LEAST, *(RENDERS if has_renders else ())]
     return [
         *("reconstruct", str(capture), "-o", str(out), "--resume", "--progress", "plain"),
         *(word for setting in chosen for word in ("--set", setting)),

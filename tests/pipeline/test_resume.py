@@ -102,6 +102,37 @@ def test_resume_skips_what_is_done_and_equals_an_unbroken_run(tmp_path):
     assert contents(out) == contents(tmp_path / "whole")
 
 
+@pytest.mark.parametrize("cuts", [("capture", "geometry"), ("transport",), STAGES[:-1]])
+def test_parts_of_the_stages_one_after_another_equal_one_run(tmp_path, cuts):
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    reconstruct(request(capture, tmp_path / "whole"), Silent(), fake_stages())
+    for until in cuts:
+        stages = fake_stages()
+        reconstruct(request(capture, out, is_resume=True, until=until), Silent(), stages)
+        reconstruct(request(capture, out, is_resume=True, until=until), Silent(), stages)
+        assert max(calls(stages).values()) == 1
+        last = STAGES.index(until)
+        assert all(JobPaths(out).manifest(stage).exists() for stage in STAGES[: last + 1])
+        assert not JobPaths(out).stage(STAGES[last + 1]).exists()
+        status, run = read_status(JobPaths(out).status), read_json(JobPaths(out).run)
+        assert (status.state, status.exit_code, run["state"]) == ("cancelled", 0, "running")
+        assert status.fraction < 1.0 and f"{until} is done" in status.message
+    stages = fake_stages()
+    reconstruct(request(capture, out, is_resume=True), Silent(), stages)
+    assert sum(calls(stages).values()) == len(STAGES) - 1 - STAGES.index(cuts[-1])
+    assert contents(out) == contents(tmp_path / "whole")
+    assert read_json(JobPaths(out).run)["state"] == "done"
+
+
+def test_a_whole_result_is_none_the_less_whole_for_a_part(tmp_path):
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    reconstruct(request(capture, out), Silent(), fake_stages())
+    stages = fake_stages()
+    reconstruct(request(capture, out, until="geometry"), Silent(), stages)
+    assert not any(calls(stages).values())
+    assert read_status(JobPaths(out).status).state == "done"
+
+
 def test_a_changed_setting_makes_its_stage_and_the_later_ones_stale(tmp_path):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
     reconstruct(request(capture, out), Silent(), fake_stages())

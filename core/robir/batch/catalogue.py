@@ -16,11 +16,12 @@ _HEAD = "# Catalogues of Blender's asset browser, which may write this file, too
 
 def write_facts(plan: Plan, paths: LibraryPaths) -> None:
     """Write what is known of each asset where its process reads it, and the catalogues."""
-    if not plan.options.assets:
+    if not plan.options.made:
         return
     for entry in plan.entries:
         _write_if_other(paths, entry.name, toml_from_settings(plan.facts(entry)))
-    _write_catalogues({entry.catalogue for entry in plan.entries}, paths)
+    if "blend" in plan.options.made:
+        _write_catalogues({entry.catalogue for entry in plan.entries}, paths)
 
 
 def _write_if_other(paths: LibraryPaths, name: str, text: str) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hands a library to schedulers that exist: as an Open Job Description bundle, or to Slurm.
+"""Hands a job to schedulers that exist: as an Open Job Description bundle, or to Slurm.
 
-Both start `robir batch --resume -o LIBRARY --task N` for each capture and `--page` after all; what
-was done before is left alone, so whatever a scheduler ends may simply be started again.
+A job is steps of `robir` commands, most of them one task a number. What was done before a task
+leaves alone, so whatever a scheduler ends may simply be started again.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from robir.batch.local import worker_environment
 from robir.errors import DeviceError, UsageError
-from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import write_json
 
 MOST_TASKS = 1000
@@ -24,76 +24,170 @@ MOST_TASKS = 1000
 
 _MIB = 1 << 20
 
-_SCRIPT = b"""#!/bin/sh
-if [ -n "$SLURM_ARRAY_TASK_ID" ]; then set -- --task "$SLURM_ARRAY_TASK_ID"; else set -- --page; fi
-set -- -o "$ROBIR_LIBRARY" --captures "$ROBIR_CAPTURES" "$@"
-exec "$ROBIR_PYTHON" -P -m robir batch --resume "$@"
-"""
-"""What Slurm runs; everything particular is in its variables."""
+_SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"
+"""What Slurm runs; everything particular is in its words and its variable."""
 
 
-def write_openjd(paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int) -> Path:
-    """Write the job bundle into the library.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A folder that a farm may have elsewhere.
 
-    Its paths are parameters, so that a farm may map them; the values beside it start from the
+    Attributes:
+        path: Where it is here, absolute.
+        flow: Whether it is only read, or written, too.
+        about: What it is, for people.
+    """
+
+    path: Path
+    flow: Literal["IN", "INOUT"]
+    about: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One command, for several numbers or once.
+
+    Attributes:
+        name: Of the step, letters only.
+        words: Of the command after `robir`; a place is spelt {{Param.NAME}}.
+        tasks: Numbers, rising, each of which the command is given as `--task`; empty for one task
+            without.
+        after: Step that has to end before; empty for none.
+        is_paired: Whether each task waits but for the one of its number, and for its good end.
+        memory: Bytes that a task needs.
+        needs_gpu: Whether a task asks for a graphics card.
+        queue: Slurm's partition; empty for the usual one.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    tasks: tuple[int, ...] = ()
+    after: str = ""
+    is_paired: bool = False
+    memory: int = 0
+    needs_gpu: bool = False
+    queue: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What a farm is to do.
+
+    Attributes:
+        name: For people.
+        places: By name.
+        steps: Each after those that it waits for.
+    """
+
+    name: str
+    places: Mapping[str, Place]
+    steps: Sequence[Step]
+
+
+def write_openjd(job: Job, folder: Path) -> Path:
+    """Write a job bundle.
+
+    Its places are parameters, so that a farm may map them; the values beside it start from the
     bundle's own folder.
 
     Args:
-        paths: The library.
-        captures: Folder that holds all captures.
-        tasks: Numbers of the captures in the plan that are to be done.
-        memory: Bytes that the most hungry of them needs.
+        job: What is to be done.
+        folder: Where the bundle is made.
 
     Returns:
-        The bundle's folder.
+        The folder.
     """
-    folder = paths.openjd
-    above = Path(os.path.relpath(captures, folder.absolute())).as_posix()
-    values = [{"name": "Library", "value": ".."}, {"name": "Captures", "value": above}]
+    values = [
+        {"name": name, "value": Path(os.path.relpath(place.path, folder.absolute())).as_posix()}
+        for name, place in job.places.items()
+    ]
     write_json(folder / "parameter_values.json", {"parameterValues": values})
-    write_json(folder / "template.json", _template(paths.root.absolute().name, tasks, memory))
+    python = {"name": "Python", "type": "STRING", "default": "python3"}
+    template = {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": job.name[:128],
+        "parameterDefinitions": [
+            *(_parameter(name, place) for name, place in job.places.items()),
+            python | {"description": "Python that has robir"},
+        ],
+        "steps": [_step(step) for step in job.steps],
+    }
+    write_json(folder / "template.json", template)
     return folder
 
 
-def submit_to_slurm(
-    paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int
-) -> tuple[str, str]:
-    """Queue an array of one task a capture, and the page after it.
+def _parameter(name: str, place: Place) -> dict[str, Any]:
+    kind = {"type": "PATH", "objectType": "DIRECTORY", "dataFlow": place.flow}
+    return {"name": name, "description": place.about, **kind}
+
+
+def _step(step: Step) -> dict[str, Any]:
+    number = ("--task", "{{Task.Param.Number}}") if step.tasks else ()
+    cancel = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 30}
+    args = ["-P", "-m", "robir", *step.words, *number]
+    action = {"command": "{{Param.Python}}", "args": args, "cancelation": cancel}
+    table: dict[str, Any] = {"name": step.name}
+    if step.after:
+        table["dependencies"] = [{"dependsOn": step.after}]
+    if step.tasks:
+        numbers = {"name": "Number", "type": "INT", "range": ranges(step.tasks)}
+        table["parameterSpace"] = {"taskParameterDefinitions": [numbers]}
+        needs = [{"name": "amount.worker.vcpu", "min": 1}]
+        if step.memory:
+            needs.append({"name": "amount.worker.memory", "min": _mebibytes(step.memory)})
+        if step.needs_gpu:
+            needs.append({"name": "amount.worker.gpu", "min": 1})
+        table["hostRequirements"] = {"amounts": needs}
+    return table | {"script": {"actions": {"onRun": action}}}
+
+
+def submit_to_slurm(job: Job, logs: Path) -> list[str]:
+    """Queue each step as an array of jobs, or as one.
 
     Partition, account, time limit and the like are taken from sbatch's own variables, such as
     SBATCH_PARTITION; see `man sbatch`. submitit is not used: it hands functions over as pickles,
     which hold code.
 
     Args:
-        paths: The library.
-        captures: Folder that holds all captures.
-        tasks: Numbers of the captures in the plan that are to be done.
-        memory: Bytes that the most hungry of them needs.
+        job: What is to be done.
+        logs: Folder of what the tasks print.
 
     Returns:
-        Numbers of both jobs.
+        The jobs' numbers, a step each.
 
     Raises:
-        UsageError: If there are more captures than an array may have.
+        UsageError: If there are more tasks than an array may have.
         DeviceError: If Slurm is not there, or refuses.
     """
-    if max(tasks) >= MOST_TASKS:
-        raise UsageError(f"Slurm takes {MOST_TASKS} captures at a time; split the plan")
-    log = f"--output={paths.own.absolute()}/slurm-%A-%a.log"
-    # TERM a minute before the end: what is at work ends in good order, and is continued later
-    array = ["--array", _ranges(tasks), "--requeue", "--signal=B:TERM@60", log]
-    array += [f"--mem={-(-memory // _MIB)}M", "--cpus-per-task=1", "--job-name=robir"]
-    variables = {
-        "ROBIR_PYTHON": sys.executable,
-        "ROBIR_LIBRARY": str(paths.root.absolute()),
-        "ROBIR_CAPTURES": str(captures),
-    }
-    work = _sbatch(array, variables)
-    after = ["--dependency", f"afterany:{work}", "--job-name=robir-page"]
-    return work, _sbatch([*after, f"--output={paths.own.absolute()}/slurm-page.log"], variables)
+    if max(max(step.tasks, default=0) for step in job.steps) >= MOST_TASKS:
+        raise UsageError(f"Slurm takes {MOST_TASKS} tasks at a time; split the plan")
+    logs.mkdir(parents=True, exist_ok=True)
+    queued: dict[str, str] = {}
+    for step in job.steps:
+        log = logs.absolute() / f"slurm-{step.name.lower()}-{'%A-%a' if step.tasks else '%j'}.log"
+        # TERM a minute before the end: what is at work ends in good order, and goes on later
+        words = [f"--output={log}", f"--job-name=robir-{step.name.lower()}", "--requeue"]
+        words += ["--signal=B:TERM@60", "--cpus-per-task=1", "--kill-on-invalid-dep=yes"]
+        words += ["--array", ranges(step.tasks)] if step.tasks else []
+        words += [f"--mem={_mebibytes(step.memory)}M"] if step.memory else []
+        words += ["--gres=gpu:1"] if step.needs_gpu else []
+        words += [f"--partition={step.queue}"] if step.queue else []
+        if step.after:
+            kind = "aftercorr" if step.is_paired else "afterany"
+            words += ["--dependency", f"{kind}:{queued[step.after]}"]
+        queued[step.name] = _sbatch([*words, str(_SCRIPT), *_here(step.words, job.places)])
+    return list(queued.values())
 
 
-def _ranges(tasks: Sequence[int]) -> str:
+def _here(words: Sequence[str], places: Mapping[str, Place]) -> list[str]:
+    """Words with the places as they are called here."""
+    found = list(words)
+    for name, place in places.items():
+        found = [word.replace(f"{{{{Param.{name}}}}}", str(place.path)) for word in found]
+    return found
+
+
+def ranges(tasks: Sequence[int]) -> str:
     """Rising numbers such as "0-3,7", which both schedulers read."""
     runs: list[list[int]] = []
     for task in tasks:
@@ -104,63 +198,18 @@ def _ranges(tasks: Sequence[int]) -> str:
     return ",".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
 
 
-def _sbatch(words: Sequence[str], variables: Mapping[str, str]) -> str:
+def _mebibytes(size: int) -> int:
+    return -(-size // _MIB)
+
+
+def _sbatch(words: Sequence[str]) -> str:
     command = ["sbatch", "--parsable", "--export=ALL", *words]
+    environment = {**worker_environment(), "ROBIR_PYTHON": sys.executable}
     try:
-        done = subprocess.run(
-            command,
-            input=_SCRIPT,
-            capture_output=True,
-            env={**worker_environment(), **variables},
-            check=False,
-        )
+        done = subprocess.run(command, capture_output=True, env=environment, check=False)
     except OSError as error:
         raise DeviceError(f"sbatch cannot be run: {error.strerror}; is Slurm installed?") from error
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip()
         raise DeviceError(f"Slurm takes no batch: {said}; see `man sbatch` for its variables")
     return done.stdout.decode().strip().partition(";")[0]
-
-
-def _template(name: str, tasks: Sequence[int], memory: int) -> dict[str, Any]:
-    """The job: one task a capture, then the page."""
-
-    def run(*words: str) -> dict[str, Any]:
-        common = ["-P", "-m", "robir", "batch", "--resume", "-o", "{{Param.Library}}"]
-        args = [*common, "--captures", "{{Param.Captures}}", *words]
-        cancel = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 30}
-        action = {"command": "{{Param.Python}}", "args": args, "cancelation": cancel}
-        return {"actions": {"onRun": action}}
-
-    def place(parameter: str, flow: str, text: str) -> dict[str, Any]:
-        kind = {"type": "PATH", "objectType": "DIRECTORY", "dataFlow": flow}
-        return {"name": parameter, "description": text, **kind}
-
-    numbers = {"name": "Number", "type": "INT", "range": _ranges(tasks)}
-    needs = [
-        {"name": "amount.worker.vcpu", "min": 1},
-        {"name": "amount.worker.memory", "min": -(-memory // _MIB)},
-    ]
-    python = {"name": "Python", "type": "STRING", "default": "python3"}
-    return {
-        "specificationVersion": "jobtemplate-2023-09",
-        "name": f"RobIR {name}"[:128],
-        "parameterDefinitions": [
-            place("Library", "INOUT", "Results, assets and the contact sheet"),
-            place("Captures", "IN", "Folder that holds all captures"),
-            python | {"description": "Python that has robir"},
-        ],
-        "steps": [
-            {
-                "name": "Reconstruct",
-                "parameterSpace": {"taskParameterDefinitions": [numbers]},
-                "hostRequirements": {"amounts": needs},
-                "script": run("--task", "{{Task.Param.Number}}"),
-            },
-            {
-                "name": "Page",
-                "dependencies": [{"dependsOn": "Reconstruct"}],
-                "script": run("--page"),
-            },
-        ],
-    }

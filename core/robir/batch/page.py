@@ -11,7 +11,7 @@ from typing import Any
 from robir.batch.plan import Entry
 from robir.batch.standing import Standing
 from robir.export.page import page_template
-from robir.jobs.library import LibraryPaths
+from robir.jobs.library import Format, LibraryPaths
 from robir.jobs.paths import replacing
 from robir.jobs.records import read_record
 
@@ -34,6 +34,7 @@ class Row:
         tags: Of its asset.
         report: Its own report from the library's folder; empty without one.
         picture: Its pictures, likewise.
+        files: The formats that the library offers, each with its file, likewise.
     """
 
     name: str
@@ -43,11 +44,13 @@ class Row:
     tags: tuple[str, ...] = ()
     report: str = ""
     picture: str = ""
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
-def row_of(entry: Entry, standing: Standing, paths: LibraryPaths) -> Row:
+def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Sequence[Format]) -> Row:
     """The row of a capture as its result folder has it now."""
     job = paths.result(entry.name)
+    files = {"glb": job.asset, "usd": job.usd, "blend": job.library_asset}
     if standing.state != "done":
         sentences = (standing.message,) if standing.message else ()
         return Row(name=entry.name, state=standing.state, sentences=sentences, tags=entry.tags)
@@ -69,6 +72,7 @@ def row_of(entry: Entry, standing: Standing, paths: LibraryPaths) -> Row:
         tags=entry.tags,
         report=_from(job.report, paths),
         picture=_from(job.contact, paths) if job.contact.is_file() else "",
+        files={kind: _from(files[kind], paths) for kind in formats if files[kind].is_file()},
     )
 
 

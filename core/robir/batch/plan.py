@@ -17,9 +17,9 @@ from typing import Any, Literal
 
 from robir.config import RunConfig, resolve
 from robir.errors import ConfigError, StorageError, UsageError
-from robir.export.asset import AssetFacts
+from robir.export.asset import MADE, AssetFacts, Made
 from robir.jobs.client import Request
-from robir.jobs.library import LibraryPaths
+from robir.jobs.library import Format, LibraryPaths
 from robir.jobs.names import file_in
 from robir.jobs.paths import read_json, write_json
 from robir.presets import PRESETS
@@ -75,12 +75,18 @@ class Options:
     Attributes:
         device: As of `robir reconstruct`.
         textures: Of the assets; see `AssetFacts`.
-        assets: Whether each result becomes an asset of Blender's library.
+        formats: What the library offers of each result: "glb", "usd", and "blend", which makes it
+            an asset of Blender's library.
     """
 
     device: Literal["auto", "cpu", "cuda"] = "auto"
     textures: Literal["packed", "relative"] = "packed"
-    assets: bool = True
+    formats: tuple[Format, ...] = ("glb", "blend")
+
+    @property
+    def made(self) -> tuple[Made, ...]:
+        """Those of the formats that not every result has."""
+        return tuple(kind for kind in MADE if kind in self.formats)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +112,7 @@ class Plan:
             device=self.options.device,
             masks=self.captures / entry.masks if entry.masks else None,
             settings=entry.settings,
-            asset=paths.facts(entry.name).absolute() if self.options.assets else None,
+            asset=paths.facts(entry.name).absolute() if self.options.made else None,
         )
 
     def facts(self, entry: Entry) -> AssetFacts:
@@ -117,6 +123,7 @@ class Plan:
             tags=entry.tags,
             catalogue=entry.catalogue,
             textures=self.options.textures,
+            formats=self.options.made,
         )
 
 

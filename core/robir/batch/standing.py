@@ -9,8 +9,7 @@ from typing import Literal
 
 from robir.batch.plan import Entry, Plan
 from robir.errors import RobirError
-from robir.export.asset import is_current
-from robir.export.blender import missing_blender
+from robir.export.asset import is_current, possible
 from robir.jobs.client import Snapshot
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import STAGES, write_json
@@ -55,11 +54,7 @@ def is_done(plan: Plan, entry: Entry, paths: LibraryPaths) -> bool:
     return (
         run["capture"]["fingerprint"] == capture
         and all(job.manifest(stage).is_file() for stage in STAGES)
-        and (
-            request.asset is None
-            or is_current(job, plan.facts(entry))
-            or missing_blender() is not None
-        )
+        and is_current(job, possible(plan.facts(entry)))
     )
 
 
@@ -71,6 +66,9 @@ def of_snapshot(name: str, snapshot: Snapshot) -> Standing:
         stage = f"{snapshot.stage}: " if snapshot.stage else ""
         message = f"{stage}{snapshot.message}"
         return Standing(name=name, state="running", fraction=snapshot.fraction, message=message)
+    if snapshot.state == "cancelled" and snapshot.exit_code == 0:  # at the end of its own stages
+        left = {"fraction": snapshot.fraction, "message": snapshot.message}
+        return Standing(name=name, state="waiting", **left)
     is_whole = snapshot.state == "done"
     return Standing(
         name=name,

@@ -9,20 +9,24 @@ import time
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from robir.batch.catalogue import write_facts
+from robir.batch.farm import submit_to_slurm, write_openjd
 from robir.batch.local import Item, Limits, LocalBatch
 from robir.batch.need import memory_needed
 from robir.batch.page import Row, row_of, write_page
 from robir.batch.plan import Plan, keep_plan, kept_plan, parse_size, read_plan
 from robir.batch.standing import Standing, fraction_of, is_done, of_snapshot, write_standings
+from robir.batch.tasks import FIT, library_job
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client
 from robir.jobs.library import LibraryPaths
 from robir.jobs.lock import folder_lock
+from robir.jobs.paths import STAGES
 from robir.pipeline.device import machine
 from robir.pipeline.faults import stop_requested
 from robir.pipeline.reporter import Display
@@ -55,6 +59,10 @@ def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
         if not 0 <= options.task < len(plan.entries):
             raise UsageError(f"{paths.plan} has {len(plan.entries)} captures, counted from 0")
         return _do_one(plan, options, paths, program)
+    if options.split and options.on == "local":
+        raise UsageError("--split is for farms; give it with --on slurm or --on openjd")
+    if options.fit_queue and not (options.split and options.on == "slurm"):
+        raise UsageError("--fit-queue is a partition of Slurm's; give it with --on slurm --split")
     _make(paths.root)
     with folder_lock(paths.lock):
         plan = _plan(options, paths)
@@ -64,7 +72,7 @@ def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
         items = _items(plan, paths)
         if options.on == "local":
             return _do_all(plan, items, options, paths, program)
-        return _hand_over(plan, items, options.on, paths)
+        return _hand_over(plan, items, options, paths)
 
 
 def _make(root: Path) -> None:
@@ -77,16 +85,20 @@ def _make(root: Path) -> None:
 
 
 def _plan(options: Namespace, paths: LibraryPaths) -> Plan:
-    if not options.sources:
-        if not (options.resume or options.page):
-            raise UsageError("name a plan or captures, or go on with --resume")
-        return kept_plan(paths, options.captures)
-    changes: dict[str, Any] = {"settings": options.assignments}
-    if options.preset:
-        changes["preset"] = options.preset
-    plan = read_plan(options.sources, changes, paths)
-    keep_plan(plan, paths)
-    for entry in plan.entries:
+    if options.sources:
+        changes: dict[str, Any] = {"settings": options.assignments}
+        if options.preset:
+            changes["preset"] = options.preset
+        plan = read_plan(options.sources, changes, paths)
+    elif options.resume or options.page:
+        plan = kept_plan(paths, options.captures)
+    else:
+        raise UsageError("name a plan or captures, or go on with --resume")
+    if options.format:
+        plan = replace(plan, options=replace(plan.options, formats=options.format))
+    if options.sources or options.format:
+        keep_plan(plan, paths)
+    for entry in plan.entries if options.sources else ():
         (paths.dropped / entry.name).unlink(missing_ok=True)
     return plan
 
@@ -131,6 +143,14 @@ def _cores() -> int:
 def _do_one(plan: Plan, options: Namespace, paths: LibraryPaths, program: Sequence[str]) -> int:
     """One capture as a task of a farm: its own faults are on the page, the machine's are told."""
     items = _items(plan, paths, options.task)
+    first, last = options.stages
+    job, before = paths.result(items[0].standing.name), STAGES[: STAGES.index(first)]
+    if missing := [stage for stage in before if not job.manifest(stage).is_file()]:
+        sys.stderr.write(f"{items[0].standing.name}: {missing[0]} is not done; its task says why\n")
+        return 0
+    if options.stages != (STAGES[0], STAGES[-1]):
+        device = items[0].request.device if first == FIT else "cpu"
+        items[0].request = replace(items[0].request, until=last, device=device)
     run = LocalBatch(paths, items, Limits(jobs=1, memory=1 << 62), program)
     with stop_requested(), display_for(options.progress) as display:
         run.run(_Watcher(items, display))
@@ -165,26 +185,27 @@ def _draw(plan: Plan, paths: LibraryPaths) -> int:
     rows = []
     for entry in plan.entries:
         snapshot = client.snapshot(paths.result(entry.name).root.absolute())
-        rows.append(row_of(entry, of_snapshot(entry.name, snapshot), paths))
+        rows.append(row_of(entry, of_snapshot(entry.name, snapshot), paths, plan.options.formats))
     write_page(rows, paths)
     sys.stdout.write(f"{paths.page.resolve()}\n")
     return 0
 
 
-def _hand_over(plan: Plan, items: list[Item], to: str, paths: LibraryPaths) -> int:
-    from robir.batch.farm import submit_to_slurm, write_openjd
-
+def _hand_over(plan: Plan, items: list[Item], options: Namespace, paths: LibraryPaths) -> int:
     tasks = [number for number, item in enumerate(items) if item.standing.state != "done"]
     if not tasks:
         sys.stderr.write("nothing is missing\n")
         return _draw(plan, paths)
     memory = max(item.need for item in items)
-    if to == "openjd":
-        sys.stdout.write(f"{write_openjd(paths, plan.captures, tasks, memory).resolve()}\n")
+    queue = options.fit_queue or "" if options.split else None
+    job = library_job(paths, plan.captures, tasks, memory, queue)
+    if options.on == "openjd":
+        sys.stdout.write(f"{write_openjd(job, paths.openjd).resolve()}\n")
         return 0
-    work, page = submit_to_slurm(paths, plan.captures, tasks, memory)
-    sys.stderr.write(f"{len(tasks)} captures are queued; see them with: squeue --job {work}\n")
-    sys.stdout.write(f"{work}\n{page}\n")
+    queued = submit_to_slurm(job, paths.own)
+    shown = ",".join(queued)
+    sys.stderr.write(f"{len(tasks)} captures are queued; see them with: squeue --job {shown}\n")
+    sys.stdout.write("".join(f"{number}\n" for number in queued))
     return 0
 
 
@@ -192,7 +213,7 @@ def _code(items: Sequence[Item]) -> int:
     """The largest exit code; 1 where a process was killed."""
     codes = [item.standing.exit_code for item in items if item.standing.state == "done"]
     failed = [item.standing.exit_code for item in items if item.standing.state == "failed"]
-    return max(0, *(code or 0 for code in codes), *(max(1, code or 1) for code in failed))
+    return max([0, *(code or 0 for code in codes), *(max(1, code or 1) for code in failed)])
 
 
 class _Book:
@@ -218,7 +239,7 @@ class _Book:
         for entry, item in zip(self._plan.entries, self._items, strict=True):
             known = self._rows.get(entry.name)
             if known is None or known[0] != item.standing:
-                row = row_of(entry, item.standing, self._paths)
+                row = row_of(entry, item.standing, self._paths, self._plan.options.formats)
                 self._rows[entry.name] = (item.standing, row)
         self._write_state(seconds_left)
         with suppress(OSError):

@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finished result as one asset of Blender's library."""
+"""A finished result as one asset of Blender's library, and as USD."""
 
 from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from robir.errors import ConfigError
-from robir.export.blender import run_headless
+from robir.export.blender import missing_blender, run_headless
 from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.jobs.records import read_record
 from robir.settings import read_toml, settings_from_table, table_from_settings
 
 REVISION = 1
 """Raised when assets come out differently: all are then made again."""
+
+Made = Literal["blend", "usd"]
+
+MADE: tuple[Made, ...] = get_args(Made)
+"""Formats that are made of a finished result where they are asked for; GLB every result has."""
 
 _MANIFEST = {"fingerprint": str}
 _REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
@@ -35,6 +40,7 @@ class AssetFacts:
         tags: Words to find it by.
         catalogue: Its place in the library, "/" between a catalogue and one in it; empty for none.
         textures: "packed" into the .blend file, or beside it with a "relative" path.
+        formats: What is made: "blend" for Blender's library, "usd" beside its textures.
     """
 
     author: str = ""
@@ -42,6 +48,7 @@ class AssetFacts:
     tags: tuple[str, ...] = ()
     catalogue: str = ""
     textures: Literal["packed", "relative"] = "packed"
+    formats: tuple[Made, ...] = ("blend",)
 
     def __post_init__(self) -> None:
         """Refuse what the file of catalogues cannot say."""
@@ -67,18 +74,31 @@ def catalogue_id(catalogue: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"robir:{catalogue}"))
 
 
+def possible(facts: AssetFacts) -> AssetFacts:
+    """The same with those formats only that this machine can make."""
+    if missing_blender() is None:
+        return facts
+    return replace(facts, formats=tuple(kind for kind in facts.formats if kind != "blend"))
+
+
 def is_current(paths: JobPaths, facts: AssetFacts) -> bool:
-    """Whether a finished result has this asset already."""
+    """Whether a finished result has this asset already, in these formats or more."""
+    files = {"blend": paths.library_asset, "usd": paths.usd}
+    if not facts.formats:
+        return True
     try:
-        return paths.library_asset.is_file() and (
-            read_record(paths.library_facts, Any) == _made_of(paths, facts)
-        )
+        made, wanted = read_record(paths.library_facts, {"formats": [str]}), _made_of(paths, facts)
     except (OSError, ValueError):
         return False
+    return (
+        set(made.pop("formats")) >= set(wanted.pop("formats"))
+        and made == wanted
+        and all(files[kind].is_file() for kind in facts.formats)
+    )
 
 
 def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
-    """Write export/asset.blend of a finished result.
+    """Write the formats of a finished result that are asked for, the one that takes Blender last.
 
     Args:
         paths: The result folder.
@@ -88,6 +108,20 @@ def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, st
     Raises:
         RobirError: If Blender is missing or cannot make it.
     """
+    others = tuple(kind for kind in facts.formats if kind != "blend")
+    paths.library_facts.unlink(missing_ok=True)
+    if "usd" in others:
+        progress(0.0, "writing USD")
+        from robir.export.usd import write_usd  # numpy and the stages' files
+
+        write_usd(paths, {"author": facts.author, "licence": facts.licence})
+        write_json(paths.library_facts, _made_of(paths, replace(facts, formats=others)))
+    if "blend" in facts.formats:
+        _make_blend(paths, facts, progress)
+        write_json(paths.library_facts, _made_of(paths, facts))
+
+
+def _make_blend(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
     report = read_record(paths.report_json, _REPORT)
     kind = next(kind for least, kind in _KINDS if report["metal_share"] >= least)
     words = ["asset", str(paths.root), f"--author={facts.author}", f"--licence={facts.licence}"]
@@ -97,9 +131,7 @@ def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, st
     words += [f"--tag={tag}" for tag in tags]
     if facts.textures == "packed":
         words.append("--pack")
-    paths.library_facts.unlink(missing_ok=True)
     run_headless(words, progress)
-    write_json(paths.library_facts, _made_of(paths, facts))
 
 
 def _made_of(paths: JobPaths, facts: AssetFacts) -> dict[str, Any]:

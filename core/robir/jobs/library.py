@@ -11,13 +11,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from robir.jobs.client import detached
 from robir.jobs.lock import holder
 from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import read_record
+
+Format = Literal["glb", "usd", "blend"]
+
+FORMATS: tuple[Format, ...] = get_args(Format)
+"""What a library may offer of each result."""
 
 _STATE = {
     "fraction": float, "seconds_left": (None, float),

@@ -151,8 +151,13 @@ class JobPaths:
         return self.export / "asset.blend"
 
     @property
+    def usd(self) -> Path:
+        """The asset as USD, beside its textures; absent where none was asked for."""
+        return self.export / "asset.usda"
+
+    @property
     def library_facts(self) -> Path:
-        """What `library_asset` was made with; written after it."""
+        """What `library_asset` and `usd` were made with; written after them."""
         return self.export / "asset.json"
 
     @property

@@ -25,6 +25,7 @@ class Request:
         mesh: Mesh that takes the place of a surface of the engine's, or None.
         settings: Further items of `--set`.
         asset: File of what is known of an asset that is to be made, or None for no asset.
+        until: Stage after which the run ends; empty for the last.
     """
 
     capture: Path
@@ -38,6 +39,7 @@ class Request:
     mesh: Path | None = None
     settings: tuple[str, ...] = ()
     asset: Path | None = None
+    until: str = ""
 
     def words(self) -> list[str]:
         """The command line without the program."""
@@ -45,8 +47,9 @@ class Request:
         choices = ["--preset", self.preset, "--device", self.device]
         choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
         asset = [] if self.asset is None else ["--asset", str(self.asset)]
+        until = ["--until", self.until] if self.until else []
         return [
-            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset,
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset, *until,
             *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
             "--resume", "--progress", "json",
         ]  # fmt: skip

@@ -92,10 +92,13 @@ def write_manifest(paths: JobPaths, stage: str, facts: Mapping[str, Any]) -> Non
 
 
 def judged(paths: JobPaths) -> QualityError | None:
-    """What the program's own quality check has against a finished result, or None.
+    """What the program's own quality check has against a result, or None.
 
-    The folder is whole all the same: the export stage notes the verdict in its manifest.
+    The folder is whole all the same: the export stage notes the verdict in its manifest. Before
+    that stage there is none.
     """
+    if not paths.manifest(STAGES[-1]).exists():
+        return None
     metrics = read_record(paths.manifest(STAGES[-1]), _MANIFEST).get("metrics", {})
     if metrics.get("is_trusted", True):
         return None

@@ -134,6 +134,11 @@ class RunReporter:
         _log.info(message)
         self._emit("finished", message=message)
 
+    def pause(self, message: str) -> None:
+        """The run ends early as it was asked to, and may go on; for followers it is cancelled."""
+        self._write_status("cancelled", self._done, message, exit_code=0)
+        _log.info(message)
+
     def fail(self, message: str, exit_code: int) -> None:
         """The run has ended early; a full disk does not keep the message from the watcher."""
         state = "cancelled" if exit_code == CancelledError.exit_code else "failed"

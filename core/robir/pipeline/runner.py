@@ -55,6 +55,7 @@ class RunRequest:
         is_resume: Whether an unfinished or outdated folder may be worked on.
         mesh: Mesh that takes the place of a surface of our own, or None.
         asset: What is known of the asset for Blender's library that is to be made, or None.
+        until: Stage after which the run ends; the next one goes on from there.
     """
 
     source: Path
@@ -66,6 +67,12 @@ class RunRequest:
     is_resume: bool
     mesh: Path | None = None
     asset: AssetFacts | None = None
+    until: str = STAGES[-1]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages that are to be done."""
+        return STAGES[: STAGES.index(self.until) + 1]
 
 
 def load_stages() -> dict[str, StageModule]:
@@ -93,8 +100,8 @@ def reconstruct(
         stages: Module of each stage, as from `load_stages`.
 
     Returns:
-        The finished folder; `robir.pipeline.ledger.judged` says whether it passed the quality
-        check.
+        The folder, finished up to `until`; `robir.pipeline.ledger.judged` says whether a whole
+        result passed the quality check.
 
     Raises:
         RobirError: With a sentence for the user; see `robir.errors` for the kinds.
@@ -132,14 +139,24 @@ def _bring_up_to_date(
         folder.refuse_other_mesh(paths, run, request.mesh, mesh)
     pending = [stage for stage in STAGES if states[stage] != "done"]
     reporter = RunReporter(paths, display, pending)
-    lacks_asset = request.asset is not None and not is_current(paths, request.asset)
-    if run is not None and not pending and not lacks_asset:
-        _finish(paths, run, reporter, f"{request.out} is finished already; nothing to do")
+    wanted = [stage for stage in pending if stage in request.stages]
+    lacks_asset = not pending and not _has_asset(request, paths)
+    if run is not None and not wanted and not lacks_asset:
+        if pending:
+            reporter.pause(f"{request.until} is done already; go on with --resume")
+        else:
+            _finish(paths, run, reporter, f"{request.out} is finished already; nothing to do")
         return
     is_worth_keeping = any(state in ("done", "stale") for state in states.values())
-    if run is not None and pending and is_worth_keeping and not request.is_resume:
+    if run is not None and wanted and is_worth_keeping and not request.is_resume:
         folder.refuse_without_resume(paths, run, capture, request.config)
     _Run(request, paths, reporter, run, inputs).work(stages, states, expected)
+
+
+def _has_asset(request: RunRequest, paths: JobPaths) -> bool:
+    """Whether the asset is there, or none is to be made."""
+    is_wanted = request.asset is not None and request.until == STAGES[-1]
+    return not is_wanted or is_current(paths, request.asset)
 
 
 def _finish(paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str) -> None:
@@ -183,12 +200,15 @@ class _Run:
         """Run every stage that is not done; see `reconstruct` for the errors."""
         try:
             self._open()
-            for stage in STAGES:
+            for stage in self._request.stages:
                 if states[stage] == "done":
                     self._reporter.skip(stage)
                     continue
                 clear_for_rerun(self._paths, stage, states[stage])
                 self._work_stage(stage, stages[stage], expected[stage])
+            if self._request.until != STAGES[-1]:
+                self._reporter.pause(f"{self._request.until} is done; go on with --resume")
+                return
             if self._request.asset is not None:
                 self._make_asset(self._request.asset)
             _finish(self._paths, self._facts, self._reporter, f"{self._paths.root} is finished")
