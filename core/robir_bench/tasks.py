@@ -7,6 +7,7 @@ import os
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from robir.batch.farm import Job, Place, Step
 from robir.batch.need import memory_needed
@@ -86,5 +87,6 @@ def _captures(run: BenchRun, out: Path) -> Iterator[Path]:
 def _need(run: BenchRun, out: Path) -> int:
     """Bytes of memory."""
     *_, capture = _captures(run, out)
-    entry = Entry(path=capture.name, preset=run.preset, settings=run.settings)
+    preset: Any = run.preset  # a known one, as its plan was read
+    entry = Entry(path=capture.name, preset=preset, settings=run.settings)
     return memory_needed(Plan(captures=capture.parent, entries=(entry,)), entry)

@@ -47,7 +47,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     context.view_layer.objects.active = imported.asset
     hidden = put_aside(scene, context.view_layer)
     corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
-    centre = sum(corners, start=Vector()) / len(corners)
+    centre = 0.125 * sum(corners[1:], start=corners[0])
     frame(scene, centre, max((corner - centre).length for corner in corners))
     light_up(context)
     name, count = imported.asset.name, len(imported.cameras)
