@@ -4,6 +4,7 @@
 from pathlib import Path
 
 import bpy
+import numpy as np
 from mathutils import Vector
 
 from ..blocks import MARK
@@ -47,7 +48,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
     context.view_layer.objects.active = imported.asset
     hidden = put_aside(scene, context.view_layer)
     corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
-    centre = 0.125 * sum(corners[1:], start=corners[0])
+    centre = Vector(np.mean(corners, axis=0))
     frame(scene, centre, max((corner - centre).length for corner in corners))
     light_up(context)
     name, count = imported.asset.name, len(imported.cameras)

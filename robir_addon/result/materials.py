@@ -31,10 +31,11 @@ def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
         "Base Color": (paths.textures / "albedo.png", "sRGB"),
         "Roughness": (paths.textures / "roughness.png", "Non-Color"),
         "Metallic": (paths.textures / "metallic.png", "Non-Color"),
+        "Normal": (paths.textures / "normal.png", "Non-Color"),
     }
-    if not files["Metallic"][0].is_file():  # written only where something is metal
-        del files["Metallic"]
-    return [(file, socket, space) for socket, (file, space) in files.items()]
+    # written only where something is metal, and where the user's own mesh brought one
+    absent = [s for s in ("Metallic", "Normal") if not files[s][0].is_file()]
+    return [(f, socket, space) for socket, (f, space) in files.items() if socket not in absent]
 
 
 def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types.Object:
@@ -178,4 +179,10 @@ def _feed(material: bpy.types.Material, image: bpy.types.Image, socket: str, row
     texture.location = (-420, 300 - 300 * row)
     texture.label = socket
     texture.image = image
-    links.new(texture.outputs["Color"], _principled(material).inputs[socket])
+    colour = texture.outputs["Color"]
+    if socket == "Normal":
+        tangent = nodes.new("ShaderNodeNormalMap")
+        tangent.location = (-160, 300 - 300 * row)
+        links.new(colour, tangent.inputs["Color"])
+        colour = tangent.outputs["Normal"]
+    links.new(colour, _principled(material).inputs[socket])

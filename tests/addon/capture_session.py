@@ -50,7 +50,7 @@ def pulse(is_enough, seconds=60.0):
     end = time.monotonic() + seconds
     while not is_enough():
         assert time.monotonic() < end, told()
-        module("monitor")._pulse()
+        module("work.monitor")._pulse()
         time.sleep(0.02)
 
 
@@ -69,7 +69,7 @@ def counts():
 
 def start_worker():
     """Start as the button does in a window; there the operator would go on to follow it."""
-    worker, client = module("worker"), module("gateway").client
+    worker, client = module("work.worker"), module("gateway").client
     request = worker.request_of(settings())
     engine = module("operators.reconstruct").program(
         bpy.context.preferences.addons[MODULE].preferences.python
@@ -99,14 +99,14 @@ def look(capture, bad, missing):
     answer["bad_shown"] = sorted(o.name for o in shown if o.type == "CAMERA" or not o.parent)
     attempt(bpy.ops.robir.add_box)
     box_shown = settings().box
-    answer["bad_box"] = list(module("worker").box_of(settings()))
+    answer["bad_box"] = list(module("work.worker").box_of(settings()))
     bpy.data.objects.remove(box_shown)
     answer["may_reconstruct_bad"] = bpy.ops.robir.reconstruct.poll()
     settings().capture = missing
     answer["missing"] = attempt(bpy.ops.robir.look_at_capture)
     answer["missing_shown"] = "RobIR capture" in bpy.data.collections
     settings().capture = capture + os.sep
-    answer["default_folder"] = str(module("worker").result_folder(settings()))
+    answer["default_folder"] = str(module("work.worker").result_folder(settings()))
     answer["no_folder"] = attempt(bpy.ops.robir.choose_capture, directory=missing)
     attempt(bpy.ops.robir.choose_capture, directory=capture)
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(capture).with_name("look.blend")))
@@ -144,7 +144,7 @@ def describe(shown):
 
 def box(capture):
     """The box about the object: none, as added, moved, a mesh in its place, deleted."""
-    worker, look = module("worker"), module("operators.capture")
+    worker, look = module("work.worker"), module("operators.capture")
     bpy.ops.robir.choose_capture(directory=capture)
     answer = {"without": list(worker.request_of(settings()).box)}
     answer["added"] = attempt(bpy.ops.robir.add_box)
@@ -166,7 +166,7 @@ def box(capture):
     words = worker.request_of(settings()).words()
     answer["words"] = words[words.index("--set") :][:2]
     said = []
-    run = module("monitor").wait_task
+    run = module("work.monitor").wait_task
     look.monitor.wait_task = lambda name, command, *rest: (
         said.extend(command) or run(name, command, *rest)
     )
@@ -193,7 +193,7 @@ def reconstruct(capture, other, out):
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
-    recent = module("recent")
+    recent = module("capture.recent")
     recent.unregister()
     recent.register()  # as in the next Blender
     answer["recent"] = recent.recent_captures()
@@ -207,7 +207,7 @@ def killed(capture, out):
     """Worker killed in the middle; the next goes on from there to the imported object."""
     settings().capture, settings().out = capture, out
     root = start_worker()
-    monitor = module("monitor")
+    monitor = module("work.monitor")
     monitor.watch(root)
     answer = {"told": [told()], "may_look": bpy.ops.robir.look_at_capture.poll()}
     pulse(lambda: state().stage == "appearance")
@@ -237,10 +237,10 @@ def lacking(capture, other):
     answer["again"] = attempt(bpy.ops.robir.look_at_capture)
     answer["one_less"] = state().recognised
     answer["kept"] = [[p.name, p.is_used, p.reason] for p in settings().photographs]
-    answer["words"] = module("worker").request_of(settings()).words()
+    answer["words"] = module("work.worker").request_of(settings()).words()
     settings().out = settings().result = other + "_elsewhere"
     answer["other"] = attempt(bpy.ops.robir.choose_capture, directory=other)
-    words = module("worker").request_of(settings()).words()
+    words = module("work.worker").request_of(settings()).words()
     answer["other_words"], answer["other_result"] = words, settings().result
     return answer
 
@@ -264,10 +264,10 @@ def millimetres(capture):
             row[3] = row[3] * 240.0 / facts["radius"] + 795.0
     middle = [c * 240.0 / facts["radius"] + 795.0 for c in facts["centre"]]
     facts |= {"centre": middle, "radius": 240.0}
-    list(module("viewport").show_capture(bpy.context.scene, facts))
+    list(module("capture.viewport").show_capture(bpy.context.scene, facts))
     answer["large"], answer["recognised"] = seen_bounds(), look._recognised(facts)
     bpy.ops.robir.add_box()
-    answer["box"] = list(module("worker").box_of(settings()))
+    answer["box"] = list(module("work.worker").box_of(settings()))
     answer["sphere"] = [*middle, 480.0, 480.0, 480.0]
     bpy.ops.robir.clear_capture()
     answer["cleared"] = bpy.data.objects["Cube"].visible_get()
@@ -290,7 +290,7 @@ def seen_bounds():
 def start_and_wait(capture, out, ready):
     """A Blender that is going to be killed while its worker works."""
     settings().capture, settings().out = capture, out
-    module("monitor").watch(start_worker())
+    module("work.monitor").watch(start_worker())
     pulse(lambda: state().stage == "geometry")
     Path(ready).write_text(str(os.getpid()))
     time.sleep(300.0)
@@ -298,7 +298,7 @@ def start_and_wait(capture, out, ready):
 
 def find_again(capture, out):
     """Another Blender finds the worker by the settings of its file, and stops it."""
-    monitor = module("monitor")
+    monitor = module("work.monitor")
     answer = {"nothing": monitor.attach()}
     settings().capture, settings().out = capture, out
     answer["attached"] = monitor.attach()
@@ -325,12 +325,12 @@ def choose_as_clicked(capture):
     engine = bpy.context.preferences.addons[MODULE].preferences.python
     command = [*look.program(engine), "check", capture, "--json"]
     taken = look._Look(bpy.context.scene, Path(capture))
-    module("monitor").run_task("look", command, taken.take, taken.end_chosen)
+    module("work.monitor").run_task("look", command, taken.take, taken.end_chosen)
 
 
 def unsaved(capture):
     """Blender was closed without saving, once in the midst of a run and once after its end."""
-    monitor, answer = module("monitor"), {}
+    monitor, answer = module("work.monitor"), {}
     settings().capture = capture
     root = start_worker()
     pulse(lambda: module("gateway").client.snapshot(root).state == "running")
@@ -353,7 +353,7 @@ def unsaved(capture):
 
 def tasks(python):
     """A task that speaks, one that is stopped, one that fails, and one that cannot be run."""
-    monitor, lines, ends, spoken = module("monitor"), [], [], []
+    monitor, lines, ends, spoken = module("work.monitor"), [], [], []
     speak = (
         "import json, sys; print(json.dumps({'progress': 0.5, 'message': 'half'})); "
         "print('no JSON'); print(json.dumps(['a list'])); "

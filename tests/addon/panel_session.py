@@ -98,7 +98,7 @@ def running(settings, state, result):
     started(settings, state, result)
     state.stage, state.fraction, state.seconds_left = "geometry", 0.42, 5600.0
     state.held_out_psnr = 27.31
-    growth = import_module(f"{MODULE}.growth")
+    growth = import_module(f"{MODULE}.work.growth")
     growth._refresh_icons(bpy.data.images.new("RobIR preview", 8, 4))
 
 
@@ -139,7 +139,7 @@ def pictured(settings, state, result):
         image.save()
         bpy.data.images.remove(image)
     bpy.ops.robir.import_result(directory=str(folder))
-    pictures = import_module(f"{MODULE}.light_pictures").light_pictures(settings.result)
+    pictures = import_module(f"{MODULE}.relighting.pictures").light_pictures(settings.result)
     assert set(pictures) == {"", "city", "forest"}, pictures
 
 
@@ -163,7 +163,7 @@ def damaged(settings, state, result):
     report.write_text('{"choices": {"tone curve": 3}}')
     settings.result = folder
     # what fails in an update of a property is only printed
-    import_module(f"{MODULE}.summary").read_shown()
+    import_module(f"{MODULE}.result.summary").read_shown()
 
 
 def filming(settings, state, result):

@@ -108,7 +108,7 @@ def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path
 
 CLICKED = """
 def pulses(until):
-    monitor, said = module("monitor"), []
+    monitor, said = module("work.monitor"), []
     end = time.monotonic() + 120
     while monitor.is_busy() and time.monotonic() < end:
         monitor._pulse()
@@ -131,7 +131,7 @@ def main(archive, wheels):
     for name, until in (("cancelled", "fetching"), ("whole", "")):
         task = operators._Installation("The installation")
         command = operators._install_command(bpy.context)
-        module("monitor").run_task("install", command, task.on_line, task.on_end)
+        module("work.monitor").run_task("install", command, task.on_line, task.on_end)
         answer["busy"] = state.task, press("install_engine")
         bpy.ops.robir.choose_capture(directory=wheels)
         answer["chosen"] = bpy.context.scene.robir.capture

@@ -63,11 +63,29 @@ def test_colour_states_and_view_transform(result, scene):
         for name in ("Base Color", "Roughness")
     }
     assert sources == {"Base Color": "sRGB", "Roughness": "Non-Color"}
-    assert not shader.inputs["Metallic"].links
+    assert not shader.inputs["Metallic"].links and not shader.inputs["Normal"].links
     assert shader.inputs["IOR"].default_value == pytest.approx(1.5)
     world = next(n for n in imported.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
     assert world.image.colorspace_settings.name == "Linear Rec.709"
     assert scene.world == imported.world
+
+
+def test_a_normal_map_of_the_users_mesh_turns_the_normals(result, scene):
+    from robir_addon.result.importer import import_result
+
+    file = result.textures / "normal.png"
+    shutil.copy(result.textures / "roughness.png", file)
+    try:
+        imported = import_result(result.root, scene)
+    finally:
+        file.unlink()
+    nodes = imported.asset.data.materials[0].node_tree.nodes
+    shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
+    tangent = shader.inputs["Normal"].links[0].from_node
+    assert (tangent.type, tangent.space) == ("NORMAL_MAP", "TANGENT")
+    image = tangent.inputs["Color"].links[0].from_node.image
+    assert image.colorspace_settings.name == "Non-Color"
+    assert Path(image.filepath).name == "normal.png"
 
 
 @pytest.mark.parametrize("specular", [1.0, 0.0])

@@ -64,12 +64,12 @@ def main(archive, folder):
     bpy.context.scene.robir.library = folder
     answer["added"] = [call("add_library"), call("add_library")]
     answer["libraries"] = [[l.name, l.path] for l in libraries][before:]
-    queue = sys.modules[MODULE + ".queue"]
-    known = queue.shown()
+    batch = sys.modules[MODULE + ".work.batch"]
+    known = batch.shown()
     answer["queue"] = [known.is_live, known.text, known.captures]
     answer["dropped"] = [call("drop_from_batch", name="lamp"), call("drop_from_batch", name="../x")]
     bpy.context.scene.robir.library = folder + "/nowhere"
-    answer["nowhere"] = [call("add_library"), queue.shown().captures]
+    answer["nowhere"] = [call("add_library"), batch.shown().captures]
     return answer
 """
 
@@ -79,12 +79,6 @@ def facts():
     return AssetFacts(
         author="Ann", licence="CC0-1.0", tags=("truck", "--wood"), catalogue="toys/cars"
     )
-
-
-@pytest.fixture(autouse=True)
-def plain_search_path(monkeypatch):
-    """Without the folders that Blender adds once a test has imported it into this process."""
-    monkeypatch.setattr(sys, "path", [p for p in sys.path if "bpy" not in Path(p).parts])
 
 
 def made(result: JobPaths, facts: AssetFacts) -> JobPaths:

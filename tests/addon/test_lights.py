@@ -34,7 +34,8 @@ def main(archive, result, out):
         filepath=archive, repo="user_default", enable_on_install=True)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
-    ours = {{n: sys.modules[f"{{MODULE}}.{{n}}"] for n in ("importer", "lights", "rendering")}}
+    rooms = {{"importer": "result", "lights": "relighting", "rendering": "relighting"}}
+    ours = {{n: sys.modules[f"{{MODULE}}.{{room}}.{{n}}"] for n, room in rooms.items()}}
     scene = bpy.context.scene
     imported = ours["importer"].import_result(Path(result), scene)
     imported.asset.hide_render = True

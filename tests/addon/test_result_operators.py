@@ -92,7 +92,7 @@ def main(archive, result, out):
     image.save()
     answer["report"] = [call("open_report"), call("copy_report")]
     import sys
-    answer["text"] = sys.modules[MODULE + ".support"].support_report(bpy.context)
+    answer["text"] = sys.modules[MODULE + ".work.support"].support_report(bpy.context)
     answer["removed"] = [call("remove_result"), census(), bpy.context.scene.robir.result]
     return answer
 """

@@ -25,7 +25,7 @@ def sample():
     answer["faults"] = [f.text for f in state().findings if f.level != "note"]
     laid_out = Path(settings().capture)
     answer["place"] = str(laid_out)
-    answer["result"] = str(module("worker").result_folder(settings()))
+    answer["result"] = str(module("work.worker").result_folder(settings()))
     (laid_out / "mark").touch()
     attempt(bpy.ops.robir.clear_capture)
     answer["again"] = attempt(bpy.ops.robir.try_sample)

@@ -147,7 +147,11 @@ def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         return [*start, *arguments], dict(os.environ)
     # -P: what this process imports decides, not what lies in the current folder
     start = [sys.executable, "-P", "-m", "robir_addon.headless"]
-    search_path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    # an imported bpy adds its own scripts, which would stand in front of it
+    file = getattr(sys.modules.get("bpy"), "__file__", None)
+    entries = [Path(entry).absolute() for entry in sys.path]
+    kept = [e for e in entries if file is None or not e.is_relative_to(Path(file).parent)]
+    search_path = os.pathsep.join(map(str, kept))
     return [*start, *arguments], {**os.environ, "PYTHONPATH": search_path}
 
 
