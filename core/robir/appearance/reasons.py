@@ -9,7 +9,6 @@ from robir.appearance.light.solver import Light
 from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
-from robir.appearance.photometry.own_light import LEAST_SHARE
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.display_power import POWERS, PowerChoice
 from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
@@ -154,8 +153,7 @@ def camera_choices(
             why="a photograph is left out where it is more than "
             f"{other_light.LEAST_STEPS} steps brighter or darker than the rest and its points "
             f"differ in that by more than {other_light.LEAST_LEFT:.0%}; each has its own light "
-            "where that lets photographs predict points elsewhere, by more than "
-            f"{LEAST_SHARE:.0%} of the squared difference",
+            "where that lets photographs predict points elsewhere better than a sheen would",
         ),
         Choice(
             choice="exposure",

@@ -155,8 +155,9 @@ def _bring_up_to_date(
 
 def _has_asset(request: RunRequest, paths: JobPaths) -> bool:
     """Whether the asset is there, or none is to be made."""
-    is_wanted = request.asset is not None and request.until == STAGES[-1]
-    return not is_wanted or is_current(paths, request.asset)
+    if request.asset is None or request.until != STAGES[-1]:
+        return True
+    return is_current(paths, request.asset)
 
 
 def _finish(paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str) -> None:

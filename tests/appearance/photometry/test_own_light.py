@@ -15,6 +15,9 @@ from robir.transport.observe import Observations
 
 VIEWS, POINTS = 24, 900
 
+CAMERAS = 50.0 * fibonacci_sphere(VIEWS).numpy().astype(np.float32)
+"""So far away that all points of a ball are seen along about one direction."""
+
 
 @pytest.fixture
 def rng() -> np.random.Generator:
@@ -77,28 +80,31 @@ def logs(linear: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 def test_an_object_turned_by_hand_has_its_own_light_in_each_photograph(turned):
     linear, weight, normals, _ = turned
-    assert have_own_lights(logs(linear, weight), normals, normals)
+    assert have_own_lights(logs(linear, weight), normals, (normals, CAMERAS))
 
 
 def test_exposures_alone_are_no_light(turned, rng):
     linear, weight, normals, light = turned
     still = linear / light[..., None] * np.exp(0.4 * rng.standard_normal((1, VIEWS, 1)))
-    assert not have_own_lights(logs(still, weight), normals, normals)
+    assert not have_own_lights(logs(still, weight), normals, (normals, CAMERAS))
 
 
+@pytest.mark.parametrize("exponent", [3, 8, 30])
 @pytest.mark.parametrize("strength", [0.3, 3.0])
-def test_gloss_under_one_light_is_none(rng, strength):
+def test_gloss_under_one_light_is_none(rng, strength, exponent):
     """A shiny ball under a lamp: highlights (Phong) move with the camera, the light does not."""
     normals = fibonacci_sphere(POINTS).numpy()
     cameras = fibonacci_sphere(VIEWS).numpy()
     weight = (normals @ cameras.T).clip(0)
     lamp = np.array([0.48, 0.6, 0.64])
     mirrored = 2 * weight[..., None] * normals[:, None] - cameras
-    highlight = strength * (mirrored @ lamp).clip(0) ** 30
+    highlight = strength * (mirrored @ lamp).clip(0) ** exponent
     albedo = rng.uniform(0.1, 0.5, (POINTS, 1, 3))
     linear = albedo * irradiance(normals, lamp, 0.7)[:, None, None] + highlight[..., None]
     linear *= np.exp(0.02 * rng.standard_normal((POINTS, VIEWS, 1)))
-    assert not have_own_lights(logs(linear, weight), normals.astype(np.float32), normals)
+    assert not have_own_lights(
+        logs(linear, weight), normals.astype(np.float32), (normals.astype(np.float32), CAMERAS)
+    )
 
 
 def test_the_common_light_is_left(turned):

@@ -183,8 +183,8 @@ def _find_own_lights(state: Comparison) -> Comparison:
     if not state.tells or not is_by_camera(state.capture):
         return state
     log = state.log - state.falloff.log(state.off_axis)[..., None]
-    positions = state.points.position[state.kept]
-    return replace(state, has_own_lights=have_own_lights(log, state.normals, positions))
+    places = state.points.position[state.kept], state.observations.positions
+    return replace(state, has_own_lights=have_own_lights(log, state.normals, places))
 
 
 COMPARISON: tuple[Step[Comparison], ...] = (

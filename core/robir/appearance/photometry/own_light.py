@@ -8,11 +8,14 @@ light makes of a matt surface (Ramamoorthi and Hanrahan 2001),
 
     log linear(p, v) = point(p) + gain(v) + slope(v) . normal(p) + highlight or error,
 
-solved by robust least squares. Sheen differs from view to view by orientation too, so slopes are
-taken only where they account for much more of what photographs differ in than it does.
+solved by robust least squares. Sheen under one light does the like, since it changes with the view
+by orientation too, and a rough one explains as much; but it is one function of the mirrored
+direction for all photographs. Slopes are taken only where they beat that, too.
 """
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +26,21 @@ from robir.appearance.photometry.gains import (
     others_errors,
     solve_gains,
 )
-from robir.appearance.photometry.robust import Weighing
+from robir.appearance.photometry.robust import FIRST_WIDTH, LAST_WIDTH, NARROWING, Weighing
 from robir.appearance.proof import Proof
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-LEAST_SHARE = 0.15
-"""Share of the photographs' squared differences that slopes must account for. Under one light gloss
-feigned .00 on two captures and .10 on one with metal; other lights made .18 to .43 of it."""
-
 PLACE = 0.15
 """Side of the cubes, scene radii, within which points err together."""
+
+DEGREE = 3
+"""Of the sheen's polynomials: of the second, a ball with a Phong exponent of 8 passes for one in
+lights of its own."""
+
+TURNS, RIDGE = 8, 1e-4
+"""Turns of points and sheen, and the weight of its prior against the trace of its equations."""
 
 
 def solve_slopes(log: Array, normals: Floats) -> Array:
@@ -89,33 +95,80 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
     return unknowns, mean - (weight * (basis @ unknowns.T)).sum(1) / mass
 
 
-def have_own_lights(log: Array, normals: Floats, positions: Floats) -> bool:
-    """Whether photographs are each in a light of its own, by more than gloss feigns.
+def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
+    """Whether photographs are each in a light of its own.
 
-    Slopes of points in some places must let photographs predict those in others.
+    Slopes of points in some places must let photographs predict those in others, better than gains
+    alone and better than a sheen under one light do.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
             does not show a point.
         normals: (P, 3) of the points.
-        positions: (P, 3) of the points, unit frame.
+        places: Where the points (P, 3) and the cameras (V, 3) are, unit frame.
     """
+    positions, cameras = places
     place = np.unique(np.floor(positions / PLACE), axis=0, return_inverse=True)[1].reshape(-1)
     is_first = halves(place)[place]
     if min(is_first.sum(), (~is_first).sum()) < FEWEST_POINTS:
         return False
-    plain, rich, groups = [], [], []
+    mirrored = _mirrored(positions, normals, cameras)
+    groups: list[NDArray[np.int64]] = []
+    errors: list[list[Array]] = []
     for judged in (is_first, ~is_first):
-        slopes = solve_slopes(log[~judged], normals[~judged])
-        tilt = (normals @ slopes.T)[..., None]
-        shown = log[judged]
+        fitted, shown = ~judged, log[judged]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
         groups.append(np.stack([view, place[judged][point]]))
-        alike = solve_gains(log[~judged], normals[~judged])
-        tilted = solve_gains(log[~judged] - tilt[~judged], normals[~judged])
-        plain.append(others_errors(shown, alike)[point, view])
-        rich.append(others_errors(shown, tilted + tilt[judged])[point, view])
-    proof = Proof.of(
-        np.concatenate(plain), np.concatenate(rich), tuple(np.concatenate(groups, axis=1))
-    )
-    return proof.is_given and proof.gain > LEAST_SHARE * (proof.plain / 255) ** 2
+        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted])
+        slopes = normals @ solve_slopes(log[fitted], normals[fitted]).T
+        errors.append([])
+        for more in (np.zeros_like(sheen), sheen, slopes):
+            added = more[..., None]
+            gains = solve_gains(log[fitted] - added[fitted], normals[fitted])
+            errors[-1].append(others_errors(shown, gains + added[judged])[point, view])
+    plain, sheeny, own = (np.concatenate(both) for both in zip(*errors, strict=True))
+    grouped = tuple(np.concatenate(groups, axis=1))
+    return all(Proof.of(rival, own, grouped).is_given for rival in (plain, sheeny))
+
+
+def _mirrored(positions: Floats, normals: Floats, cameras: Floats) -> Array:
+    """Polynomials (P, V, K) to the third degree of where points mirror each camera to.
+
+    On the sphere they span spherical harmonics to the third order, as far as rough sheens reach; of
+    those with z squared or more nothing is left beside x and y.
+    """
+    towards = cameras[None] - positions[:, None].astype(np.float64)
+    towards /= np.linalg.norm(towards, axis=2, keepdims=True)
+    facing = np.einsum("pvi,pi->pv", towards, normals)
+    x, y, z = np.moveaxis(2 * facing[..., None] * normals[:, None] - towards, -1, 0)
+    powers = product(range(DEGREE + 1), range(DEGREE + 1), range(2))
+    return np.stack([x**a * y**b * z**c for a, b, c in powers if 0 < a + b + c <= DEGREE], axis=-1)
+
+
+def _solve_sheen(log: Array, normals: Floats, mirrored: Array) -> Array:
+    """Coefficients (K,) of a sheen under one light, by points and gains in turns.
+
+    Args:
+        log: (P, V, 3) log radiance, NaN where a view does not show a point.
+        normals: (P, 3) of the points.
+        mirrored: (P, V, K) what the sheen is a sum of.
+    """
+    known = np.isfinite(log[..., 0])
+    gray = np.nan_to_num(log).mean(2)
+    sheen, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH
+    for _ in range(TURNS):
+        shown = mirrored @ sheen
+        left = gray - shown - solve_gains(log - shown[..., None], normals).mean(1)
+        left = np.where(known, left, 0.0)
+        apart = left - left.sum(1, keepdims=True) / known.sum(1, keepdims=True)
+        weight = known / (1 + (apart / width) ** 2) ** 2
+        width = max(LAST_WIDTH, NARROWING * width)
+        mass = weight.sum(1)
+        kinds = mirrored - (np.einsum("pv,pvk->pk", weight, mirrored) / mass[:, None])[:, None]
+        left = left - (weight * left).sum(1, keepdims=True) / mass[:, None]
+        system = np.einsum("pv,pvk,pvl->kl", weight, kinds, kinds)
+        right = np.einsum("pv,pvk,pv->k", weight, kinds, left)
+        sheen = sheen + np.linalg.solve(
+            system + RIDGE * np.trace(system) * np.eye(len(right)), right
+        )
+    return sheen
