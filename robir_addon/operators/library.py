@@ -124,6 +124,25 @@ class ROBIR_OT_drop_from_batch(_LibraryOperator, bpy.types.Operator):
         batch.look()
 
 
+class ROBIR_OT_prefer_in_batch(_LibraryOperator, bpy.types.Operator):
+    """Do one capture before the others."""
+
+    bl_idname = "robir.prefer_in_batch"
+    bl_label = "Do Next"
+    bl_description = "Let the batch do this capture before all others that wait"
+    bl_options = {"REGISTER", "INTERNAL"}
+
+    name: StringProperty(name="Capture", options={"HIDDEN", "SKIP_SAVE"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Note it for the batch."""
+        try:
+            library.prefer(batch.chosen(context.scene.robir), self.name)
+        except ValueError as fault:
+            raise RequestError(str(fault)) from fault
+        batch.look()
+
+
 class ROBIR_OT_add_library(_LibraryOperator, bpy.types.Operator):
     """The library in Blender's asset browser."""
 
@@ -150,5 +169,6 @@ CLASSES = (
     ROBIR_OT_run_batch,
     ROBIR_OT_stop_batch,
     ROBIR_OT_drop_from_batch,
+    ROBIR_OT_prefer_in_batch,
     ROBIR_OT_add_library,
 )

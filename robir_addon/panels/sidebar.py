@@ -335,6 +335,8 @@ class ROBIR_PT_library(Panel, bpy.types.Panel):
             line = layout.row(align=True)
             text = f"{name}: {message}" if message else name
             line.label(text=text, icon=_QUEUE_ICONS.get(state, "DOT"), translate=False)
+            if state == "waiting":
+                line.operator("robir.prefer_in_batch", text="", icon="TRIA_UP").name = name
             if state in ("waiting", "running"):
                 line.operator("robir.drop_from_batch", text="", icon="X").name = name
         if len(known.captures) > batch.MOST:

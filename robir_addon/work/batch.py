@@ -100,7 +100,14 @@ def _read() -> Queue:
     except (OSError, ValueError):  # none yet, or a damaged one: the next look tells
         return Queue(is_live=is_live, text=words("starting") if is_live else "")
     rows = [(row["name"], row["state"], row["message"]) for row in state["captures"]]
-    rows.sort(key=lambda row: _ORDER.index(row[1]) if row[1] in _ORDER else len(_ORDER))
+    first = library.preferred(paths)
+    place = {name: number for number, name in enumerate(first)}
+    rows.sort(
+        key=lambda row: (
+            _ORDER.index(row[1]) if row[1] in _ORDER else len(_ORDER),
+            place.get(row[0], len(first)),
+        )
+    )
     done = sum(row[1] == "done" for row in rows)
     text = words("{done} of {count} done", done=done, count=len(rows))
     if is_live and state["seconds_left"] is not None:

@@ -68,6 +68,8 @@ def main(archive, folder):
     known = batch.shown()
     answer["queue"] = [known.is_live, known.text, known.captures]
     answer["dropped"] = [call("drop_from_batch", name="lamp"), call("drop_from_batch", name="../x")]
+    answer["preferred"] = [call("prefer_in_batch", name=name) for name in ("vase", "../x")]
+    answer["order"] = [row[0] for row in batch.shown().captures]
     bpy.context.scene.robir.library = folder + "/nowhere"
     answer["nowhere"] = [call("add_library"), batch.shown().captures]
     return answer
@@ -149,16 +151,19 @@ def test_the_panel_registers_the_library_and_lists_its_batch(
     library = LibraryPaths(tmp_path / "my library")
     library.root.mkdir()
     rows = [("chair", "done", ""), ("lamp", "failed", "no photographs"), ("cup", "waiting", "")]
+    rows.append(("vase", "waiting", ""))
     captures = [{"name": n, "state": s, "fraction": 0.0, "message": m} for n, s, m in rows]
     write_json(library.state, {"fraction": 0.5, "seconds_left": None, "captures": captures})
     seen = run(blender, PANEL, str(extension_zip), str(library.root), user=tmp_path / "user")
     assert not seen["unchosen"]
     assert seen["added"] == [["FINISHED"], ["FINISHED"]]
     assert seen["libraries"] == [["my library", str(library.root)]]
-    assert seen["queue"] == [False, "1 of 3 done", [list(rows[1]), list(rows[2]), list(rows[0])]]
+    assert seen["queue"] == [False, "1 of 4 done", [list(rows[n]) for n in (1, 2, 3, 0)]]
     assert seen["dropped"][0] == ["FINISHED"]
     assert "leads out" in seen["dropped"][1]
     assert [file.name for file in library.dropped.iterdir()] == ["lamp"]
+    assert seen["preferred"][0] == ["FINISHED"] and "leads out" in seen["preferred"][1]
+    assert seen["order"] == ["lamp", "vase", "cup", "chair"]
     assert "is no folder" in seen["nowhere"][0]
     assert seen["nowhere"][1] == []
 

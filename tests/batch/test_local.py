@@ -17,7 +17,15 @@ from robir.batch.start import batch
 from robir.cli import _parser
 from robir.errors import UsageError
 from robir.jobs.client import snapshot
-from robir.jobs.library import LibraryPaths, drop, read_batch, start_batch, stop_batch
+from robir.jobs.library import (
+    LibraryPaths,
+    drop,
+    prefer,
+    preferred,
+    read_batch,
+    start_batch,
+    stop_batch,
+)
 from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, write_json
 from tests.batch.fakes import ROOT, make_captures, run_batch, variables
@@ -176,6 +184,22 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
     go.touch()
     assert running.wait(30) == 0
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
+
+
+def test_what_the_user_prefers_comes_first(tmp_path, library, template):
+    """Of four the last is preferred while the first is at work, and then the third before it."""
+    go = tmp_path / "go"
+    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": "", "d": ""})
+    running = begun(library, template, captures / "*", "--jobs", 1)
+    until(lambda: snapshot(library.root / "a").state == "running")
+    assert preferred(library) == []
+    prefer(library, "d")
+    prefer(library, "c")
+    assert preferred(library) == ["c", "d"]
+    go.touch()
+    assert running.wait(30) == 0
+    ended = {name: library.result(name).status.stat().st_mtime_ns for name in "abcd"}
+    assert sorted(ended, key=ended.get) == ["a", "c", "d", "b"]
 
 
 def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):

@@ -23,7 +23,7 @@ from robir.errors import (
     UsageError,
 )
 from robir.jobs import client
-from robir.jobs.library import LibraryPaths
+from robir.jobs.library import LibraryPaths, preferred
 
 _PERIOD = 0.5
 """Seconds between two looks at the result folders of what is at work."""
@@ -110,6 +110,7 @@ class LocalBatch:
         try:
             while self._waiting or self._running:
                 self._drop()
+                self._reorder()
                 while (item := self._next()) is not None:
                     self._start(item)
                 self._look()
@@ -172,6 +173,13 @@ class LocalBatch:
             else:
                 item.tries = _TRIES
                 client.request_cancel(item.request.out)
+
+    def _reorder(self) -> None:
+        """Let come first what the user prefers; the rest stays in the plan's order."""
+        first = preferred(self.paths)
+        if first:
+            place = {name: number for number, name in enumerate(first)}
+            self._waiting.sort(key=lambda item: place.get(item.standing.name, len(first)))
 
     def _end(self) -> None:
         """End in good order what is still at work, and by force what does not."""

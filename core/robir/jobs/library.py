@@ -98,6 +98,11 @@ class LibraryPaths:
         """Touch a file of a capture's name in this folder to have the batch leave that out."""
         return self.own / "dropped"
 
+    @property
+    def preferred(self) -> Path:
+        """Files of captures' names in this folder come first, the one touched last before all."""
+        return self.own / "preferred"
+
 
 def read_batch(paths: LibraryPaths) -> dict[str, Any]:
     """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
@@ -156,6 +161,27 @@ def drop(paths: LibraryPaths, name: str) -> None:
         OSError: If that cannot be noted.
         UnsafeNameError: If the name leads elsewhere.
     """
-    file = file_in(paths.dropped, name)
+    _touch(paths.dropped, name)
+
+
+def prefer(paths: LibraryPaths, name: str) -> None:
+    """Have a batch on this machine do a capture before all others that wait.
+
+    Raises:
+        OSError: If that cannot be noted.
+        UnsafeNameError: If the name leads elsewhere.
+    """
+    _touch(paths.preferred, name)
+
+
+def preferred(paths: LibraryPaths) -> list[str]:
+    """Names of the captures that come first, in their order."""
+    folder = paths.preferred
+    files = list(folder.iterdir()) if folder.is_dir() else []
+    return [file.name for file in sorted(files, key=lambda file: -file.stat().st_mtime_ns)]
+
+
+def _touch(folder: Path, name: str) -> None:
+    file = file_in(folder, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.touch()
