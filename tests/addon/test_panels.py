@@ -13,7 +13,7 @@ from addon.finished import make_result
 pytestmark = pytest.mark.blender
 
 HERE = Path(__file__).parent
-INTERNAL = {"drop_capture", "add_preset", "drop_from_batch"}
+INTERNAL = {"drop_capture", "add_preset", "drop_from_batch", "prefer_in_batch"}
 """Operators that are of no use by themselves: no menu has them."""
 
 
@@ -155,7 +155,7 @@ def test_what_changes_the_file_can_be_undone(seen):
         "add_library", "add_preset", "allow_online", "cancel_install", "cancel_reconstruct",
         "check_engine", "copy_report", "dismiss", "drop_from_batch", "export_glb",
         "export_textures", "export_usd", "install_engine", "open_report", "picture_lights",
-        "remove_engine", "run_batch", "stop_batch", "turntable",
+        "prefer_in_batch", "remove_engine", "run_batch", "stop_batch", "turntable",
     }  # fmt: skip
     undone = {name for name, known in seen["operators"].items() if "UNDO" in known["options"]}
     assert undone == set(seen["operators"]) - looks_only

@@ -132,4 +132,7 @@ def test_the_khronos_validator_finds_no_fault(name, request):
     )
     issues = json.loads(run.stdout)
     assert issues["numErrors"] == 0, issues["messages"]
-    assert issues["numWarnings"] == 0, issues["messages"]
+    # a map without tangents is read by MikkTSpace's, as Blender's are (glTF 2.0, 3.7.2.1)
+    allowed = {"MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"} if name == "bumpy_glb" else set()
+    warnings = {m["code"] for m in issues["messages"] if m["severity"] <= 1}
+    assert warnings <= allowed, issues["messages"]

@@ -148,9 +148,11 @@ def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     # -P: what this process imports decides, not what lies in the current folder
     start = [sys.executable, "-P", "-m", "robir_addon.headless"]
     # an imported bpy adds its own scripts, which would stand in front of it
-    file = getattr(sys.modules.get("bpy"), "__file__", None)
+    utils: Any = getattr(sys.modules.get("bpy"), "utils", None)
+    kinds = () if utils is None else ("USER", "LOCAL", "SYSTEM")
+    folders = [Path(folder) for kind in kinds if (folder := utils.resource_path(kind))]
     entries = [Path(entry).absolute() for entry in sys.path]
-    kept = [e for e in entries if file is None or not e.is_relative_to(Path(file).parent)]
+    kept = [e for e in entries if not any(e.is_relative_to(folder) for folder in folders)]
     search_path = os.pathsep.join(map(str, kept))
     return [*start, *arguments], {**os.environ, "PYTHONPATH": search_path}
 
