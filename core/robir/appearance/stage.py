@@ -20,7 +20,8 @@ from robir.appearance.photometry.comparison import COMPARISON, Comparison
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
-from robir.appearance.solution import SOLUTION, solve
+from robir.appearance.response import solved
+from robir.appearance.solution import SOLUTION
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
@@ -41,7 +42,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 64
+REVISION = 65
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -97,10 +98,9 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)
-    first = tone.candidates[0]
     seconds |= {"tone_curve": time.process_time() - started}
-    reporter.progress(0.5, f"solving the light under {first.curve.name}")
-    solution = solve(first.problem, first.light, config, context.seed, course)
+    reporter.progress(0.5, f"solving the light under {tone.candidates[0].curve.name}")
+    tone, solution = solved(tone, config, context.seed, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
@@ -127,7 +127,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(context.paths.idle_steps("appearance"), course.idle(STEPS))
     return {
-        "tone_curve": first.curve.name,
+        "tone_curve": tone.candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
