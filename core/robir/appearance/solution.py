@@ -20,7 +20,7 @@ from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, polish, refit
 from robir.appearance.material.gloss import Gloss, estimate_gloss
-from robir.appearance.model_size import with_even_sky, without_bounces
+from robir.appearance.model_size import with_even_sky, with_reflected_sky, without_bounces
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
@@ -114,9 +114,9 @@ def _gloss(state: Solution) -> Solution:
     return _with_gloss(state, step=1)
 
 
-def _with_gloss(state: Solution, step: int) -> Solution:
+def _with_gloss(state: Solution, step: int, told: float | None = None) -> Solution:
     gloss, diffuse = estimate_gloss(
-        state.problem, state.light, state.config.num_materials, state.seed, step=step
+        state.problem, state.light, state.config.num_materials, state.seed, step, told
     )
     return replace(state, gloss=gloss, matte=state.problem.without_highlights(diffuse))
 
@@ -153,6 +153,18 @@ def _refit_turned_sides(state: Solution) -> Solution:
 def _mirrored_sky(state: Solution) -> Solution:
     light = sky_by_metal(state.problem, state.light, state.material)
     return state if light is None else _gloss(replace(state, light=light))
+
+
+def _reflected_sky(state: Solution) -> Solution:
+    num_lobes = state.config.num_soft_lobes
+    told = with_reflected_sky(state.problem, state.light, state.material, num_lobes)
+    if told is None:
+        return state
+    problem, light, roughness, choice = told
+    state = replace(state, choices=(*state.choices, choice))
+    if light is state.light:
+        return state
+    return _with_gloss(replace(state, problem=problem, light=light), 1, roughness)
 
 
 SOLUTION: tuple[Step[Solution], ...] = (
@@ -229,6 +241,12 @@ SOLUTION: tuple[Step[Solution], ...] = (
         purpose="takes the sky from its image in metal, where there is some",
         source="ours: light probe (Debevec 1998) of the object's own metal",
         run=_mirrored_sky,
+    ),
+    Step(
+        name="reflected-sky",
+        purpose="takes the sky from what paint reflects of it, where that is proven",
+        source="inverse lighting (Ramamoorthi and Hanrahan 2001)",
+        run=_reflected_sky,
     ),
 )
 """All steps, in their order."""

@@ -33,7 +33,7 @@ from robir.appearance.material.reflections import (
     reflected_share,
     view_rays,
 )
-from robir.appearance.material.roughness import Patches, choose_roughness
+from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import darker_view_weights, texture_weights
 from robir.jobs.choice import Choice
@@ -198,7 +198,12 @@ def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
 
 
 def estimate_gloss(
-    problem: Problem, light: Light, num_patches: int, seed: int, step: int = 1
+    problem: Problem,
+    light: Light,
+    num_patches: int,
+    seed: int,
+    step: int = 1,
+    told: float | None = None,
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
@@ -208,6 +213,7 @@ def estimate_gloss(
         num_patches: Patches of paint that have a roughness each.
         seed: Of the clustering.
         step: Every so manieth of the samples that take part in the light solve is judged.
+        told: Roughness of all paint where it is known already.
 
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
@@ -241,7 +247,10 @@ def estimate_gloss(
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
     cluster = clusters(features, num_patches, seed)
     patches = Patches(features=_means(features, cluster), number=cluster[in_solve])
-    choice = choose_roughness(highlights, patches, trial, ~is_metal, by_camera=by_camera)
+    if told is None:
+        choice = choose_roughness(highlights, patches, trial, ~is_metal, by_camera=by_camera)
+    else:
+        choice = known_roughness(told, len(patches.features))
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)

@@ -132,6 +132,12 @@ def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
     return F0 * scale + bias
 
 
+def metal_share(rays: ViewRays, roughness: float) -> Tensor:
+    """The same (M,) of a metal whose base colour is 1."""
+    scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
+    return scale + bias
+
+
 def _product_at(
     tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
 ) -> list[Tensor]:
@@ -266,10 +272,7 @@ class Reflections:
             around = kernel[rays.mirror[start : start + CHUNK]]
             mass = (around * self._above[some]).sum(1, keepdim=True)
             parts.append((around * self._seen[some]) @ lobes / mass.clamp(min=1e-6))
-        scale, bias = microfacet.environment_brdf(
-            rays.cosine, torch.full_like(rays.cosine, roughness)
-        )
-        return torch.cat(parts) * (scale + bias)[:, None]
+        return torch.cat(parts) * metal_share(rays, roughness)[:, None]
 
     def near_highlight(self, rays: ViewRays) -> Tensor:
         """Numbers (N,) of the observations near the mirror direction of a sun that is seen."""

@@ -128,6 +128,20 @@ def choose_roughness(
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
 
 
+def known_roughness(told: float, count: int) -> RoughnessChoice:
+    """One roughness for all patches (K = count), told by what paint reflects of the sky."""
+    told = float(_stepped(told))
+    why = "told by the sky that paint reflects, no sun's highlight being there"
+    return RoughnessChoice(
+        has_highlights=True,
+        roughness=np.full(count, told),
+        choices=(
+            Choice(choice="specular", chosen=GLOSSY, alternatives=(DULL,), why=why),
+            Choice(choice="roughness", chosen=ONE, alternatives=(EACH,), why=why),
+        ),
+    )
+
+
 def _fitted(
     highlights: Highlights, number: NDArray[np.int64], features: Reals
 ) -> tuple[float, NDArray[np.float64]]:

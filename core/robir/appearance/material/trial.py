@@ -62,10 +62,7 @@ class Trial:
             part = rays.of(own)
             specular[own] = self.reflections.radiance(part, float(roughness))[:, 0]
             through[own] = 1 - reflected_share(part, float(roughness))[:, None]
-        below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
-        shown = seen.curve.display_from_linear(below).float()
-        diffuse = seen.curve.linear_from_display(_by_other_folds(shown, rays).clamp(0, 1)).float()
-        return seen.squared(through * diffuse + specular)
+        return seen.squared(predicted_below(seen, rays, specular, through) + specular)
 
     def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
         """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
@@ -80,6 +77,21 @@ class Trial:
     def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
         """What rays say of two models by their errors (M,)."""
         return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
+
+
+def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor) -> Tensor:
+    """Diffuse radiance (M, 3) that leaves rays' samples, as other folds of the views have it.
+
+    Args:
+        seen: What the rays show.
+        rays: All of some samples.
+        specular: (M, 3) what of it is reflected.
+        through: (M, 1) share of the diffuse light that is let through.
+    """
+    below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
+    shown = seen.curve.display_from_linear(below).float()
+    others = _by_other_folds(shown, rays).clamp(0, 1)
+    return through * seen.curve.linear_from_display(others).float()
 
 
 def _by_other_folds(shown: Tensor, rays: ViewRays) -> Tensor:

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sky as paint reflects it.
+
+Shading tells little of single parts of the sky, windows and lamps of a room among them; the
+specular layer of paint shows them, F0 = 0.04 of what comes from about the mirror direction, on top
+of diffuse light that is the same in all views. So lobes of the sky are changed until the views of
+each sample differ as they are seen to, with its diffuse light left free, and what reaches the
+diffuse surface kept as it was solved. Radiance is linear in the lobes (Ramamoorthi and Hanrahan
+2001, "A signal-processing framework for inverse rendering", the specular and the diffuse part
+solved together).
+
+Where no sun shines nothing else tells the roughness: a rough surface would hide errors of a sky
+that is held, but here each roughness has the sky that fits it best. They are judged alike, by parts
+of the surface that had no part in the fit. Whether the sky is taken is decided in model_size.py.
+
+Batch letters: U samples, M observations, K lobes, L levels of roughness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robir.appearance.blocks import block_numbers
+from robir.appearance.evidence.lobe_changes import Mirrored, changed
+from robir.appearance.light.lobes import sky_radiance, soft_transfer
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.observed import Seen, looked_at
+from robir.appearance.material.reflections import (
+    Reflections,
+    ViewRays,
+    metal_share,
+    reflected_share,
+)
+from robir.appearance.material.trial import Trial, predicted_below
+
+Reals = NDArray[np.floating[Any]]
+
+LEVELS = (0.2, 0.3, 0.42, 0.56)
+"""Roughnesses that are tried where no sun tells it. The lobes cannot tell sharper ones; of rougher
+ones views differ by less than is known of what they reflect."""
+
+CODES = 20.0
+"""Difference between views of a sample, codes, at which one counts half: beyond lie errors of the
+mesh."""
+
+KEPT_ERRORS = (0.05, 0.2, 0.8)
+"""Shares by which the irradiance of samples may change: where shadows on a ground tell the light it
+is well known, by the shading of a lone thing it is not."""
+
+FOLDS = 3
+"""Parts of the surface of which each is predicted by the lobes that the others tell."""
+
+MOST_SAMPLES = 2500
+"""Of the samples that take part in the light solve, looked at."""
+
+MOST_FITTED = 12_000
+"""Of their observations, fitted to: there are 200 unknowns."""
+
+UNKNOWN = 100.0
+"""Error of what is clipped, radiance."""
+
+NO_BASE = 1e-3
+"""Usual change of F0, which is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReflectedSky:
+    """A sky that paint reflects.
+
+    Attributes:
+        light: The light with it.
+        roughness: Of all paint; None where it is as it was.
+        diffuse: (U, 3) radiance of the samples without what they reflect.
+        errors: (M,) squared errors of views, each part of the surface by what the others tell.
+    """
+
+    light: Light
+    roughness: float | None
+    diffuse: Tensor
+    errors: Reals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReflectedSkies:
+    """What paint reflects, shading being held more and less.
+
+    Attributes:
+        problem: The scene, the sky of as many lobes as asked for.
+        rows: (U,) the samples that were looked at.
+        before: (M,) squared errors of views by the sky as it was.
+        groups: Numbers (M,) of what errs together.
+        skies: One for each of KEPT_ERRORS.
+    """
+
+    problem: Problem
+    rows: NDArray[np.int64]
+    before: Reals
+    groups: tuple[NDArray[np.int64], ...]
+    skies: tuple[ReflectedSky, ...]
+
+
+def skies_by_paint(
+    problem: Problem, light: Light, gloss: Gloss, count: int
+) -> ReflectedSkies | None:
+    """The light with the sky that paint reflects.
+
+    Args:
+        problem: Scene under a tone curve, highlights included.
+        light: Solved light.
+        gloss: Specular material under it.
+        count: Number K of lobes that an even sky is parted in.
+
+    Returns:
+        None where too little paint is seen.
+    """
+    rows = problem.scene.rows
+    rows = rows[gloss.is_paint[rows] & problem.radiance.seen.numpy()[rows]]
+    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
+    block = block_numbers(problem.scene.transport.surfels.position[rows])
+    if len(np.unique(block)) < FOLDS:
+        return None
+    found = gloss.roughness[rows].astype(np.float64)
+    reflections, rays, seen, _ = looked_at(problem, light, rows)
+    trial = Trial(reflections=reflections, rays=rays, seen=seen)
+    chosen = trial.rays_of(np.ones(len(rows), bool))
+    before = trial.paint_errors(chosen, found if gloss.has_highlights else None)
+    parted, start = _with_lobes(problem, light, count)
+    is_told = len(light.axes) > 0
+    levels = [found] if is_told else [np.full(len(rows), level) for level in LEVELS]
+    tried = [_Paint.of(parted, start, rows, level) for level in levels]
+    skies = []
+    for kept_error in KEPT_ERRORS:
+        errors = [paint.errors(chosen, paint.across(block % FOLDS, kept_error)) for paint in tried]
+        best = int(np.argmin([error.mean() for error in errors]))
+        soft = tried[best].lobes(np.ones(len(rows), bool), kept_error)
+        skies.append(
+            ReflectedSky(
+                light=replace(start, amplitudes=replace(start.amplitudes, soft=soft)),
+                roughness=None if is_told else float(levels[best][0]),
+                diffuse=tried[best].diffuse(soft),
+                errors=errors[best],
+            )
+        )
+    groups = rays.view[chosen.numpy()], block[rays.sample[chosen.numpy()]]
+    return ReflectedSkies(
+        problem=parted, rows=rows, before=before, groups=groups, skies=tuple(skies)
+    )
+
+
+def _with_lobes(problem: Problem, light: Light, count: int) -> tuple[Problem, Light]:
+    """The same with an even sky parted in lobes (K)."""
+    if len(light.amplitudes.soft) > 1:
+        return problem, light
+    scene = problem.scene
+    visibility, normal = scene.transport.visibility, scene.transport.surfels.normal
+    soft = soft_transfer(visibility, normal, np.arange(len(normal)), count)
+    unit = sky_radiance(torch.from_numpy(visibility.directions), torch.ones(count, 1)).mean()
+    even = (light.amplitudes.soft / unit).expand(count, 3).clone()
+    return (
+        replace(problem, scene=replace(scene, soft=soft)),
+        replace(light, amplitudes=replace(light.amplitudes, soft=even)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Paint:
+    """Samples of one roughness each, and what the lobes do to them.
+
+    Attributes:
+        rays: Their observations.
+        seen: What these show.
+        fixed: (M, 3) what suns and surfaces send, reflected.
+        lobes_sent: (M, K) what each lobe of amplitude 1 sends, reflected.
+        through: (M, 1) share of the diffuse light that is let through.
+        mirrored: What differs between the views of a sample.
+        soft: (K, 3) amplitudes before.
+        kept: (3, U, K) share of the irradiance that each amplitude sends.
+    """
+
+    rays: ViewRays
+    seen: Seen
+    fixed: Tensor
+    lobes_sent: Tensor
+    through: Tensor
+    mirrored: Mirrored
+    soft: Tensor
+    kept: Tensor
+
+    @classmethod
+    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64], level: Reals) -> _Paint:
+        """Samples (U,) of some roughness (U,) under a light."""
+        soft = light.amplitudes.soft
+        dark = replace(light, amplitudes=replace(light.amplitudes, soft=torch.zeros_like(soft)))
+        reflections, rays, seen, _ = looked_at(problem, dark, rows)
+        count = len(rays.sample)
+        fixed, through = torch.zeros(count, 3), torch.ones(count, 1)
+        lobes = torch.zeros(count, len(soft))
+        levels = level[rays.sample]
+        for roughness in np.unique(levels):
+            own = torch.from_numpy(np.flatnonzero(levels == roughness))
+            parts = _reflected(reflections, rays.of(own), float(roughness), len(soft))
+            fixed[own], lobes[own], through[own] = parts
+        sample = torch.from_numpy(rays.sample)
+
+        def differing(values: Tensor) -> Tensor:
+            """Values less the diffuse light (M, C) that would explain their mean."""
+            return values - through * sample_mean(values / through, rays, len(rows))[sample]
+
+        lit = light.irradiance(problem, rows).clamp(min=1e-6)
+        return cls(
+            rays=rays,
+            seen=seen,
+            fixed=fixed,
+            lobes_sent=lobes,
+            through=through,
+            mirrored=Mirrored(
+                seen=differing(seen.linear - fixed),
+                fixed=torch.zeros(count, 3),
+                lobes=differing(lobes)[:, None].expand(-1, 3, -1),
+                error=_radiance_of_codes(seen),
+                base_freedom=NO_BASE,
+            ),
+            soft=soft,
+            kept=problem.scene.soft[rows] / lit.T[:, :, None],
+        )
+
+    def lobes(self, samples: NDArray[np.bool_], kept_error: float) -> Tensor:
+        """Amplitudes (K, 3) that some of the samples (U,) ask for."""
+        some = np.flatnonzero(samples[self.rays.sample])
+        some = torch.from_numpy(some[:: -(-len(some) // MOST_FITTED) or 1])
+        return changed(self.soft, self.mirrored.of(some), self.kept, kept_error)
+
+    def diffuse(self, soft: Tensor) -> Tensor:
+        """Mean diffuse radiance (U, 3) of the samples under lobes of some amplitudes (K, 3)."""
+        linear = self.seen.linear
+        below = torch.maximum(linear - self.fixed - self.lobes_sent @ soft, 0.02 * linear)
+        return sample_mean(below / self.through, self.rays, self.kept.shape[1])
+
+    def across(self, fold: NDArray[np.int64], kept_error: float) -> Tensor:
+        """Specular radiance (M, 3), of each fold (U,) by what the others tell of the sky."""
+        specular = self.fixed.clone()
+        for number in np.unique(fold):
+            own = torch.from_numpy(np.flatnonzero(fold[self.rays.sample] == number))
+            specular[own] += self.lobes_sent[own] @ self.lobes(fold != number, kept_error)
+        return specular
+
+    def errors(self, chosen: Tensor, specular: Tensor) -> Reals:
+        """Squared errors of rays whose specular radiance (M, 3) is known; see `Trial`."""
+        rays, seen = self.rays.of(chosen), self.seen.of(chosen)
+        shone, through = specular[chosen], self.through[chosen]
+        return seen.squared(predicted_below(seen, rays, shone, through) + shone)
+
+
+def _reflected(
+    reflections: Reflections, rays: ViewRays, roughness: float, count: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What paint reflects of suns and surfaces (M, 3) and of lobes (M, K), and lets through (M, 1).
+
+    Lobes are given per unit of a metal's base colour; of paint the reflectance is another.
+    """
+    fixed = reflections.radiance(rays, roughness)
+    share = reflected_share(rays, roughness)[:, None]
+    metal = metal_share(rays, roughness)[:, None]
+    lobes = reflections.from_lobes(rays, roughness, count) * (share / metal)
+    return fixed[:, 0], lobes, 1 - share
+
+
+def _radiance_of_codes(seen: Seen) -> Tensor:
+    """Radiance (M, 3) that is CODES about what is seen; of what is clipped nothing is known."""
+    curve, step = seen.curve.display_from_linear, 0.01 * seen.linear.clamp(min=1e-4)
+    slope = (curve(seen.linear + step) - curve(seen.linear)) / step
+    return (CODES / 255 / slope.clamp(min=0.02)).masked_fill(seen.clipped, UNKNOWN)
+
+
+def sample_mean(values: Tensor, rays: ViewRays, size: int) -> Tensor:
+    """Mean (U, C) of values (M, C) over the observations of each sample."""
+    sample = torch.from_numpy(rays.sample)
+    count = torch.zeros(size).index_add_(0, sample, torch.ones(len(sample)))
+    total = torch.zeros(size, values.shape[1]).index_add_(0, sample, values)
+    return total / count.clamp(min=1)[:, None]
