@@ -12,7 +12,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.proof import EVERY, Proof
+from robir.appearance.proof import Proof
 from robir.appearance.render import AtlasLookup, Painted, view_errors
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.detail import finer
@@ -34,6 +34,11 @@ TEXTURE_VIEWS = 48
 
 DETAIL_VIEWS = 96
 """Photographs, far from each other, of which the best show a spot's detail."""
+
+
+ASKED_VIEWS = 6
+"""Photographs, far from each other, that are asked whether smoothing is wrong; of two that agree
+nothing can be told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +128,7 @@ def _ask_photographs(state: Texture) -> Texture:
         return state
     measured = replace(state.values, albedo=state.values.read)
     lookup = AtlasLookup(state.mesh, state.inside)
-    tried = state.views[EVERY // 2 :: 2 * EVERY]
+    tried = spread_views(state.views, ASKED_VIEWS)
     turned = replace(state.mesh, normals=state.normals)
     solved = (state.problem, state.light, state.gloss)
     before, after = (
