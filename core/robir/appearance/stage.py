@@ -21,6 +21,7 @@ from robir.appearance.photometry.exposure import Gains
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.response import solved
+from robir.appearance.smooth_normals import SURFACE, Surface
 from robir.appearance.solution import SOLUTION
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
@@ -42,13 +43,13 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 68
+REVISION = 69
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
 
 
-STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
+STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
 """All steps of the stage, in their order."""
 
 
@@ -86,7 +87,10 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
-    common = transport.without_views(other)
+    by_camera = is_by_camera(capture)
+    surface = Surface(mesh=mesh, transport=transport.without_views(other), by_camera=by_camera)
+    surface = course.carry_out(SURFACE, surface)
+    mesh, common = surface.mesh, surface.transport
     scene = make_scene(
         common,
         tracer if transport.visibility.is_traced else None,
@@ -94,7 +98,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    scene = replace(scene, exposures=compared.exposures, by_camera=is_by_camera(capture))
+    scene = replace(scene, exposures=compared.exposures, by_camera=by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)

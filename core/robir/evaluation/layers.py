@@ -64,11 +64,9 @@ class Layers:
     uncertainty: Array | None
 
 
-def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
-    """The reconstructed mesh in the capture's own frame and unit, with its shading normals."""
+def shaded_mesh(paths: JobPaths) -> Mesh:
+    """The reconstructed mesh in the unit frame, with its shading normals."""
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
-    vertices = mesh.vertices * bounds.radius + bounds.centre
-    mesh = replace(mesh, vertices=vertices.astype(np.float32))
     shading = paths.stage("appearance") / "normals.npz"
     if not shading.is_file():  # not every method corrects them
         return mesh
@@ -76,6 +74,13 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
     if not shaded.is_whole():
         raise StorageError(f"{shading} is damaged; run `robir reconstruct` with --resume")
     return shaded
+
+
+def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
+    """The same in the capture's own frame and unit."""
+    mesh = shaded_mesh(paths)
+    vertices = mesh.vertices * bounds.radius + bounds.centre
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def stored_mesh(paths: JobPaths) -> Mesh:

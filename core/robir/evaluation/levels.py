@@ -27,7 +27,7 @@ from robir.capture.images.loading import resize_view
 from robir.capture.store import load_settled
 from robir.errors import RobirError
 from robir.evaluation import metrics
-from robir.evaluation.layers import TONE_CURVE, stored_exposure, stored_facts
+from robir.evaluation.layers import TONE_CURVE, shaded_mesh, stored_exposure, stored_facts
 from robir.evaluation.photos import Exposures, read_picture
 from robir.evaluation.sheet import cut, over_grey, save_sheet, window
 from robir.evaluation.warping import warped_views
@@ -161,7 +161,7 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
     capture = whole.without(exposure["other_light"]).normalised()
     if not capture.held_out:
         return _table([], {}, "No photograph was held out: there is nothing to judge by.")
-    mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
+    mesh = shaded_mesh(paths)
     exposures = Exposures.of(exposure, tone_curve, mesh)
     views = [resize_view(view, SIDE) for view in capture.held_out]
     pictures = level_pictures(paths, (mesh, exposures), capture, views)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Normals of a photographed surface, freed of its grain.
+
+A surface from photographs is right to a pixel, but its normals are off by what a pixel is over the
+distance of its vertices, and reflections double that. So normals, not places, are averaged over
+their surroundings; those that face elsewhere count little, so that edges stay (bilateral filtering
+of normals, Jones et al. 2003 and Zheng et al. 2011). The reflected sky of four real captures is
+predicted better for it at parts of the surface that took no part in its fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from robir.geometry.mesh.triangles import Mesh
+from robir.steps import Step
+from robir.transport.baked import Transport
+from robir.transport.surfels import Surfels
+
+Floats = NDArray[np.float32]
+
+REACH = 0.08
+"""Distance that is averaged over, unit frame."""
+
+EDGE = 25.0
+"""Angle between normals, degrees, at which they count a third: twice the error of a good one."""
+
+MOST = 128
+"""Samples that are averaged at most, the nearest."""
+
+CHUNK = 8192
+"""Normals that are averaged at a time; each takes some kilobytes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """What light falls on.
+
+    Attributes:
+        mesh: That textures belong to, unit frame.
+        transport: Baked, with the samples of the surface.
+        by_camera: Whether cameras took the photographs, and no renderer, whose surfaces are better.
+    """
+
+    mesh: Mesh
+    transport: Transport
+    by_camera: bool
+
+
+def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
+    """Normals (N, 3) averaged over the samples about them.
+
+    Args:
+        position: (N, 3), unit frame.
+        normal: (N, 3) unit, by which edges are told.
+        surfels: Even samples of the surface.
+    """
+    tree = cKDTree(surfels.position)
+    known = np.concatenate([surfels.normal, np.zeros((1, 3), np.float32)])
+    result = np.empty_like(normal)
+    for start in range(0, len(position), CHUNK):
+        part = slice(start, start + CHUNK)
+        _, near = tree.query(position[part], k=MOST, distance_upper_bound=REACH)
+        others, own = known[near], normal[part]
+        cosine = np.einsum("nkd,nd->nk", others, own).clip(-1, 1)
+        weight = np.exp(-((np.arccos(cosine) / np.radians(EDGE)) ** 2))
+        # the own normal counts as one: there is always something to average
+        total = np.einsum("nk,nkd->nd", weight, others) + own
+        result[part] = total / np.linalg.norm(total, axis=1, keepdims=True)
+    return result
+
+
+def _smooth_normals(state: Surface) -> Surface:
+    if not state.by_camera:
+        return state
+    mesh, surfels = state.mesh, state.transport.surfels
+    own = smoothed(surfels.position, surfels.normal, surfels)
+    vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels)
+    return replace(
+        state,
+        mesh=replace(mesh, normals=vertices),
+        transport=replace(state.transport, surfels=replace(surfels, normal=own)),
+    )
+
+
+SURFACE: tuple[Step[Surface], ...] = (
+    Step(
+        name="smooth-normals",
+        purpose="frees normals of a photographed surface of its grain",
+        source="bilateral filtering of normals (Jones et al. 2003, Zheng et al. 2011)",
+        run=_smooth_normals,
+    ),
+)
+"""What is done to the surface before it is asked for light."""
