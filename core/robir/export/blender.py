@@ -148,13 +148,19 @@ def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     # -P: what this process imports decides, not what lies in the current folder
     start = [sys.executable, "-P", "-m", "robir_addon.headless"]
     # an imported bpy adds its own scripts, which would stand in front of it
-    utils: Any = getattr(sys.modules.get("bpy"), "utils", None)
-    kinds = () if utils is None else ("USER", "LOCAL", "SYSTEM")
-    folders = [Path(folder) for kind in kinds if (folder := utils.resource_path(kind))]
+    folders = _folders_of_blender(sys.modules.get("bpy"))
     entries = [Path(entry).absolute() for entry in sys.path]
     kept = [e for e in entries if not any(e.is_relative_to(folder) for folder in folders)]
     search_path = os.pathsep.join(map(str, kept))
     return [*start, *arguments], {**os.environ, "PYTHONPATH": search_path}
+
+
+def _folders_of_blender(bpy: Any) -> list[Path]:
+    """Where an imported Blender keeps its scripts and the user's; none without one."""
+    if bpy is None:
+        return []
+    found = [bpy.utils.resource_path(kind) for kind in ("USER", "LOCAL", "SYSTEM")]
+    return [Path(folder) for folder in found if folder]
 
 
 def _report(line: str) -> dict[str, Any]:

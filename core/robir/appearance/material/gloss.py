@@ -259,23 +259,33 @@ def estimate_gloss(
     if is_metal.any():
         nearest = cKDTree(surfels.position[rows[is_metal]]).query(surfels.position)[1]
         metal = parts.base[parts.part[is_metal][nearest]]
-    kinds = [
-        (float(value), 0.0, (cluster == k) & (part < 0)) for k, value in enumerate(choice.roughness)
-    ]
-    kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts.roughness)]
-    table = tuple(
-        {"roughness": roughness, "metallic": metallic, "share": float(chosen.mean())}
-        for roughness, metallic, chosen in kinds
-    )
     return (
         Gloss(
             **gloss,
             metal=metal,
             has_highlights=choice.has_highlights,
-            table=table,
+            table=_table((choice.roughness, cluster), (parts.roughness, part)),
             choices=(*choice.choices, metal_choice),
         ),
         diffuse,
+    )
+
+
+def _table(
+    paints: tuple[Floats, NDArray[np.int64]], metals: tuple[Floats, NDArray[np.int64]]
+) -> tuple[dict[str, float], ...]:
+    """Roughness and share of the samples (N,) of each patch of paint and part of metal.
+
+    Args:
+        paints: Roughness of the patches, and each sample's.
+        metals: The same of the parts, -1 where a sample is paint.
+    """
+    (patches, patch), (parts, part) = paints, metals
+    kinds = [(float(value), 0.0, (patch == k) & (part < 0)) for k, value in enumerate(patches)]
+    kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts)]
+    return tuple(
+        {"roughness": roughness, "metallic": metallic, "share": float(chosen.mean())}
+        for roughness, metallic, chosen in kinds
     )
 
 
