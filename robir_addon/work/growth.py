@@ -138,8 +138,9 @@ def _look_again(*_: object) -> None:
     _changes[0] += 1
     if bpy.app.background:
         _clear_leftover()
-    else:  # not while Blender is still putting the data in place
-        bpy.app.timers.register(_clear_leftover, first_interval=0.0)
+    elif not bpy.app.timers.is_registered(_clear_leftover):
+        # not while Blender is still putting the data in place
+        bpy.app.timers.register(_clear_leftover, first_interval=0.0, persistent=True)
 
 
 def _clear_leftover() -> None:
