@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import bpy
+import numpy as np
 
 from .blocks import MARK
-from .capture.cameras import VIEW, capture_cameras, use_camera
+from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .relighting.lights import SHOWN_LIGHTS, show_environment, turn_light
@@ -211,10 +212,11 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
 def picture_lights(
     options: argparse.Namespace, reports: TextIO
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Small pictures of scene.blend under the recovered light and each that Blender ships."""
+    """Small pictures of the object under the recovered light and each that Blender ships."""
     paths, scene = _open_scene(options, reports)
     table = _tone_table(paths)
-    use_camera(scene, _chosen_cameras(scene, "all")[0], options.max_side)
+    camera = _chosen_cameras(scene, "all")[0]
+    use_close_up(scene, camera, _points_of_asset(scene), options.max_side)
     files = []
     for index, (light, name, _) in enumerate(SHOWN_LIGHTS):
         message = f"light {index + 1} of {len(SHOWN_LIGHTS)}: {name}"
@@ -225,6 +227,18 @@ def picture_lights(
         files.append(_picture(paths.renders, paths.light_picture(light).name))
         render_still(scene, files[-1], table)
     return files, ()
+
+
+def _points_of_asset(scene: bpy.types.Scene) -> np.ndarray:
+    """Vertices (N, 3) of the reconstructed object, world; none where it was taken out."""
+    found = [np.empty((0, 3))]
+    for item in scene.objects:
+        if item.type == "MESH" and MARK in item:
+            points = np.empty(3 * len(item.data.vertices), np.float32)
+            item.data.vertices.foreach_get("co", points)
+            place = np.array(item.matrix_world)
+            found.append(points.reshape(-1, 3) @ place[:3, :3].T + place[:3, 3])
+    return np.concatenate(found)
 
 
 def _turntable(

@@ -5,11 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Matrix, Vector
 
 SENSOR_WIDTH = 36.0
 VIEW = "robir_view"
 """Custom property with the view's name; Blender may have to number the object's own."""
+
+_MARGIN = 0.08
+"""Share of a close-up's width that is left free on either side."""
 
 _SIZE = "robir_size"
 _ASPECT = "robir_aspect"
@@ -70,6 +74,40 @@ def use_camera(scene: bpy.types.Scene, camera: bpy.types.Object, max_side: int =
     render.resolution_y = max(1, round(height * shrink))
     render.resolution_percentage = 100
     render.pixel_aspect_x, render.pixel_aspect_y = camera[_ASPECT]
+
+
+def use_close_up(
+    scene: bpy.types.Scene, camera: bpy.types.Object, points: np.ndarray, side: int
+) -> None:
+    """Make the scene's a camera that stands where a capture camera does, and sees points large.
+
+    Where some lie behind it, it sees what the capture camera sees.
+
+    Args:
+        scene: Scene to render.
+        camera: One that `add_camera` made; it stays as it is.
+        points: (N, 3) of what is to fill the square picture, world.
+        side: Its side, pixels.
+    """
+    inverse = np.array(camera.matrix_world.inverted())
+    seen = points @ inverse[:3, :3].T + inverse[:3, 3]
+    use_camera(scene, camera, side)
+    if not len(seen) or seen[:, 2].max() > -camera.data.clip_start:
+        return
+    slopes = seen[:, :2] / -seen[:, 2:]
+    low, high = slopes.min(0), slopes.max(0)
+    middle, width = 0.5 * (low + high), float((high - low).max()) / (1.0 - 2.0 * _MARGIN)
+    if not width > 0.0:
+        return
+    near = camera.copy()
+    near.data = camera.data.copy()
+    near.data.lens = SENSOR_WIDTH / width
+    near.data.shift_x, near.data.shift_y = middle / width
+    scene.collection.objects.link(near)
+    scene.camera = near
+    render = scene.render
+    render.resolution_x = render.resolution_y = side
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
 
 
 def capture_cameras(scene: bpy.types.Scene, split: str | None = None) -> list[bpy.types.Object]:

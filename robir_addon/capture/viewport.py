@@ -18,7 +18,7 @@ from .startup import put_aside
 
 COLLECTION = "RobIR capture"
 
-_MARK = "robir_capture"
+MARK = "robir_capture"
 """Custom property of everything that is made here."""
 
 _LISTED = "robir_size"
@@ -48,7 +48,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     put_aside(scene, scene.view_layers[0])
     facts = _placed_to_view(scene.robir, facts)
     collection = bpy.data.collections.new(COLLECTION)
-    collection[_MARK] = True
+    collection[MARK] = True
     scene.collection.children.link(collection)
     centre, radius = facts["centre"], facts["radius"]
     seen = "Bounds of the object" if facts["accepted"] else "Where the cameras look"
@@ -57,7 +57,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     bounds.empty_display_size = radius
     bounds.location = centre
     bounds.show_in_front = True
-    bounds[_MARK] = True
+    bounds[MARK] = True
     collection.objects.link(bounds)
     if facts.get("points"):
         collection.objects.link(_sparse_points(facts["points"]))
@@ -66,7 +66,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
         camera = add_camera(view, Path(), centre)
         del camera[_LISTED]
         for block in (camera, camera.data, camera.data.background_images[0].image):
-            block[_MARK] = True
+            block[MARK] = True
         collection.objects.link(camera)
         cameras.append((camera.name, view))
     distances = [
@@ -110,7 +110,7 @@ def add_box(scene: bpy.types.Scene) -> bpy.types.Object:
     box = bpy.data.objects.new("Object box", None)
     box.empty_display_type = "CUBE"
     box.show_in_front = True
-    bounds = [o for o in bpy.data.objects if _MARK in o and o.empty_display_type == "SPHERE"]
+    bounds = [o for o in bpy.data.objects if MARK in o and o.empty_display_type == "SPHERE"]
     if bounds:
         box.location = bounds[0].location
         box.empty_display_size = bounds[0].empty_display_size
@@ -122,7 +122,7 @@ def clear_capture() -> None:
     """Take away all that `show_capture` made."""
     data = bpy.data
     kinds = (data.objects, data.cameras, data.images, data.meshes, data.collections)
-    bpy.data.batch_remove([block for blocks in kinds for block in blocks if _MARK in block])
+    bpy.data.batch_remove([block for blocks in kinds for block in blocks if MARK in block])
 
 
 def _sparse_points(points: list[list[float]]) -> bpy.types.Object:
@@ -130,7 +130,7 @@ def _sparse_points(points: list[list[float]]) -> bpy.types.Object:
     mesh = bpy.data.meshes.new("Sparse points")
     mesh.from_pydata(points, [], [])
     shown = bpy.data.objects.new("Sparse points", mesh)
-    mesh[_MARK] = shown[_MARK] = True
+    mesh[MARK] = shown[MARK] = True
     shown.hide_select = shown.hide_render = True
     return shown
 
@@ -143,7 +143,7 @@ def _hang_photographs(
         yield
         # by name: undo may have taken them away, and then references to them are no more
         camera, collection = bpy.data.objects.get(name), bpy.data.collections.get(collection_name)
-        if camera is None or collection is None or _MARK not in camera:
+        if camera is None or collection is None or MARK not in camera:
             return
         picture = _small_copy(Path(view["image"]), view["name"])
         if picture is None:
@@ -152,7 +152,7 @@ def _hang_photographs(
         width = lens.display_size
         height = width * (view["height"] / view["fy"]) / (view["width"] / view["fx"])
         photo = bpy.data.objects.new(f"{view['name']} photograph", None)
-        photo[_MARK] = True
+        photo[MARK] = True
         photo.empty_display_type = "IMAGE"
         photo.data = picture
         photo.empty_display_size = width if picture.size[0] >= picture.size[1] else height
@@ -172,7 +172,7 @@ def _small_copy(file: Path, view_name: str) -> bpy.types.Image | None:
         image = bpy.data.images.load(str(file))
     except RuntimeError:
         return None
-    image[_MARK] = True
+    image[MARK] = True
     width, height = image.size
     if not width or not height:
         bpy.data.images.remove(image)

@@ -24,7 +24,7 @@ from bpy.app.handlers import persistent
 
 from ..command_line import worker_environment
 from ..errors import AddonError
-from ..gateway import JobPaths, client
+from ..gateway import client
 from ..words import told
 from . import growth
 from .task import OnEnd, OnLine, Task
@@ -46,9 +46,9 @@ class _Job:
     """A reconstruction that is followed."""
 
     root: Path
+    shown: growth.Growth
     stopped_at: float | None = None
     next_look: float = 0.0
-    preview_time: int = 0
 
 
 @dataclass
@@ -322,11 +322,10 @@ def _take_line(task: Task, line: str | None) -> None:
 
 def _begin_job(root: Path) -> _Job:
     _refuse_if_busy()
-    job = _Job(root)
     _begin("reconstruct", told("starting"))
     _state().job = str(root)
     growth.forget()
-    _work.job = job
+    _work.job = job = _Job(root, growth.Growth(root))
     return job
 
 
@@ -344,9 +343,7 @@ def _look_at(job: _Job) -> client.Snapshot:
     state.seconds_left = -1.0 if left is None else left
     state.held_out_psnr = psnr if isinstance(psnr, int | float) else -1.0
     state.message = snapshot.message if job.stopped_at is None else told(_STOPPING)
-    changed = growth.load_newer(JobPaths(job.root).preview, job.preview_time)
-    if changed != job.preview_time:
-        job.preview_time = changed
+    if job.shown.look(snapshot.stage if snapshot.is_live else ""):
         state.preview_serial += 1
     if not snapshot.is_live:
         _end_job(job, snapshot)
@@ -357,6 +354,7 @@ def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
     state = _state()
     _work.job = None
     state.task = state.job = state.message = ""
+    growth.clear_surface()
     if snapshot.state == "done":
         for hook in on_done:
             hook(job.root)
@@ -396,5 +394,7 @@ def unregister() -> None:
     _sleep()
     if _work.task is not None:
         _work.task.kill()
+    if _work.job is not None:
+        growth.clear_surface()
     _work.task = _work.job = None
     _work.steps.clear()

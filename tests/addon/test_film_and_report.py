@@ -54,7 +54,11 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
     lights = sorted(file.stem for file in find_studio_lights(own_blender))
     assert answer["lights"] == [0, ["FINISHED"], ["", *lights], ""]
     shown = {stem: np.array(Image.open(result.light_picture(stem))) for stem in ("", *lights)}
-    assert all(max(codes.shape[:2]) <= 192 for codes in shown.values())
+    for codes in shown.values():
+        assert codes.shape == (192, 192, 4)
+        rows, columns = np.nonzero(codes[..., 3] > 128)
+        ends = [columns.min(), 191 - columns.max(), rows.min(), 191 - rows.max()]
+        assert min(ends) >= 12 and max(ends) <= 20, "the object fills the square"
     apart = [np.abs(shown[""].astype(int) - shown[light]).mean() for light in lights]
     assert min(apart) > 1.0, "each light shows"
     said, shown = answer["nobody"]

@@ -84,7 +84,7 @@ def _is_read(path: Path) -> bool:
     """Whether a file is worth to be tampered with; of pictures of views two are enough."""
     if path.parent.name == "views":
         return path.name in ("train_view_03.png", "test_view_00.png")
-    return path.name not in ("stage.json", "preview.png") and (
+    return path.name not in ("stage.json", "preview.png", "growing.npz") and (
         "stages" in path.parts or path.parent.name == "out"
     )
 

@@ -36,7 +36,9 @@ _TIMES = re.compile(
     r'<b>\d+ <small>CPU-s</small></b>|<td class="n">[\d.]+</td>(?=<td class="n">[\d.]+</td>)'
     r'|<td class="n">[\d.]+</td>(?=<td>)|width:[\d.]+%'
 )
-_HISTORY = ("events.jsonl", "log.txt", "worker.json", "worker.log", "preview.png")
+_HISTORY = (
+    "events.jsonl", "log.txt", "worker.json", "worker.log", "preview.png", "growing.npz",
+)  # fmt: skip
 """Files that tell how the result came about, or show it halfway."""
 
 

@@ -46,9 +46,9 @@ STEPS = (
     ),
     (
         "reconstructing",
-        "Press *Reconstruct*. Photograph and reconstruction stand side by side and get more alike; "
-        "Esc stops, and pressing again goes on where it stopped. You may work on, or close "
-        "Blender.",
+        "Press *Reconstruct*. Photograph and reconstruction stand side by side and get more alike, "
+        "and the surface grows inside the bounds while it is fitted; Esc stops, and pressing again "
+        "goes on where it stopped. You may work on, or close Blender.",
     ),
     (
         "arrived",

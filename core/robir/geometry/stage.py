@@ -17,7 +17,8 @@ from robir.capture.store import load_capture, save_masks, save_turned
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import FINISHING, Dense, finished
-from robir.geometry.fit.field_preview import Preview, Renderer
+from robir.geometry.fit.field_preview import Present, Preview
+from robir.geometry.fit.growing import save_growing
 from robir.geometry.fit.held_out import save_field_views
 from robir.geometry.fit.optimise import fit
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
@@ -54,6 +55,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     """
     check_left_out(STEPS, context.config.without, "geometry.without")
     stored = load_capture(context.paths.stage("capture"))
+    context.paths.growing.unlink(missing_ok=True)  # of another run, perhaps of another capture
     if context.mesh is not None:
         return _take(context, context.mesh, stored)
     capture = stored.normalised()
@@ -71,13 +73,14 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     total = sum(context.config.level_steps)
     held_out = context.paths.stage("geometry") / "field_held_out.npz"
 
-    def watch(share: float, render: Renderer, sampler: RaySampler) -> None:
+    def watch(share: float, present: Present, sampler: RaySampler) -> None:
         if share == 1.0:
-            save_field_views(held_out, trial.capture.held_out, render, context.device)
+            save_field_views(held_out, trial.capture.held_out, present.render, context.device)
             return
-        preview.show(render)
+        if preview.show(present.render):
+            save_growing(context.paths.growing, present.surface, stored.bounds)
         if context.config.refine_poses:
-            trial.look(round(share * total), render, sampler)
+            trial.look(round(share * total), present.render, sampler)
 
     while True:
         try:
@@ -165,7 +168,7 @@ def reconstruct(
     seed: int,
     device: str,
     reporter: Reporter,
-    watch: Callable[[float, Renderer, RaySampler], None] | None = None,
+    watch: Callable[[float, Present, RaySampler], None] | None = None,
 ) -> Surface:
     """Surface of a capture whose bounding sphere is the unit sphere.
 
@@ -175,8 +178,8 @@ def reconstruct(
         seed: Seed of every random choice.
         device: Torch device.
         reporter: Progress and warnings.
-        watch: Called every few steps of the fit with the share of it that is done, what renders
-            its field, and the source of its rays, or None; at last with 1.0 and the finished field.
+        watch: Called every few steps of the fit with the share of it that is done, its field as it
+            is, and the source of its rays, or None; at last with 1.0 and the finished field.
 
     Raises:
         CaptureError: If there are fewer than three training views with a mask.
@@ -193,10 +196,10 @@ def reconstruct(
     settling = Settling(capture, config, device, generator, course)
     sampler = settling.sampler
 
-    def progress(share: float, render: Renderer) -> None:
+    def progress(share: float, present: Present) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
         if watch is not None:
-            watch(share, render, sampler)
+            watch(share, present, sampler)
 
     start = settling.begun._replace(values=settling.begun.values.to(device))
     field = fit(sampler, start, config, generator, progress, settling)

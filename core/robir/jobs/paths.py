@@ -59,6 +59,11 @@ class JobPaths:
         return self.root / "preview.png"
 
     @property
+    def growing(self) -> Path:
+        """The surface so far, coarse, capture frame; replaced while it is fitted, else absent."""
+        return self.root / "growing.npz"
+
+    @property
     def masks(self) -> Path:
         """Masks that were guessed for a capture without masks; the user may look and mend."""
         return self.root / "masks"

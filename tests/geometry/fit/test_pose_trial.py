@@ -18,7 +18,7 @@ from robir.capture.store import load_settled, save_capture, save_turned
 from robir.errors import StorageError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.alignment import Alignment, image_motion_of_turns, turned
-from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.field_preview import Present, Renderer
 from robir.geometry.fit.pose_trial import (
     LAST_STEP,
     MOST_ROUNDS,
@@ -200,8 +200,8 @@ def test_a_fit_turns_cameras_back(capture: Capture, degrees: float) -> None:
     trial = PoseTrial(wrong, 0, "cpu")
     steps = config.level_steps[0]
 
-    def watch(share: float, render: Renderer, sampler: RaySampler) -> None:
-        trial.look(round(share * steps), render, sampler)
+    def watch(share: float, present: Present, sampler: RaySampler) -> None:
+        trial.look(round(share * steps), present.render, sampler)
 
     def fitted() -> Mesh:
         return reconstruct(trial.capture, config, 0, "cpu", Silent(), watch).mesh

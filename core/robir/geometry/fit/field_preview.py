@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,11 +14,25 @@ from torch import Tensor
 
 from robir.capture.capture import Capture
 from robir.capture.images.preview import save_preview
+from robir.geometry.lattice import Sampled
 from robir.geometry.rays import reduce_view
 from robir.jobs.context import Reporter
 
 Renderer = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """Display RGB (R, 3) and coverage (R,) of rays given by origins and unit directions (R, 3)."""
+
+
+class Present(NamedTuple):
+    """The field as it is now, to look at and not to keep: the next step changes it in place.
+
+    Attributes:
+        render: Draws rays of it; takes nothing from any random generator.
+        surface: Its signed distances.
+    """
+
+    render: Renderer
+    surface: Sampled
+
 
 SIDE = 96
 """Longer side of the rendering, pixels."""
@@ -51,10 +66,10 @@ class Preview:
         self._reporter = reporter
         self._due = 0.0
 
-    def show(self, render: Renderer) -> None:
-        """Render, write and score the view if it is time to."""
+    def show(self, render: Renderer) -> bool:
+        """Render, write and score the view if it is time to; whether it was."""
         if time.monotonic() < self._due:
-            return
+            return False
         with torch.no_grad():
             rgb, coverage = render(*self._rays)
         shape = self._photo.coverage.shape
@@ -69,6 +84,7 @@ class Preview:
             psnr = -10.0 * np.log10(max(float(squared.mean()), 1e-10))
             self._reporter.metric("held_out_psnr", round(float(psnr), 2))
         self._due = time.monotonic() + PERIOD
+        return True
 
 
 def _rgba(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:

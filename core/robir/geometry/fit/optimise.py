@@ -13,7 +13,7 @@ from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.descent import BETAS, Descent
 from robir.geometry.fit.field import ColourNetwork, Field
-from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.field_preview import Present
 from robir.geometry.fit.regularise import laplacian_step
 from robir.geometry.fit.sampling import Occupancy, march
 from robir.geometry.lattice import Lattice, Sampled
@@ -133,17 +133,15 @@ def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     return occupancy
 
 
-def _renderer(
-    field: Field, network: ColourNetwork, occupancy: Occupancy, inv_std: float
-) -> Renderer:
-    """What draws rays of the present field; takes nothing from any random generator."""
+def _present(field: Field, network: ColourNetwork, occupancy: Occupancy, inv_std: float) -> Present:
+    """The present field, for those who look on."""
 
     def render(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         middle = torch.full_like(origins[:, 0], 0.5)
         intervals = march(occupancy, field.sdf, inv_std, origins, directions, middle)
         return field.render(intervals, network, (origins, directions), inv_std)
 
-    return render
+    return Present(render, Sampled(field.lattice, field.sdf.detach()))
 
 
 def fit(
@@ -151,7 +149,7 @@ def fit(
     start: Sampled,
     config: GeometryConfig,
     generator: torch.Generator,
-    progress: Callable[[float, Renderer], None],
+    progress: Callable[[float, Present], None],
     settle: Callable[[Field, ColourNetwork], bool],
 ) -> Field:
     """Fit a field to the rays of a capture.
@@ -161,7 +159,7 @@ def fit(
         start: Lattice and signed distances to start from, usually the visual hull.
         config: Levels, steps, rays.
         generator: Source of the samples' jitter and of the network's weights, on the CPU.
-        progress: Called after every few steps with the share done and what renders the field, and
+        progress: Called after every few steps with the share done and the field as it is, and
             with 1.0 when it is settled.
         settle: Called with field and network at the end of every level, may change the field's
             distances in place; the fit ends there if it returns True.
@@ -195,7 +193,7 @@ def fit(
             factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
             if occupancy is None or step % REFRESH == 0:
                 occupancy = _refresh(field, optimiser, inv_std)
-                progress(share, _renderer(field, network, occupancy, inv_std))
+                progress(share, _present(field, network, occupancy, inv_std))
             origins, directions, target = sampler.draw(config.rays)
             jitter = torch.rand(len(origins), generator=generator).to(device)
             intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
@@ -212,5 +210,5 @@ def fit(
         if settle(field, network):
             return field
     inv_std = _steepness(1.0, longest)
-    progress(1.0, _renderer(field, network, _occupied(field, inv_std), inv_std))
+    progress(1.0, _present(field, network, _occupied(field, inv_std), inv_std))
     return field

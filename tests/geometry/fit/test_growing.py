@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mesh to look at while the field is fitted: where it lies, how small it is, when it comes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from geometry.scenes import capture_of
+
+from robir.capture.capture import Bounds
+from robir.capture.store import save_capture
+from robir.geometry import stage
+from robir.geometry.config import GeometryConfig
+from robir.geometry.fit import field_preview
+from robir.geometry.fit.growing import MAX_FACES, coarse, save_growing
+from robir.geometry.lattice import Lattice, Sampled
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.stereo.config import StereoConfig
+from robir.jobs.context import StageContext
+from robir.jobs.paths import JobPaths
+
+CONFIG = GeometryConfig(
+    image_side=64, hull_cells=32, level_cells=(32, 48), level_steps=(60, 60), rays=512,
+    face_budget=1500, refine_poses=False, stereo=StereoConfig(image_side=0),
+)  # fmt: skip
+
+CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0
+"""A capture in millimetres."""
+
+
+class Silent:
+    def progress(self, fraction, message):
+        pass
+
+    def warn(self, message):
+        pass
+
+    def metric(self, name, value):
+        pass
+
+
+def ball(radius: float, cells: int) -> Sampled:
+    lattice = Lattice.around(np.full(3, -0.9), np.full(3, 0.9), cells)
+    return Sampled(lattice, lattice.nodes().norm(dim=1) - radius)
+
+
+def in_millimetres(capture):
+    views = []
+    for view in capture.views:
+        pose = view.camera.camera_to_world.copy()
+        pose[:3, 3] = RADIUS * pose[:3, 3] + CENTRE
+        views.append(replace(view, camera=replace(view.camera, camera_to_world=pose)))
+    bounds = Bounds(centre=CENTRE, radius=RADIUS, origin="told")
+    return replace(capture, views=tuple(views), bounds=bounds)
+
+
+def test_the_stage_writes_it_with_every_preview_in_the_captures_frame(tmp_path, monkeypatch):
+    solid = trimesh.creation.box((0.9, 0.7, 0.8))
+    paths = JobPaths(tmp_path)
+    save_capture(paths.stage("capture"), in_millimetres(capture_of(solid, views=16, low=-0.9)))
+    monkeypatch.setattr(field_preview, "PERIOD", 0.0)
+    paths.growing.write_bytes(b"of an earlier run")
+    seen, previews = [], []
+
+    def draw(*words):
+        previews.append(paths.growing.exists())
+
+    def save(path, surface, bounds):
+        save_growing(path, surface, bounds)
+        with np.load(path, allow_pickle=False) as arrays:
+            seen.append({name: arrays[name] for name in arrays.files})
+
+    monkeypatch.setattr(field_preview, "save_preview", draw)
+    monkeypatch.setattr(stage, "save_growing", save)
+    context = StageContext(
+        paths=paths, config=CONFIG, source=tmp_path, masks=None, seed=0, device="cpu",
+        reporter=Silent(),
+    )  # fmt: skip
+    stage.run(context)
+    assert len(seen) == len(previews) == 6, "every 25 of 60 and 60 steps"
+    assert previews == [False] + 5 * [True]
+    for arrays in seen:
+        assert set(arrays) == {"vertices", "faces"}
+        vertices, faces = arrays["vertices"], arrays["faces"]
+        assert vertices.dtype == np.float32 and vertices.shape[1:] == (3,)
+        assert faces.dtype == np.int32 and 100 < len(faces) <= MAX_FACES
+        assert faces.min() == 0 and faces.max() == len(vertices) - 1
+    final = RADIUS * Mesh.load(paths.stage("geometry") / "mesh.npz").vertices + CENTRE
+    last = seen[-1]["vertices"]
+    for end in (np.min, np.max):
+        np.testing.assert_allclose(end(last, 0), end(final, 0), atol=0.06 * RADIUS)
+    shown = trimesh.Trimesh(last, seen[-1]["faces"])
+    assert shown.volume == pytest.approx(RADIUS**3 * solid.volume, rel=0.15), "and outside is out"
+
+
+def test_a_ball_keeps_its_place_with_few_faces():
+    mesh = coarse(ball(0.8, 96))
+    assert mesh is not None
+    assert 4000 < len(mesh.faces) <= MAX_FACES
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.8).max() < 0.02
+
+
+@pytest.mark.parametrize("spoil", [lambda v: v + 9.0, lambda v: torch.full_like(v, torch.nan)])
+def test_without_a_surface_the_file_stays_as_it_is(tmp_path, spoil):
+    path, bounds = tmp_path / "growing.npz", Bounds(centre=CENTRE, radius=RADIUS, origin="")
+    lattice, values = ball(0.8, 24)
+    save_growing(path, Sampled(lattice, values), bounds)
+    before = path.read_bytes()
+    save_growing(path, Sampled(lattice, spoil(values)), bounds)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["growing.npz"]
