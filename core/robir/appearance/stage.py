@@ -17,7 +17,6 @@ from robir.appearance.light.problem import Problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.comparison import COMPARISON, Comparison
-from robir.appearance.photometry.exposure import Gains
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.response import solved
@@ -82,23 +81,22 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     mesh, tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
-    photographs = Comparison.of(transport, tracer, capture, context.seed)
-    compared = course.carry_out(COMPARISON, photographs)
+    compared = Comparison.of(transport, tracer, capture, context.seed)
+    compared = course.carry_out(COMPARISON, compared)
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
-    by_camera = is_by_camera(capture)
-    surface = Surface(mesh=mesh, transport=transport.without_views(other), by_camera=by_camera)
-    surface = course.carry_out(SURFACE, surface)
-    mesh, common = surface.mesh, surface.transport
+    common = transport.without_views(other)
+    lit = Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
+    lit = course.carry_out(SURFACE, lit)
     scene = make_scene(
-        common,
+        lit.transport,
         tracer if transport.visibility.is_traced else None,
         transport.visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    scene = replace(scene, exposures=compared.exposures, by_camera=by_camera)
+    scene = replace(scene, exposures=compared.exposures, by_camera=lit.by_camera)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)
@@ -109,19 +107,18 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     texture = textured(
-        (problem, light, gloss), (mesh, tracer), capture.without(other), config, course
+        (problem, light, gloss), (lit.mesh, tracer), capture.without(other), config, course
     )
     inside, values, normals = texture.inside, texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
-    lookup = AtlasLookup(mesh, inside)
-    surface = Painted(replace(mesh, normals=normals), tracer, lookup, values)
+    surface = Painted(replace(mesh, normals=normals), tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
     _write_normals(folder, normals)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
-    _write_exposure(folder, problem.gains, other)
+    write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
     choices = (
         *light_choices(tone, light, seconds),
         *gloss.choices,
@@ -268,8 +265,3 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
             "exposure": 0.0,
         },
     )
-
-
-def _write_exposure(folder: Path, gains: Gains, other_light: frozenset[str]) -> None:
-    """Store how each photograph was exposed and lit, and how much darker the corners of all are."""
-    write_json(folder / "exposure.json", gains.plain() | {"other_light": sorted(other_light)})

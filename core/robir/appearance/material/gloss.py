@@ -11,6 +11,7 @@ place, see roughness.py: one of them sees a highlight in a few views at most.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,6 +40,7 @@ from robir.appearance.photometry.statistics import darker_view_weights, texture_
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
+Reals = NDArray[np.floating[Any]]
 
 ALIKE_NORMAL = 0.06
 """Distance, unit frame, that half the difference of opposite normals counts as."""
@@ -272,7 +274,7 @@ def estimate_gloss(
 
 
 def _table(
-    paints: tuple[Floats, NDArray[np.int64]], metals: tuple[Floats, NDArray[np.int64]]
+    paints: tuple[Reals, NDArray[np.int64]], metals: tuple[Reals, NDArray[np.int64]]
 ) -> tuple[dict[str, float], ...]:
     """Roughness and share of the samples (N,) of each patch of paint and part of metal.
 
