@@ -40,6 +40,7 @@ from robir.appearance.material.reflections import (
     reflected_share,
 )
 from robir.appearance.material.trial import Trial, predicted_below
+from robir.appearance.proof import Proof
 
 Reals = NDArray[np.floating[Any]]
 
@@ -77,7 +78,7 @@ class ReflectedSky:
 
     Attributes:
         light: The light with it.
-        roughness: Of all paint; None where it is as it was.
+        roughness: Of all paint; None where it is as a sun's highlights tell it.
         diffuse: (U, 3) radiance of the samples without what they reflect.
         errors: (M,) squared errors of views, each part of the surface by what the others tell.
     """
@@ -134,22 +135,26 @@ def skies_by_paint(
     before = trial.paint_errors(chosen, found if gloss.has_highlights else None)
     parted, start = _with_lobes(problem, light, count)
     is_told = len(light.axes) > 0
-    levels = [found] if is_told else [np.full(len(rows), level) for level in LEVELS]
+    levels = [np.full(len(rows), level) for level in LEVELS]
+    # a sun's highlight tells more of the roughness, if it is a sun
+    levels = [found, *levels] if is_told else levels
     tried = [_Paint.of(parted, start, rows, level) for level in levels]
+    groups = rays.view[chosen.numpy()], block[rays.sample[chosen.numpy()]]
     skies = []
     for kept_error in KEPT_ERRORS:
         errors = [paint.errors(chosen, paint.across(block % FOLDS, kept_error)) for paint in tried]
         best = int(np.argmin([error.mean() for error in errors]))
+        if is_told and not Proof.of(errors[0], errors[best], groups).is_given:
+            best = 0
         soft = tried[best].lobes(np.ones(len(rows), bool), kept_error)
         skies.append(
             ReflectedSky(
                 light=replace(start, amplitudes=replace(start.amplitudes, soft=soft)),
-                roughness=None if is_told else float(levels[best][0]),
+                roughness=None if is_told and best == 0 else float(levels[best][0]),
                 diffuse=tried[best].diffuse(soft),
                 errors=errors[best],
             )
         )
-    groups = rays.view[chosen.numpy()], block[rays.sample[chosen.numpy()]]
     return ReflectedSkies(
         problem=parted, rows=rows, before=before, groups=groups, skies=tuple(skies)
     )

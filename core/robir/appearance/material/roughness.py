@@ -131,7 +131,7 @@ def choose_roughness(
 def known_roughness(told: float, count: int) -> RoughnessChoice:
     """One roughness for all patches (K = count), told by what paint reflects of the sky."""
     told = float(_stepped(told))
-    why = "told by the sky that paint reflects, no sun's highlight being there"
+    why = "told by the sky that paint reflects, which no sun's highlights tell better"
     return RoughnessChoice(
         has_highlights=True,
         roughness=np.full(count, told),
