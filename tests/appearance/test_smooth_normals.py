@@ -65,11 +65,10 @@ def test_edges_stay():
 
 
 def test_what_lies_alone_keeps_its_normal():
-    alone = Surfels(
-        position=np.eye(3, dtype=np.float32), normal=np.eye(3, dtype=np.float32), spacing=1
-    )
+    far = np.eye(3, dtype=np.float32)
+    alone = Surfels(position=far, normal=far, spacing=1)
     # by samples, and where there are none
-    for place in (far, 0.5 * far):
+    for place in (far, np.float32(0.5) * far):
         np.testing.assert_allclose(smoothed(place, far, alone), far, atol=1e-6)
 
 
