@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from robir.appearance.blocks import Table, block_numbers, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.reflected_sky import ReflectedSkies, ReflectedSky, skies_by_paint
-from robir.appearance.light.lobes import log_ratio, soft_transfer
+from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, blocks_of
 from robir.appearance.light.shade import ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
@@ -83,7 +83,7 @@ def with_even_sky(
     started = time.process_time()
     # fits cut short differ by more than the models do: after half the steps the lobes of a flat sky
     # led it by .2 codes or by none, after the rounding of one machine or of another
-    even, steps = _even(problem), 2 * config.iterations
+    even, steps = problem.with_lobes(1), 2 * config.iterations
     simple, rich = _held_out_tables((even, problem), light, steps)
     more, error = mean_of(simple) - mean_of(rich), difference_error(simple, rich)
     is_even = more <= error
@@ -101,14 +101,6 @@ def with_even_sky(
         fitted = fit(even, light.axes, light.sharpness, steps)
         return even, replace(fitted, history=light.history), choice
     return problem, light, choice
-
-
-def _even(problem: Problem) -> Problem:
-    """The problem with one lobe for the sky."""
-    scene = problem.scene
-    normal = scene.transport.surfels.normal
-    soft = soft_transfer(scene.transport.visibility, normal, np.arange(len(normal)), 1)
-    return replace(problem, scene=replace(scene, soft=soft))
 
 
 def _held_out_tables(

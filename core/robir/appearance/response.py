@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.material.observed import looked_at
 from robir.appearance.material.trial import Trial
 from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
@@ -78,21 +77,20 @@ def compared(plain: Solution, rich: Solution) -> Proof:
     scene = plain.problem.scene
     rows = scene.rows[plain.problem.radiance.seen.numpy()[scene.rows]]
     rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
-    (before, views), (after, _) = (view_errors(model, rows) for model in (plain, rich))
+    (before, views), (after, _) = (prediction_errors(model, rows) for model in (plain, rich))
     return Proof.of(before, after, (views,))
 
 
-def view_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, NDArray[np.int64]]:
+def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, NDArray[np.int64]]:
     """Squared errors (M,) of views of samples (U,), predicted from others, and these views (M,).
 
     All is paint here, also what is metal: proven or not, it is the same in both models.
     """
-    reflections, rays, seen, _ = looked_at(model.problem, model.light, rows)
-    trial = Trial(reflections=reflections, rays=rays, seen=seen)
+    trial = Trial.of(model.problem, model.light, rows)
     chosen = trial.rays_of(np.ones(len(rows), bool))
     gloss = model.material
     level = gloss.roughness[rows].astype(np.float64) if gloss.has_highlights else None
-    return trial.paint_errors(chosen, level), rays.view[chosen.numpy()]
+    return trial.paint_errors(chosen, level), trial.rays.view[chosen.numpy()]
 
 
 def lead_in_errors(proof: Proof) -> float:

@@ -35,7 +35,6 @@ TEXTURE_VIEWS = 48
 DETAIL_VIEWS = 96
 """Photographs, far from each other, of which the best show a spot's detail."""
 
-
 ASKED_VIEWS = 6
 """Photographs, far from each other, that are asked whether smoothing is wrong; of two that agree
 nothing can be told."""

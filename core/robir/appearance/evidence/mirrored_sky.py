@@ -11,8 +11,6 @@ Batch letters: M observations of metal, K soft lobes, U samples.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -64,7 +62,7 @@ def sky_by_metal(problem: Problem, light: Light, gloss: Gloss) -> Light | None:
     if not len(paint) or not len(mirrored.seen):
         return None
     sky = changed(soft, mirrored, kept, KEPT_ERROR)
-    return replace(light, amplitudes=replace(light.amplitudes, soft=sky))
+    return light.with_sky(sky)
 
 
 def _mirrored(problem: Problem, light: Light, gloss: Gloss, rows: NDArray[np.int64]) -> Mirrored:
@@ -72,9 +70,7 @@ def _mirrored(problem: Problem, light: Light, gloss: Gloss, rows: NDArray[np.int
 
     Views near a sun's highlight and clipped ones are left out.
     """
-    dark = replace(
-        light, amplitudes=replace(light.amplitudes, soft=torch.zeros_like(light.amplitudes.soft))
-    )
+    dark = light.with_sky(torch.zeros_like(light.amplitudes.soft))
     parts = []
     for roughness in np.unique(gloss.roughness[rows]):
         own = rows[gloss.roughness[rows] == roughness]

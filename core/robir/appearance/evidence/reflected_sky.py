@@ -18,7 +18,7 @@ Batch letters: U samples, M observations, K lobes, L levels of roughness.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,11 +28,11 @@ from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
 from robir.appearance.evidence.lobe_changes import Mirrored, changed
-from robir.appearance.light.lobes import sky_radiance, soft_transfer
+from robir.appearance.light.lobes import sky_radiance
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.material.observed import Seen, looked_at
+from robir.appearance.material.observed import Seen
 from robir.appearance.material.reflections import (
     Reflections,
     ViewRays,
@@ -129,8 +129,8 @@ def skies_by_paint(
     if len(np.unique(block)) < FOLDS:
         return None
     found = gloss.roughness[rows].astype(np.float64)
-    reflections, rays, seen, _ = looked_at(problem, light, rows)
-    trial = Trial(reflections=reflections, rays=rays, seen=seen)
+    trial = Trial.of(problem, light, rows)
+    rays = trial.rays
     chosen = trial.rays_of(np.ones(len(rows), bool))
     before = trial.paint_errors(chosen, found if gloss.has_highlights else None)
     parted, start = _with_lobes(problem, light, count)
@@ -138,7 +138,10 @@ def skies_by_paint(
     levels = [np.full(len(rows), level) for level in LEVELS]
     # a sun's highlight tells more of the roughness, if it is a sun
     levels = [found, *levels] if is_told else levels
-    tried = [_Paint.of(parted, start, rows, level) for level in levels]
+    dark = Trial.of(parted, start.with_sky(torch.zeros_like(start.amplitudes.soft)), rows)
+    lit = start.irradiance(parted, rows).clamp(min=1e-6)
+    sky = start.amplitudes.soft, parted.scene.soft[rows] / lit.T[:, :, None]
+    tried = [_Paint.of(dark, sky, level) for level in levels]
     groups = rays.view[chosen.numpy()], block[rays.sample[chosen.numpy()]]
     skies = []
     for kept_error in KEPT_ERRORS:
@@ -149,7 +152,7 @@ def skies_by_paint(
         soft = tried[best].lobes(np.ones(len(rows), bool), kept_error)
         skies.append(
             ReflectedSky(
-                light=replace(start, amplitudes=replace(start.amplitudes, soft=soft)),
+                light=start.with_sky(soft),
                 roughness=None if is_told and best == 0 else float(levels[best][0]),
                 diffuse=tried[best].diffuse(soft),
                 errors=errors[best],
@@ -164,15 +167,10 @@ def _with_lobes(problem: Problem, light: Light, count: int) -> tuple[Problem, Li
     """The same with an even sky parted in lobes (K)."""
     if len(light.amplitudes.soft) > 1:
         return problem, light
-    scene = problem.scene
-    visibility, normal = scene.transport.visibility, scene.transport.surfels.normal
-    soft = soft_transfer(visibility, normal, np.arange(len(normal)), count)
-    unit = sky_radiance(torch.from_numpy(visibility.directions), torch.ones(count, 1)).mean()
+    directions = torch.from_numpy(problem.scene.transport.visibility.directions)
+    unit = sky_radiance(directions, torch.ones(count, 1)).mean()
     even = (light.amplitudes.soft / unit).expand(count, 3).clone()
-    return (
-        replace(problem, scene=replace(scene, soft=soft)),
-        replace(light, amplitudes=replace(light.amplitudes, soft=even)),
-    )
+    return problem.with_lobes(count), light.with_sky(even)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,26 +198,30 @@ class _Paint:
     kept: Tensor
 
     @classmethod
-    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64], level: Reals) -> _Paint:
-        """Samples (U,) of some roughness (U,) under a light."""
-        soft = light.amplitudes.soft
-        dark = replace(light, amplitudes=replace(light.amplitudes, soft=torch.zeros_like(soft)))
-        reflections, rays, seen, _ = looked_at(problem, dark, rows)
+    def of(cls, dark: Trial, sky: tuple[Tensor, Tensor], level: Reals) -> _Paint:
+        """Samples (U,) of some roughness (U,).
+
+        Args:
+            dark: The samples under a light without its soft lobes.
+            sky: These lobes' amplitudes (K, 3), and the share (3, U, K) of the irradiance that each
+                sends.
+            level: The roughness.
+        """
+        (soft, kept), rays, seen = sky, dark.rays, dark.seen
         count = len(rays.sample)
         fixed, through = torch.zeros(count, 3), torch.ones(count, 1)
         lobes = torch.zeros(count, len(soft))
         levels = level[rays.sample]
         for roughness in np.unique(levels):
             own = torch.from_numpy(np.flatnonzero(levels == roughness))
-            parts = _reflected(reflections, rays.of(own), float(roughness), len(soft))
+            parts = _reflected(dark.reflections, rays.of(own), float(roughness), len(soft))
             fixed[own], lobes[own], through[own] = parts
         sample = torch.from_numpy(rays.sample)
 
         def differing(values: Tensor) -> Tensor:
             """Values less the diffuse light (M, C) that would explain their mean."""
-            return values - through * sample_mean(values / through, rays, len(rows))[sample]
+            return values - through * sample_mean(values / through, rays, len(level))[sample]
 
-        lit = light.irradiance(problem, rows).clamp(min=1e-6)
         return cls(
             rays=rays,
             seen=seen,
@@ -234,7 +236,7 @@ class _Paint:
                 base_freedom=NO_BASE,
             ),
             soft=soft,
-            kept=problem.scene.soft[rows] / lit.T[:, :, None],
+            kept=kept,
         )
 
     def lobes(self, samples: NDArray[np.bool_], kept_error: float) -> Tensor:

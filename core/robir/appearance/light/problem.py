@@ -175,6 +175,13 @@ class Problem:
         observations = self.scene.transport.observations
         return replace(self, radiance=diffuse_radiance(observations, diffuse))
 
+    def with_lobes(self, count: int) -> Problem:
+        """The problem with so many soft lobes."""
+        transport = self.scene.transport
+        normal, rows = transport.surfels.normal, np.arange(len(transport.surfels))
+        soft = soft_transfer(transport.visibility, normal, rows, count)
+        return replace(self, scene=replace(self.scene, soft=soft))
+
     def by_every_sample(self, rng: np.random.Generator) -> Problem:
         """The problem in which every sample takes part that two views see.
 

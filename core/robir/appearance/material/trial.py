@@ -18,7 +18,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.material.observed import Seen
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.observed import Seen, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
 from robir.appearance.proof import EVERY, Proof
 
@@ -38,6 +40,12 @@ class Trial:
     reflections: Reflections
     rays: ViewRays
     seen: Seen
+
+    @classmethod
+    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
+        """Samples (U,) of a scene under a light."""
+        reflections, rays, seen, _ = looked_at(problem, light, rows)
+        return cls(reflections=reflections, rays=rays, seen=seen)
 
     def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
         """Numbers of the rays of chosen samples (U,) that views of another fold show as well."""
