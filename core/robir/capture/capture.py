@@ -78,8 +78,10 @@ class Finding:
         return cls(**{**plain, "files": tuple(plain["files"])})
 
 
-GUESSED_MASKS, KEPT_GROUND, MESH_MASKS = "guessed-masks", "kept-ground", "mesh-masks"
-"""Codes of findings about masks that we cut; the last, roughly about a mesh that was handed in."""
+GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
+BACKDROP_MASKS, MESH_MASKS = "backdrop-masks", "mesh-masks"
+"""Codes of findings about masks that we cut: by colours and poses, by the one colour of the
+backdrop, and roughly about a mesh that was handed in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,8 @@ class CaptureConfig:
             capture brings no test views of its own.
         max_held_out: Number of views kept aside at most, at least 1.
         ground: What becomes of the table where masks have to be guessed: "cut" removes it,
-            "keep" leaves a disc of it around the object.
+            "keep" leaves a disc of it around the object. Before a backdrop of one colour all that
+            is seen is the object.
         adjust_cameras: Whether given cameras are moved where points that stand out in the
             photographs meet better for it.
         outside: What becomes of photographs and masks that lie outside the capture's folder, by

@@ -269,10 +269,10 @@ def test_no_masks_at_all(odd_shots, tmp_path):
     writers.colmap(tmp_path, odd_shots, binary=True)
     (tmp_path / "masks").rename(tmp_path / "mattes")
     guessed = read_capture(tmp_path, None, CaptureConfig())
-    assert "guessed-masks" in {finding.code for finding in guessed.findings}
+    assert "backdrop-masks" in {finding.code for finding in guessed.findings}
     capture = read_capture(tmp_path, tmp_path / "mattes", CaptureConfig())
     assert len(capture.views) == 8
-    assert "guessed-masks" not in {finding.code for finding in capture.findings}
+    assert "backdrop-masks" not in {finding.code for finding in capture.findings}
 
 
 def test_an_opaque_alpha_is_no_mask(synthetic):

@@ -11,12 +11,21 @@ import numpy as np
 from PIL import Image
 
 from robir.capture.camera import Camera
-from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, MESH_MASKS, Finding, Split, View
+from robir.capture.capture import (
+    BACKDROP_MASKS,
+    GUESSED_MASKS,
+    KEPT_GROUND,
+    MESH_MASKS,
+    Finding,
+    Split,
+    View,
+)
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Array, Distortion, Frame, FrameSet, Lens, posed_otherwise
 from robir.capture.images.loading import Bytes, Photo
 from robir.capture.images.opencv import cv2
 from robir.capture.masks import matching
+from robir.capture.masks.backdrop import backdrop_masks
 from robir.capture.masks.finish import sharpened
 from robir.capture.masks.given import HOW_TO_SUPPLY
 from robir.capture.masks.guess import Guess, guess_masks
@@ -30,6 +39,9 @@ from robir.jobs.paths import replacing
 
 _LEAST_PIXELS = 200
 """Pixels of a small photograph that a mesh has to cover to be what it shows."""
+
+LOSSLESS = (".png", ".tif", ".tiff", ".exr", ".bmp")
+"""Suffixes of pictures without the ringing of lossy compression."""
 
 _ENOUGH_POINTS = 200
 """Sparse points of a format that make a search for more needless."""
@@ -58,6 +70,10 @@ def with_guessed_masks(
     """
     config, folder, mesh = how
     progress(0.0, "looking for the object")
+    is_lossy = any(frame.image.suffix.lower() not in LOSSLESS for frame, _ in chosen)
+    if not config.box and (beliefs := backdrop_masks(loaded.views, is_lossy=is_lossy)):
+        again = _read_again(chosen, (loaded.views, beliefs, None), (config, folder), progress)
+        return again, [_about_backdrop(beliefs, folder)]
     seen, guess, fault = _guess(frames, loaded.views, config, progress)
     if guess is None and mesh is not None:
         cuts = about_mesh(read_mesh(mesh).vertices, chosen, loaded.views)
@@ -89,9 +105,31 @@ def with_guessed_masks(
     plane = guess.region.plane
     if config.ground == "keep" and plane is not None:
         rim = disc_about(guess.volume, plane)
+    again = _read_again(chosen, (seen, guess.masks, rim), (config, folder), progress)
+    account = _account(guess, loaded.views, config, folder)
+    return replace(again, table=plane), account
+
+
+def _read_again(
+    chosen: Sequence[tuple[Frame, Split]],
+    guessed: tuple[Sequence[View], Sequence[Layer], Array | None],
+    how: tuple[CaptureConfig, Path | None],
+    progress: Progress,
+) -> Loaded:
+    """The photographs with the masks guessed for them.
+
+    Args:
+        chosen: Frames with their split.
+        guessed: The views that masks were guessed from, belief in the object in each, and the rim
+            of the ground that is kept, or None.
+        how: Settings of the stage, and the folder where masks are written, or None.
+        progress: Told the share of the work done.
+    """
+    views, beliefs, rim = guessed
+    config, folder = how
     by_name = {frame.name: frame for frame, _ in chosen}
     cuts: dict[str, GuessedMask] = {}
-    for view, belief in zip(seen, guess.masks, strict=True):
+    for view, belief in zip(views, beliefs, strict=True):
         frame = by_name[view.name]
         small = view.camera.resized(belief.shape[1], belief.shape[0])
         cuts[view.name] = GuessedMask(
@@ -101,14 +139,9 @@ def with_guessed_masks(
             disc=None if rim is None else disc_picture(rim, small),
             path=None if folder is None else _mask_path(folder, frame.relative),
         )
-    again = load_views(
-        chosen,
-        cuts,
-        config.max_side,
-        lambda share, text: progress(0.6 + 0.4 * share, text),
+    return load_views(
+        chosen, cuts, config.max_side, lambda share, text: progress(0.6 + 0.4 * share, text)
     )
-    account = _account(guess, loaded.views, config, folder)
-    return replace(again, table=plane), account
 
 
 def about_mesh(
@@ -239,23 +272,36 @@ def _triangulated(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View
     return views, other_points
 
 
+def _about_backdrop(beliefs: Sequence[Layer], folder: Path | None) -> Finding:
+    """What the user is told about masks by the backdrop's colour."""
+    share = 100 * float(np.median([(belief > 0.5).mean() for belief in beliefs]))
+    return note(
+        BACKDROP_MASKS,
+        "The photographs have no masks, but one colour all around: whatever else they show, "
+        f"{share:.0f} % of them, is the object and what it stands on; {_where_masks(folder)}",
+    )
+
+
+def _where_masks(folder: Path | None) -> str:
+    """Where guessed masks can be looked at."""
+    if folder is None:
+        return "robir reconstruct writes them into the folder masks of the result, to be looked at"
+    return f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
+
+
 def _account(
     guess: Guess, views: Sequence[View], config: CaptureConfig, folder: Path | None
 ) -> list[Finding]:
     """What the user is told about guessed masks."""
     agreement = 100 * float(np.median(guess.agreement))
     contrast = 100 * float(np.median(guess.contrast))
-    where = (
-        "robir reconstruct writes them into the folder masks of the result, to be looked at"
-        if folder is None
-        else f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
-    )
     found = [
         note(
             GUESSED_MASKS,
             "The photographs have no masks, so masks were guessed from "
             f"{guess.region.origin}: they agree with each other to {agreement:.0f} %, colour "
-            f"alone decides {contrast:.0f} % of the pixels along the outlines; {where}",
+            f"alone decides {contrast:.0f} % of the pixels along the outlines; "
+            f"{_where_masks(folder)}",
         )
     ]
     odd = [view.name for view, is_odd in zip(views, guess.odd, strict=True) if is_odd]
