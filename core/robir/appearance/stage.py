@@ -17,6 +17,7 @@ from robir.appearance.light.problem import Problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.comparison import COMPARISON, Comparison
+from robir.appearance.proven_suns import with_proven_suns
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.response import solved
@@ -42,7 +43,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 71
+REVISION = 72
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -103,6 +104,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {tone.candidates[0].curve.name}")
     tone, solution = solved(tone, config, context.seed, course)
+    solution = with_proven_suns(tone, solution, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")

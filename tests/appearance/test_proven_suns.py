@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suns of photographs stay where views or shadows prove them, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from appearance import synthetic
+from appearance.test_response import CONFIG, VARNISHED, tone_of
+
+from robir.appearance import proven_suns
+from robir.appearance.light.problem import make_problem
+from robir.appearance.proven_suns import with_proven_suns
+from robir.appearance.solution import Solution, solve
+from robir.appearance.tone.ranking import Candidate
+from robir.maths.tone import curve_from_name
+from robir.steps import Course
+
+CAMERA = curve_from_name("camera")
+
+
+def proven(scene, light, false_sun=0.0):
+    """What becomes of a light that was found in photographs, and why.
+
+    With a false sun, the strengths of which were once found somehow, the light has it as that says.
+    """
+    tone = tone_of(replace(scene, by_camera=True), ["camera"])
+    problem = make_problem(tone.scene, CAMERA)
+    candidate = Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
+    tone = replace(tone, candidates=[candidate])
+    found = solve(problem, light, CONFIG, 0, Course())
+    if false_sun:
+        sharp = torch.full((1, 3), false_sun)
+        amplitudes = replace(found.light.amplitudes, sharp=sharp)
+        found = replace(found, light=replace(found.light, amplitudes=amplitudes))
+    taken = with_proven_suns(tone, found, Course())
+    (choice,) = [each for each in taken.choices if each.choice == "suns"]
+    assert choice.chosen == len(taken.light.axes)
+    return taken, found, choice
+
+
+def varnished_ball(light):
+    scene, _ = synthetic.ball([(lambda at: at[:, 0] < 9, VARNISHED)], light, CAMERA)
+    return scene
+
+
+def under_the_sky(light):
+    """The same light without its suns."""
+    return replace(light, amplitudes=replace(light.amplitudes, sharp=torch.full((1, 3), 0.0)))
+
+
+def test_highlights_prove_a_sun_that_casts_no_shadow():
+    light = synthetic.sun_and_uneven_sky()
+    taken, found, _ = proven(varnished_ball(light), light)
+    assert taken.light is found.light
+
+
+def test_a_sun_that_is_not_there_goes():
+    light = synthetic.sun_and_uneven_sky()
+    scene = varnished_ball(under_the_sky(light))
+    taken, found, choice = proven(scene, light, false_sun=0.6)
+    assert len(found.light.axes) == 1
+    assert choice.chosen == 0, choice.why
+    assert len(taken.light.amplitudes.sharp) == 0
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_shadows_tell_of_a_sun_on_what_has_no_highlights(is_there):
+    stage = synthetic.boxes_on_a_floor()
+    scene = synthetic.scene_of(stage, sun=3.0 if is_there else 0.0, sky=0.5, curve=CAMERA)
+    light = synthetic.true_light(3.0, 0.5)
+    taken, _, choice = proven(scene, light, false_sun=0.0 if is_there else 0.6)
+    assert len(taken.light.axes) == is_there, choice.why
+
+
+def test_renderings_and_skies_are_not_asked(monkeypatch):
+    monkeypatch.setattr(proven_suns, "solve", lambda *given: pytest.fail("solved again"))
+    light = synthetic.sun_and_uneven_sky()
+    scene = varnished_ball(light)
+    problem = make_problem(scene, CAMERA)
+    tone = replace(
+        tone_of(scene, ["camera"]),
+        candidates=[
+            Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
+        ],
+    )
+    found = Solution(problem=problem, matte=problem, light=light, config=CONFIG, seed=0)
+    assert with_proven_suns(tone, found, Course()) is found
+    photographed = replace(tone, scene=replace(scene, by_camera=True))
+    none = replace(light, axes=light.axes[:0], sharpness=light.sharpness[:0])
+    dark = replace(found, light=none)
+    assert with_proven_suns(photographed, dark, Course()) is dark
