@@ -130,3 +130,17 @@ def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials
         assert len(kept.roughness) == len(kept.base) == number
         assert len(np.unique(kept.part)) == number + 1
         assert choice.chosen == ("0% of the surface" if by_camera else "33% of the surface")
+
+
+def test_parts_that_one_fold_of_views_alone_shows_are_not_proven(trials):
+    trial, count = trials[0]
+    own = torch.from_numpy(np.flatnonzero(trial.rays.view % EVERY == 0))
+    few = Trial(reflections=trial.reflections, rays=trial.rays.of(own), seen=trial.seen.of(own))
+    parts = MetalParts(
+        part=np.zeros(count, np.int64),
+        base=np.full((1, 3), 0.7, np.float32),
+        roughness=np.array([0.2]),
+    )
+    dielectric = np.zeros((count, len(LEVELS)), np.float32)
+    kept, _ = proven_parts(parts, few, dielectric, by_camera=True)
+    assert len(kept.roughness) == 0

@@ -38,6 +38,16 @@ def mean_of(table: Table) -> float:
     return float(total.sum() / max(mass.sum(), 1e-9))
 
 
+def mean_error(table: Table) -> float:
+    """Standard error of the mean over all blocks (ratio estimate); infinite below two of them."""
+    total, mass = table
+    count = int((mass > 0).sum())
+    if count < 2:
+        return float("inf")
+    apart = (total - mean_of(table) * mass)[mass > 0] / mass.sum()
+    return float(np.sqrt(count / (count - 1) * (apart**2).sum()))
+
+
 def difference_error(table: Table, other: Table) -> float:
     """Standard error of the difference of two means over blocks (ratio estimate)."""
     size = max(len(table[0]), len(other[0]))

@@ -5,8 +5,8 @@ A sun is searched among thousands of directions by the shadows it would cast, an
 a percent off casts enough of its own for one of them to fit. So the scene is solved once more under
 the sky alone, and two witnesses are asked which is nearer the truth: views, predicted from others
 (response.py), which know of highlights and nothing of shadows; and pairs of samples across the
-suns' shadows, which differ less in albedo if the shadows are there. What both say is added up as
-Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
+suns' shadows, whose albedos have no step in common if the shadows are there. What both say is added
+up as Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 
-from robir.appearance.blocks import block_numbers, difference_error, mean_of, table_of
+from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
+from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
 from robir.appearance.light.solver import fit, no_suns
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.photometry.statistics import Pairs
@@ -26,8 +28,8 @@ from robir.appearance.tone.choose import ToneChoice
 from robir.jobs.choice import Choice
 from robir.steps import Course
 
-MARGIN = 2.0
-"""Standard errors by which suns must lead: most rooms have none that is as sharp."""
+MARGIN = 1.0
+"""Standard errors by which suns must lead, as whatever enters the model must."""
 
 
 def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
@@ -63,6 +65,10 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
 def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     """By how many standard errors the second model evens albedo across its suns' shadows.
 
+    Where a shadow is real and not known, what lies in it is darker than what is lit, by a step that
+    all pairs of one material have in common. The steps that both models leave are compared with
+    their errors: a likelihood ratio of normal variables.
+
     Args:
         plain: Light and material without the suns.
         rich: With them.
@@ -72,17 +78,20 @@ def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     """
     problem = rich.problem
     rows = problem.scene.rows
-    pairs = Pairs.joined(Sunlight.of(problem, rich.light.axes).across_shadows())
-    first, second = pairs.first.numpy(), pairs.second.numpy()
-    block = block_numbers(problem.scene.transport.surfels.position[rows])[first]
-    tables = []
+    parts = Sunlight.of(problem, rich.light.axes).across_shadows()
+    pairs = Pairs.joined(parts)
+    shaded, lit = pairs.first, pairs.second
+    block = block_numbers(problem.scene.transport.surfels.position[rows])[shaded.numpy()]
+    jumps, weight = [], torch.ones(len(shaded))
     for model in (plain, rich):
         radiance = model.matte.rows_radiance(rows)
-        albedo = log_ratio(radiance.linear, model.light.irradiance(model.matte, rows)).numpy()
-        whole = ~(radiance.clipped[first] | radiance.clipped[second]).any(1).numpy()
-        apart = np.abs(albedo[first] - albedo[second]).sum(1)
-        tables.append(table_of(block, apart, pairs.weight.numpy() * whole))
-    error = difference_error(*tables)
-    if not np.isfinite(error) or error <= 0:
-        return 0.0
-    return (mean_of(tables[0]) - mean_of(tables[1])) / error
+        albedo = log_ratio(radiance.linear, model.light.irradiance(model.matte, rows))
+        jumps.append((albedo[lit] - albedo[shaded]).mean(1).numpy())
+        # alike in both models: neither chooses the pairs that it is judged by
+        alike = of_one_material(parts, albedo, radiance.clipped).weight
+        weight *= alike * ~(radiance.clipped[shaded] | radiance.clipped[lit]).any(1)
+    tables = [table_of(block, jump, weight.sqrt().numpy()) for jump in jumps]
+    before, after = (mean_of(table) for table in tables)
+    error = np.hypot(max(mean_error(table) for table in tables), LIGHT_ERROR)
+    gain = (before**2 - after**2) / error**2
+    return float(np.sign(gain) * np.sqrt(abs(gain)))

@@ -78,6 +78,8 @@ class Trial:
         How bright the light is nobody knows well; a base colour that is held to what metals have
         would make metal look wrong under a light that is judged too strong.
         """
+        if not len(chosen):
+            return np.zeros(0)
         seen = self.seen.of(chosen)
         white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
         return seen.squared(white * (seen.linear / white).median(0).values)
