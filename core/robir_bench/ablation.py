@@ -16,6 +16,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from robir.appearance import stage as appearance
+from robir.errors import UsageError
 from robir.evaluation.scores import (
     ALBEDO,
     HUE,
@@ -79,8 +80,22 @@ def trials() -> list[Trial]:
     ]
 
 
-def ablated(runs: Sequence[BenchRun]) -> list[BenchRun]:
-    """After each run the same without each of the steps, not relit."""
+def chosen_trials(names: Sequence[str]) -> list[Trial]:
+    """The steps of these names, STAGE.STEP, stage by stage; all on trial where none is named.
+
+    Raises:
+        UsageError: If there is no such step on trial.
+    """
+    known = {f"{trial.stage}.{trial.step.name}": trial for trial in trials()}
+    if unknown := sorted(set(names) - set(known)):
+        raise UsageError(
+            f"--ablate: no step on trial is called {unknown[0]}; there are {', '.join(known)}"
+        )
+    return [trial for name, trial in known.items() if name in names or not names]
+
+
+def ablated(runs: Sequence[BenchRun], chosen: Sequence[Trial]) -> list[BenchRun]:
+    """After each run the same without each of some steps, not relit."""
     return [
         one
         for run in runs
@@ -94,7 +109,7 @@ def ablated(runs: Sequence[BenchRun]) -> list[BenchRun]:
                     is_relit=False,
                     left_out=(trial.stage, trial.step.name),
                 )
-                for trial in trials()
+                for trial in chosen
             ),
         )
     ]

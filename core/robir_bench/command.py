@@ -44,9 +44,10 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument(
         "--ablate",
-        action="store_true",
-        help="run a population also without each step that can be left out, and say what each is "
-        "worth",
+        nargs="*",
+        metavar="STAGE.STEP",
+        help="run a population also without each step that can be left out, or without each of "
+        "those named, and say what each is worth",
     )
     _add_runs(parser)
 
@@ -55,7 +56,7 @@ def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
     parser = subparsers.add_parser(
         "stability", help="spoil captures one factor at a time and chart what that costs"
     )
-    parser.set_defaults(command=stability, population=None, ablate=False)
+    parser.set_defaults(command=stability, population=None, ablate=None)
     parser.add_argument(
         "plan", type=path_argument, metavar="PLAN.toml", help="as for bench, with a table [factors]"
     )
@@ -100,20 +101,21 @@ def bench(options: Namespace) -> int:
 
     if (options.plan is None) == (options.population is None):
         raise UsageError("give either PLAN.toml or --population DIR")
-    if options.ablate and options.population is None:
+    is_ablation = options.ablate is not None
+    if is_ablation and options.population is None:
         raise UsageError("--ablate needs --population DIR")
     is_population = options.population is not None
     runs = read_population(options.population) if is_population else read_plan(options.plan)
-    if options.ablate:
-        from robir_bench.ablation import ablated
+    if is_ablation:
+        from robir_bench.ablation import ablated, chosen_trials
 
-        runs = ablated(runs)
+        runs = ablated(runs, chosen_trials(options.ablate))
     if _is_farmed(runs, options, is_truth_needed=is_population):
         return 0
     from robir_bench.page import write_ablation, write_bench, write_population
 
     write = write_population if is_population else write_bench
-    write = write_ablation if options.ablate else write
+    write = write_ablation if is_ablation else write
     tried = _carried_out(runs, write, options, is_truth_needed=is_population)
     return int(1 in tried) if is_population else max(tried)
 

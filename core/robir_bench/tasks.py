@@ -64,7 +64,7 @@ def words_of(options: Namespace, source: str, out: str) -> list[str]:
         out: Folder of runs and scores.
     """
     words = ["--population", source] if options.population is not None else [source]
-    ablate = ["--ablate"] if options.ablate else []
+    ablate = [] if options.ablate is None else ["--ablate", *options.ablate]
     return [options.command.__name__, *words, *ablate, "-o", out]
 
 

@@ -12,7 +12,7 @@ from bench.fake_robir import scores
 
 from robir import cli
 from robir.evaluation.scores import ALBEDO, RAW_ALBEDO
-from robir_bench.ablation import ENOUGH, ablated, trials, worths
+from robir_bench.ablation import ENOUGH, ablated, chosen_trials, trials, worths
 from robir_bench.population import read_population
 from robir_bench.runs import read_scores
 
@@ -47,7 +47,7 @@ def records(gains, classes=lambda number: CLASSES):
 
 
 def test_each_capture_is_run_whole_and_without_each_step(population):
-    runs = ablated(read_population(population))
+    runs = ablated(read_population(population), trials())
     assert len(runs) == 2 * (1 + len(trials()))
     assert len({run.name for run in runs}) == len(runs)
     whole, first = runs[:2]
@@ -109,3 +109,22 @@ def test_ablating_a_plan_is_refused(tmp_path, capsys):
     words = ["bench", str(tmp_path / "plan.toml"), "--ablate", "-o", str(tmp_path / "out")]
     assert cli.main(words) == 2
     assert "--ablate needs --population" in capsys.readouterr().err
+
+
+def test_named_steps_alone_are_left_out(population, tmp_path, robir, capsys):
+    first, last = (f"{trial.stage}.{trial.step.name}" for trial in (trials()[0], trials()[-1]))
+    out = str(tmp_path / "out")
+    words = ["bench", "--population", str(population), "--ablate", last, first, "-o", out]
+    assert cli.main(words) == 0
+    made = [line for line in robir.commands if line[0] == "reconstruct"]
+    assert len(made) == 2 * 3
+    assert [trial.step for trial in chosen_trials([last, first])] == [
+        trials()[0].step,
+        trials()[-1].step,
+    ]
+    assert len(chosen_trials([])) == len(trials())
+    capsys.readouterr()
+    words = ["bench", "--population", str(population), "--ablate", "light.sun", "-o", out]
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert "no step on trial is called light.sun" in said and first in said

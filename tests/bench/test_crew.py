@@ -18,7 +18,7 @@ from bench.fake_robir import write_plan
 from robir import cli
 from robir.errors import CancelledError
 from robir.jobs.paths import read_json
-from robir_bench.ablation import ablated
+from robir_bench.ablation import ablated, trials
 from robir_bench.crew import Crew
 from robir_bench.paper.config import VARIANTS
 from robir_bench.plan import METHODS, OURS, BenchRun, read_plan, read_sweep
@@ -89,7 +89,7 @@ def test_borrowers_wait_for_their_lenders(tmp_path):
         shared = {OURS} | (earlier & set(VARIANTS) if run.method in VARIANTS else set())
         assert {runs[other].method for other in before} == shared - {run.method}
     # of an ablation each run waits for the whole one alone
-    left_out = ablated(runs[:1])
+    left_out = ablated(runs[:1], trials())
     assert waits_for(left_out) == [set(), *[{0}] * (len(left_out) - 1)]
 
 
