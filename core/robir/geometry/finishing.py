@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from robir.geometry.mesh.facets import flattened
-from robir.geometry.mesh.simplify import decimate, fill_holes, with_creases
+from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
 from robir.steps import Course, Step
@@ -71,10 +71,6 @@ def _decimate(state: Finishing) -> Finishing:
     return replace(state, mesh=decimate(state.mesh, state.dense.faces))
 
 
-def _fill_holes(state: Finishing) -> Finishing:
-    return replace(state, mesh=fill_holes(state.mesh))
-
-
 def _unwrap(state: Finishing) -> Finishing:
     return replace(state, mesh=unwrap(state.mesh, state.unwrap_seconds, state.warn))
 
@@ -96,12 +92,6 @@ FINISHING: tuple[Step[Finishing], ...] = (
         source="quadric error metrics (Garland and Heckbert 1997)",
         run=_decimate,
         is_on_trial=False,
-    ),
-    Step(
-        name="holes",
-        purpose="closes what decimation tears",
-        source="trimesh",
-        run=_fill_holes,
     ),
     Step(
         name="unwrap",

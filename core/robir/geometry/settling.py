@@ -166,13 +166,6 @@ def _tell_ground(state: Level) -> Level:
     return replace(state, told=Told(backdrop=state.backdrop, top=top, columns=columns))
 
 
-def _find_terraces(state: Level) -> Level:
-    told = state.told
-    if told is None or not told.backdrop.ground.find_terraces(told.top, told.columns):
-        return state
-    return replace(state, changes=state.changes + 1)
-
-
 def _flatten_ground(state: Level) -> Level:
     """A ground that turns out to be a bowl is none."""
     told, lattice = state.told, state.field.lattice
@@ -214,12 +207,6 @@ LEVEL: tuple[Step[Level], ...] = (
         source="ours: photo-consistency of columns' feet",
         run=_tell_ground,
         is_on_trial=False,
-    ),
-    Step(
-        name="terraces",
-        purpose="finds flat ground at another height: a mat, a tray, a turntable",
-        source="ours",
-        run=_find_terraces,
     ),
     Step(
         name="flat-ground",

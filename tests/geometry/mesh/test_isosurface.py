@@ -18,8 +18,8 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
-from robir.geometry.mesh.isosurface import extract, plain_mesh
-from robir.geometry.mesh.simplify import decimate, fill_holes, is_closed
+from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
@@ -112,23 +112,6 @@ def test_masks_without_common_volume_are_refused() -> None:
     empty = HullCarver([p.camera for p in photos], [np.zeros_like(p.coverage) for p in photos])
     with pytest.raises(CaptureError, match="no common volume"):
         carve(empty, 32)
-
-
-def test_a_torn_surface_is_noticed_and_closed() -> None:
-    mesh = decimate(extract(*sphere_lattice()), 200)
-    assert is_closed(mesh.faces)
-    assert fill_holes(mesh) is mesh
-    torn = replace(mesh, faces=mesh.faces[1:])
-    assert not is_closed(torn.faces)
-    assert is_closed(fill_holes(torn).faces)
-
-
-def test_sheets_that_touch_in_an_edge_are_not_torn() -> None:
-    # two tetrahedra with one edge in common: four faces meet there, and no hole is to be closed
-    one = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
-    faces = np.concatenate([one, np.array([0, 1, 4, 5])[one]])
-    mesh = plain_mesh(np.random.default_rng(0).random((6, 3)), faces)
-    assert fill_holes(mesh) is mesh
 
 
 def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:

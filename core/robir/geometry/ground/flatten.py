@@ -12,7 +12,6 @@ from torch import Tensor
 from robir.geometry.ground.columns import Columns
 from robir.geometry.ground.photo_consistency import STANDING, feet_agree
 from robir.geometry.ground.plane import SupportPlane, project_outline, within
-from robir.geometry.ground.terraces import terraces
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
@@ -64,7 +63,6 @@ class Ground:
         columns: Columns over the plane.
         tops: Height of the hull over each column, -inf where it has none.
         start: Columns that are bare ground for certain.
-        level: Height of the ground over each column, 0 until `find_terraces`.
     """
 
     def __init__(
@@ -77,29 +75,13 @@ class Ground:
         self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
         inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
-        self.level = np.zeros(self.columns.shape)
         tops = np.where(self._bare, 0.0, top)
-        agree = feet_agree(self.columns, self._bare, tops, photos, self.level)
+        agree = feet_agree(self.columns, self._bare, tops, photos)
         self.start = self._spread(self._bare & agree)
-
-    def find_terraces(self, top: Array, settled: NDArray[np.bool_]) -> bool:
-        """Learn where the ground lies higher or lower than its plane; once found, that stays.
-
-        Args:
-            top: Height of the present surface over each column.
-            settled: Columns that are ground.
-
-        Returns:
-            Whether it does anywhere.
-        """
-        if not self.level.any():
-            self.level = terraces(self.columns, settled, top, self._photos)
-        return bool(self.level.any())
 
     def above(self, points: Array) -> Array:
         """Height of points (P, 3) of the unit frame above the ground."""
-        local = self.columns.plane.local(points)
-        return local[:, 2] - self.columns.sample(self.level, local)
+        return self.columns.plane.local(points)[:, 2]
 
     def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Ground that spreads from the rim over passable columns, specks it encloses included."""
@@ -129,8 +111,8 @@ class Ground:
             The columns' shape.
         """
         low = self.columns.inside & (top < STANDING)
-        flat = low & (np.abs(top - self.level) < 0.8 * self.columns.spacing)
-        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos, self.level)
+        flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
+        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
         return self._spread((self.start & known & low) | flat | agree)
 
     def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:

@@ -45,7 +45,6 @@ def feet_agree(
     wanted: NDArray[np.bool_],
     tops: Array,
     photos: list[Photo],
-    level: Array,
 ) -> NDArray[np.bool_]:
     """Whether the photographs agree on the colour at the feet of columns.
 
@@ -58,15 +57,14 @@ def feet_agree(
         wanted: Columns to judge, the columns' shape.
         tops: Height of the present surface over each column.
         photos: Photographs.
-        level: Height of each column's foot above the plane.
 
     Returns:
         The columns' shape; False where not wanted.
     """
-    foot = deviations(columns, wanted, level, tops, photos)
+    foot = deviations(columns, wanted, np.zeros(columns.shape), tops, photos)
     agree = foot < AGREEMENT
     # a surface at the foot, or none at all, has nothing over it
-    raised = agree & np.isfinite(tops) & (tops != level)
+    raised = agree & np.isfinite(tops) & (tops != 0)
     if not raised.any():
         return agree
     surface = deviations(columns, raised, tops, tops, photos)

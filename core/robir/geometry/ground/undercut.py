@@ -103,7 +103,7 @@ def _foot_colours(
     several feet, and one that is met by no pixel's middle would miss the photograph.
     """
     columns = ground.columns
-    feet = columns.plane.world(np.column_stack([columns.feet, ground.level.ravel()]))
+    feet = columns.plane.world(np.column_stack([columns.feet, np.zeros(len(columns.feet))]))
     colours = np.full((len(photos), len(feet), 3), np.nan)
     for found, photo, pixels in zip(colours, photos, open_pixels, strict=True):
         is_open = np.zeros(photo.coverage.size, bool)

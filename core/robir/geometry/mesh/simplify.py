@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fewer triangles, closed holes, and normals with creases."""
+"""Fewer triangles, and normals with creases."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from robir.geometry.mesh.isosurface import compacted, plain_mesh
+from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.smoothing import face_geometry
 from robir.geometry.mesh.triangles import Mesh
 
@@ -67,24 +67,6 @@ def thinned(mesh: Mesh, face_budget: int) -> Mesh:
     return compacted(
         *fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=face_budget)
     )
-
-
-def fill_holes(mesh: Mesh) -> Mesh:
-    """Close small holes that decimation may tear."""
-    if is_closed(mesh.faces):
-        return mesh
-    # Not above: it takes a second to load, and hardly any mesh is torn.
-    import trimesh
-
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    trimesh.repair.fill_holes(solid)
-    return plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
-
-
-def is_closed(faces: NDArray[np.int32]) -> bool:
-    """Whether no edge of some faces (Nf, 3) has one alone; where sheets touch, it has four."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
 
 
 def with_creases(mesh: Mesh, degrees: float = CREASE_DEGREES) -> Mesh:
