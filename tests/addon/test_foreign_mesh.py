@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from robir.capture.mesh_file import read_mesh
+from robir.capture.mesh_file import FOREIGN, read_mesh
+from robir.errors import CaptureError
 
 pytestmark = pytest.mark.blender
 
@@ -373,3 +375,17 @@ def test_a_full_disk_leaves_nothing(scans, tmp_path):
         "room or mend the folder, then try again"
     )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_engine_names_the_command_that_makes_a_mesh_it_reads(scans, tmp_path, monkeypatch):
+    from robir_addon.capture.foreign_mesh import SUFFIXES  # it needs Blender
+
+    assert SUFFIXES == FOREIGN
+    file = tmp_path / "a scan.fbx"
+    file.write_bytes((scans / "scan.fbx").read_bytes())
+    with pytest.raises(CaptureError, match=r"--mesh 'a scan\.glb'") as refusal:
+        read_mesh(file)
+    command = str(refusal.value).split("`")[1]
+    subprocess.run(shlex.split(command), check=True, capture_output=True, cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert len(read_mesh(Path("a scan.glb")).faces) == 8
