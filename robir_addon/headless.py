@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender work without a window: `python -m robir_addon.headless COMMAND OUT`.
 
+`mesh FILE GLB` makes a mesh that `robir reconstruct --mesh` takes of one that only Blender reads.
+
 Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
 end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
 0 done, 1 bug or damaged result, 2 usage, 6 the disk failed, 130 interrupted.
@@ -23,6 +25,7 @@ import numpy as np
 
 from .blocks import MARK
 from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
+from .capture.foreign_mesh import SUFFIXES, convert
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .relighting.lights import SHOWN_LIGHTS, show_environment, turn_light
@@ -52,8 +55,9 @@ def main(arguments: list[str] | None = None) -> int:
             files, notes = options.command(options, reports)
         except (AddonError, OSError, RuntimeError) as error:
             if _is_of_the_disk(error):
-                where = "make room or mend the folder, then continue with --resume"
-                sys.stderr.write(f"error: {_line(error)}; {where}\n")
+                then = "try again" if options.command is convert_mesh else "continue with --resume"
+                cure = f"make room or mend the folder, then {then}"
+                sys.stderr.write(f"error: {_line(error)}; {cure}\n")
                 return _DISK
             if not isinstance(error, AddonError):
                 raise
@@ -229,6 +233,14 @@ def picture_lights(
     return files, ()
 
 
+def convert_mesh(
+    options: argparse.Namespace, reports: TextIO
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Make a GLB of a mesh file that only Blender reads."""
+    _say(reports, {"progress": 0.0, "message": f"reading {options.file.name}"})
+    return [options.out], convert(options.file, options.out)
+
+
 def _points_of_asset(scene: bpy.types.Scene) -> np.ndarray:
     """Vertices (N, 3) of the reconstructed object, world; none where it was taken out."""
     found = [np.empty((0, 3))]
@@ -364,6 +376,10 @@ def _parser() -> argparse.ArgumentParser:
         asset.add_argument(f"--{name}", default="", help="catalogue: its UUID")
     asset.add_argument("--tag", action="append", default=[], help="may be given more than once")
     asset.add_argument("--pack", action="store_true", help="with its textures in the file")
+    mesh = commands.add_parser("mesh", help="make a GLB of an FBX or USD file")
+    mesh.set_defaults(command=convert_mesh)
+    mesh.add_argument("file", type=Path, metavar="FILE", help=", ".join(SUFFIXES))
+    mesh.add_argument("out", type=Path, metavar="GLB", help="file to write")
     for command in (scene, render, light, pictures, asset):
         command.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
     for command in (render, light):

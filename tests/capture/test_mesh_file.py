@@ -99,6 +99,8 @@ def test_faces_without_numbers_are_left_out_and_told(tmp_path):
         ("scan.glb", b"glTF\2\0\0\0", "cannot be read"),
         ("scan.gltf", b"[1]", "cannot be read"),
         ("scan.3mf", b"PK", "no mesh that can be read"),
+        ("scan.fbx", b"Kaydara FBX Binary", "robir_addon.headless mesh .* scan.glb`"),
+        ("scan.USDZ", b"PK", "can be read by Blender only; .* --mesh scan.glb"),
     ],
 )
 def test_what_holds_no_surface_is_refused_in_a_sentence(tmp_path, name, content, sentence):

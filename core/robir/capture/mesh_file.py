@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
 import struct
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +27,9 @@ from robir.jobs.names import checked_name, leads_out
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 """Kinds of files that are read here."""
+
+FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
+"""Kinds of files that only Blender reads; the add-on makes a GLB of them."""
 
 MAX_BYTES = 1 << 31
 """Largest file; ten million triangles have a tenth of it."""
@@ -65,10 +70,12 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
         CaptureError: If the file is of no known kind, cannot be read, or names what lies elsewhere.
     """
     suffix = path.suffix.lower()
+    if suffix in FOREIGN:
+        raise CaptureError(_way_by_blender(path))
     if suffix not in SUFFIXES:
         raise CaptureError(
             f"{path} is no mesh that can be read ({suffix or 'no suffix'}); give one of "
-            f"{', '.join(SUFFIXES)}"
+            f"{', '.join(SUFFIXES)}; of {', '.join(FOREIGN)} Blender can make a GLB"
         )
     try:
         parts = {"": _content(path)}
@@ -120,6 +127,16 @@ def read_mesh(path: Path) -> Given:
         normals = None if given.normals is None else _z_up(given.normals)
         given = replace(given, vertices=_z_up(given.vertices), normals=normals)
     return _sound(given, path)
+
+
+def _way_by_blender(path: Path) -> str:
+    """What to do with a file that only Blender reads; the GLB goes where the user is."""
+    python, file, glb = map(shlex.quote, (sys.executable, str(path), f"{path.stem}.glb"))
+    return (
+        f"{path} can be read by Blender only; make a GLB of it with `{python} -m "
+        f"robir_addon.headless mesh {file} {glb}`, or with the extension in Blender by `blender -b "
+        f"--command robir_scene mesh {file} {glb}`, and give that: --mesh {glb}"
+    )
 
 
 def _content(path: Path) -> bytes:

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mesh files that the engine does not read, by Blender's readers: a GLB for `--mesh`.
+
+Blender turns what a file says is up to its own z and takes a file's unit into account; the GLB is
+y-up as its standard wants it. The engine turns that back, so it has what Blender showed.
+"""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..errors import RequestError, ResultError
+from ..gateway import replacing
+
+SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
+"""Kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself.
+
+Alembic is none of them: of a damaged file Blender dies without a sentence.
+"""
+
+_SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")
+"""Types of objects that may have faces."""
+
+
+def convert(file: Path, out: Path) -> tuple[str, ...]:
+    """Write all faces that a file shows as a GLB; what Blender has open is lost.
+
+    Each object keeps its name, texture coordinates and materials, and stands at its place without
+    a transform; modifiers are applied, at the first frame of what moves. Cameras, lights and
+    skeletons are left out.
+
+    Args:
+        file: Of one of `SUFFIXES`.
+        out: File to write, of the suffix .glb; it must not exist.
+
+    Returns:
+        Sentences for the user.
+
+    Raises:
+        RequestError: If a path makes no sense, the file cannot be read or shows no faces.
+        ResultError: If the GLB cannot be written.
+    """
+    _check(file, out)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _load(file)
+    scene = bpy.context.scene
+    scene.frame_set(scene.frame_start)
+    parts = _parts()
+    if not parts:
+        raise RequestError(
+            "{file} shows no object with faces; export the mesh, not hidden, and try again",
+            file=file,
+        )
+    _replace_all(parts)
+    with replacing(out) as temporary:
+        try:
+            bpy.ops.export_scene.gltf(
+                filepath=str(temporary),
+                export_format="GLB",
+                export_animations=False,
+                export_skins=False,
+                export_morph=False,
+            )
+        except RuntimeError as fault:
+            raise ResultError(
+                "{file} cannot be written ({fault})", file=out, fault=_cause(fault)
+            ) from fault
+    meshes = [mesh for _, mesh in parts]
+    materials = {material for mesh in meshes for material in mesh.materials if material}
+    faces = sum(len(mesh.polygons) for mesh in meshes)
+    return (f"Objects: {len(parts)}, materials: {len(materials)}, faces: {faces}.",)
+
+
+def _check(file: Path, out: Path) -> None:
+    """Refuse paths that make no sense before anything is opened."""
+    if file.suffix.lower() not in SUFFIXES:
+        raise RequestError(
+            "{file} is of no kind that is converted here; give one of {known}",
+            file=file,
+            known=", ".join(SUFFIXES),
+        )
+    if not file.is_file():
+        raise RequestError("{file} does not exist or is no file; check the path", file=file)
+    if out.suffix.lower() != ".glb":
+        raise RequestError("{file} is to be a GLB; give it a name that ends in .glb", file=out)
+    if out.exists():
+        raise RequestError("{file} exists already; remove it or give another name", file=out)
+
+
+def _load(file: Path) -> None:
+    """Bring all of a file into the open scene."""
+    path, suffix = str(file.resolve()), file.suffix.lower()
+    try:
+        if suffix != ".fbx":
+            # proxies stand where what is rendered stands
+            done = bpy.ops.wm.usd_import(filepath=path, import_proxy=False, import_guide=False)
+        elif "fbx_import" in dir(bpy.ops.wm):
+            done = bpy.ops.wm.fbx_import(filepath=path, use_anim=False)
+        else:  # Blender before 4.5
+            done = bpy.ops.import_scene.fbx(filepath=path, use_anim=False)
+        fault = "" if done == {"FINISHED"} else f"Blender takes it for no {suffix} file"
+    except RuntimeError as error:
+        fault = str(error).partition("\n")[0].removeprefix("Error: ")
+    if fault:
+        raise RequestError(
+            "{file} cannot be read ({fault}); export it again with the program it comes from",
+            file=file,
+            fault=fault,
+        )
+
+
+def _parts() -> list[tuple[str, bpy.types.Mesh]]:
+    """Name and mesh, in the world, of everything with faces that is shown, instances included."""
+    found = []
+    shown = bpy.context.evaluated_depsgraph_get()
+    for instance in shown.object_instances:
+        item = instance.object
+        if item.type not in _SOLID:
+            continue
+        mesh = bpy.data.meshes.new_from_object(item, preserve_all_data_layers=True, depsgraph=shown)
+        if mesh.polygons:
+            _place(mesh, instance.matrix_world.copy())
+            found.append((item.name, mesh))
+    return found
+
+
+def _place(mesh: bpy.types.Mesh, place: Matrix) -> None:
+    """Move a mesh, its own normals included; under a mirror its faces keep their outside."""
+    count = len(mesh.loops)
+    normals = np.empty(3 * count, np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+    before, has_own = _order(mesh), mesh.has_custom_normals
+    mesh.transform(place)
+    if place.is_negative:
+        mesh.flip_normals()
+    if not has_own:
+        return
+    moved = np.empty((count, 3))
+    moved[_order(mesh)] = normals.reshape(-1, 3)[before] @ np.array(place.inverted_safe())[:3, :3]
+    length = np.linalg.norm(moved, axis=1, keepdims=True)
+    mesh.normals_split_custom_set(moved / np.maximum(length, 1e-30))
+
+
+def _order(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Corners (Nc,) by face and vertex, whichever way round the faces go."""
+    vertices = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", vertices)
+    sizes = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", sizes)
+    return np.lexsort([vertices, np.repeat(np.arange(len(sizes)), sizes)])
+
+
+def _replace_all(parts: list[tuple[str, bpy.types.Mesh]]) -> None:
+    """Have nothing but these parts in the scene."""
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    for name, mesh in parts:
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+    for image in list(bpy.data.images):
+        if image.source == "TILED":  # for its sake the exporter would move texture coordinates
+            bpy.data.images.remove(image)
+
+
+def _cause(fault: Exception) -> str:
+    """The exception that ended an operator, of the traceback that Blender hands on as a text."""
+    lines = [line for line in str(fault).splitlines() if line and not line.startswith("Location:")]
+    return (lines or [""])[-1].removeprefix("Error: ")

@@ -1,0 +1,391 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes that only Blender reads, made by Blender's exporters, come to the engine as they stood."""
+
+from __future__ import annotations
+
+import json
+import resource
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from robir.capture.mesh_file import FOREIGN, read_mesh
+from robir.errors import CaptureError
+
+pytestmark = pytest.mark.blender
+
+MAKE = """
+import json
+import sys
+from math import radians
+
+import bpy
+from mathutils import Euler, Matrix, Vector
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+link = bpy.context.scene.collection.objects.link
+
+
+def solid(name, corners, faces, materials, slots):
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners, [], faces)
+    layer = mesh.uv_layers.new(name="UVMap")
+    for index, corner in enumerate(layer.uv):
+        corner.vector = (0.03 * index + 0.01, 0.9 - 0.05 * index)
+    for material in materials:
+        mesh.materials.append(material)
+    mesh.polygons.foreach_set("material_index", slots)
+    tilted = [corner.vector + Vector((0.1, 0.3, 0.2)) for corner in mesh.corner_normals]
+    mesh.normals_split_custom_set([normal.normalized() for normal in tilted])
+    item = bpy.data.objects.new(name, mesh)
+    link(item)
+    return item
+
+
+red, blue = (bpy.data.materials.new(name) for name in ("Red", "Blue"))
+for material, paint in ((red, (1, 0, 0, 1)), (blue, (0, 0, 1, 1))):
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = paint
+corners = [(0, 0, 0), (2, 0, 0), (0, 3, 0), (0, 0, 5)]
+faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+body = solid("Body", corners, faces, [red, blue], [0, 0, 1, 1])
+lid = solid("Lid", corners, faces, [blue], [0, 0, 0, 0])
+lid.modifiers.new("Push", "DISPLACE").strength = 0.5
+group = bpy.data.objects.new("Group", None)
+group.matrix_world = Matrix.LocRotScale(Vector((1, 2, 3)), Euler((0.3, 0.2, 1)), Vector((2, 2, 2)))
+link(group)
+body.parent = lid.parent = group
+body.location, body.rotation_euler = (0.5, -1, 0.25), (radians(30), 0, radians(-50))
+lid.location, lid.scale = (-4, 0, 1), (-1.5, 1, 1)
+link(bpy.data.objects.new("Eye", bpy.data.cameras.new("Eye")))
+link(bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "SUN")))
+bpy.context.view_layer.update()
+
+truth = []
+shown = bpy.context.evaluated_depsgraph_get()
+for item in (body, lid):
+    mesh, uvs = item.evaluated_get(shown).to_mesh(), item.data.uv_layers[0].uv
+    upright = item.matrix_world.inverted().transposed().to_3x3()
+    for face in mesh.polygons:
+        corners = []
+        for vertex, loop in zip(face.vertices, face.loop_indices):
+            normal = (upright @ mesh.corner_normals[loop].vector).normalized()
+            place = item.matrix_world @ mesh.vertices[vertex].co
+            corners.append([*place, *uvs[loop].vector, *normal])
+        if item is lid:  # it is mirrored: this way round it looks outwards
+            corners.reverse()
+        truth.append([item.name, item.data.materials[face.material_index].name, corners])
+
+folder = sys.argv[1]
+bpy.ops.export_scene.fbx(filepath=folder + "/scan.fbx", use_mesh_modifiers=True)
+for suffix in ("usda", "usdc", "usdz"):
+    bpy.ops.wm.usd_export(filepath=folder + "/scan." + suffix)
+bpy.ops.wm.obj_export(filepath=folder + "/scan.obj", forward_axis="Y", up_axis="Z")
+for item in (body, lid):
+    bpy.data.objects.remove(item)
+bpy.ops.export_scene.fbx(filepath=folder + "/bare.fbx")
+bpy.ops.wm.usd_export(filepath=folder + "/bare.usda")
+with open(folder + "/truth.json", "w") as file:
+    json.dump(truth, file)
+"""
+
+YARD = """#usda 1.0
+(
+    upAxis = "Y"
+    metersPerUnit = 0.01
+    startTimeCode = 5
+    endTimeCode = 9
+)
+def Xform "Yard"
+{
+    def Mesh "Post"
+    {
+        point3f[] points = [(100, 0, 0), (0, 200, 0), (0, 0, 300)]
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        float3 xformOp:translate.timeSamples = { 1: (0, 700, 0), 5: (0, 0, 0) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Xform "First" (
+        references = </Kind>
+        instanceable = true
+    ) {}
+    def Xform "Second" (
+        references = </Kind>
+        instanceable = true
+    )
+    {
+        float3 xformOp:translate = (0, 1000, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Mesh "Hidden" ( references = </Kind/Leaf> )
+    {
+        token visibility = "invisible"
+    }
+    def Mesh "Rough" ( references = </Kind/Leaf> )
+    {
+        uniform token purpose = "proxy"
+    }
+}
+class Xform "Kind"
+{
+    def Mesh "Leaf"
+    {
+        point3f[] points = [(0, 0, 0), (100, 0, 0), (0, 100, 0)]
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+    }
+}
+"""
+
+TILED = """
+import sys
+import bpy
+
+folder = sys.argv[1]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_plane_add()
+plane = bpy.context.object
+for corner in plane.data.uv_layers[0].uv:
+    corner.vector.x += 1
+for tile in (1001, 1002):
+    bpy.data.images.new("Tile", 8, 8).save(filepath=f"{folder}/paint.{tile}.png")
+image = bpy.data.images.load(folder + "/paint.1001.png")
+image.source, image.filepath = "TILED", folder + "/paint.<UDIM>.png"
+image.tiles.new(1002)
+gone = bpy.data.images.new("Gone", 8, 8)
+gone.source, gone.filepath = "FILE", folder + "/gone.png"
+for name, picture in (("Tiles", image), ("Lost", gone)):
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image = picture
+    target = nodes["Principled BSDF"].inputs["Base Color"]
+    material.node_tree.links.new(texture.outputs["Color"], target)
+    plane.data.materials.append(material)
+plane.modifiers.new("Two", "ARRAY").use_relative_offset = True
+bpy.ops.wm.usd_export(filepath=folder + "/tiled.usda", export_textures_mode="KEEP")
+bpy.ops.export_scene.fbx(filepath=folder + "/tiled.fbx")
+"""
+
+BUMPY = """
+import sys
+import bpy
+
+folder = sys.argv[1]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_plane_add()
+bpy.data.images.new("Bumps", 8, 4).save(filepath=folder + "/bumps.png")
+material = bpy.data.materials.new("Bumpy")
+material.use_nodes = True
+nodes, links = material.node_tree.nodes, material.node_tree.links
+texture, bumps = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeNormalMap")
+texture.image = bpy.data.images.load(folder + "/bumps.png")
+links.new(texture.outputs["Color"], bumps.inputs["Color"])
+links.new(bumps.outputs["Normal"], nodes["Principled BSDF"].inputs["Normal"])
+bpy.context.object.data.materials.append(material)
+bpy.ops.export_scene.fbx(filepath=folder + "/bumpy.fbx")
+bpy.ops.wm.usd_export(filepath=folder + "/bumpy.usdz")
+"""
+
+DELIGHT = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+from robir_addon.result.delight import mesh_file
+
+folder = Path(sys.argv[1])
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.wm.fbx_import(filepath=str(folder / "scan.fbx"))
+body, lid = (bpy.data.objects[name] for name in ("Body", "Lid"))
+bpy.ops.object.select_all(action="DESELECT")
+body.select_set(True)
+lid.select_set(True)
+bpy.context.view_layer.objects.active = body
+bpy.ops.object.join()
+assert sorted(material.name for material in body.data.materials) == ["Blue", "Red"]
+bpy.context.view_layer.update()
+mesh_file(body, SimpleNamespace(view_shift=(0, 0, 0), view_scale=1), folder / "joined")
+"""
+
+
+def made_by(script: str, folder: Path) -> Path:
+    command = [sys.executable, "-c", script, str(folder)]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder
+
+
+def headless(*arguments, **words):
+    command = [sys.executable, "-m", "robir_addon.headless", "mesh", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **words)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory) -> Path:
+    """Two objects, two materials, a parent and a mirror, in every kind of file; and the truth."""
+    return made_by(MAKE, tmp_path_factory.mktemp("scans"))
+
+
+def converted(file: Path, folder: Path) -> Path:
+    out = folder / f"{file.stem}.glb"
+    run = headless(file, out)
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout.splitlines()[-1])["files"] == [str(out)]
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
+    return out
+
+
+def z_up(points: np.ndarray) -> np.ndarray:
+    return np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+
+
+def described(glb: Path) -> dict[tuple[str, str], np.ndarray]:
+    """Corners (F, 3, 8) with place, texture coordinates and normal by object and material."""
+    scene, found = trimesh.load_scene(glb, process=False), {}
+    for node in scene.graph.nodes_geometry:
+        place, key = scene.graph[node]
+        assert (place == np.eye(4)).all(), "a transform is left"
+        piece = scene.geometry[key]
+        each = [z_up(piece.vertices), piece.visual.uv, z_up(piece.vertex_normals)]
+        found[node.partition("_")[0], piece.visual.material.name] = np.hstack(each)[piece.faces]
+    return found
+
+
+def in_order(triangles: np.ndarray) -> np.ndarray:
+    """Each triangle from its lowest texture coordinate on, and all of them by that."""
+    first = triangles[:, :, 3].argmin(1)
+    turned = triangles[np.arange(len(triangles))[:, None], (first[:, None] + np.arange(3)) % 3]
+    return turned[turned[:, 0, 3].argsort()]
+
+
+@pytest.mark.parametrize("suffix", ["fbx", "usda", "usdc", "usdz"])
+def test_objects_and_materials_stand_as_they_stood(scans, tmp_path, suffix):
+    glb = converted(scans / f"scan.{suffix}", tmp_path)
+    truth: dict[tuple[str, str], list] = {}
+    for name, material, corners in json.loads((scans / "truth.json").read_text()):
+        truth.setdefault((name, material), []).append(corners)
+    found = described(glb)
+    assert found.keys() == truth.keys()
+    for key, triangles in truth.items():
+        expected = in_order(np.array(triangles))
+        assert in_order(found[key])[..., :5] == pytest.approx(expected[..., :5], abs=1e-5), key
+        assert in_order(found[key])[..., 5:] == pytest.approx(expected[..., 5:], abs=2e-3), key
+    content = glb.read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert not {"cameras", "animations", "skins", "extensionsUsed"} & document.keys()
+
+
+@pytest.mark.parametrize("suffix", ["fbx", "usda", "usdz"])
+def test_the_engine_has_what_it_has_of_an_obj(scans, tmp_path, suffix):
+    """An OBJ is taken as it is; this one has Blender's axes."""
+    given = read_mesh(converted(scans / f"scan.{suffix}", tmp_path))
+    known = read_mesh(scans / "scan.obj")
+    ours, theirs = (
+        in_order(np.hstack([mesh.vertices, mesh.uvs])[mesh.faces]) for mesh in (given, known)
+    )
+    by_place = [np.lexsort(one[:, 0, :3].round(3).T) for one in (ours, theirs)]
+    assert ours[by_place[0]] == pytest.approx(theirs[by_place[1]], abs=1e-5)
+
+
+def test_axes_units_instances_and_time_are_as_blender_shows_them(tmp_path):
+    (tmp_path / "yard.usda").write_text(YARD)
+    given = read_mesh(converted(tmp_path / "yard.usda", tmp_path))
+    leaf = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]])
+    post = [[1, 0, 0], [0, 0, 2], [0, -3, 0]]
+    expected = [leaf, leaf + np.array([0, 0, 10]), post]
+    found = sorted(given.vertices[given.faces].round(5).tolist())
+    assert found == sorted(np.array(expected, float).tolist())
+
+
+@pytest.mark.parametrize("suffix", ["fbx", "usda"])
+def test_tiles_and_lost_pictures_change_no_texture_coordinates(tmp_path, suffix):
+    made_by(TILED, tmp_path)
+    given = read_mesh(converted(tmp_path / f"tiled.{suffix}", tmp_path))
+    assert len(given.faces) == 4, "modifiers are applied"
+    assert np.unique(given.uvs[:, 0].round(4)).tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("suffix", ["fbx", "usdz"])
+def test_a_normal_map_goes_along(tmp_path, suffix):
+    made_by(BUMPY, tmp_path)
+    given = read_mesh(converted(tmp_path / f"bumpy.{suffix}", tmp_path))
+    assert given.normal_map is not None and given.normal_map.shape == (4, 8, 3)
+
+
+def test_in_blender_an_imported_object_can_be_de_lit(scans, tmp_path):
+    (tmp_path / "scan.fbx").write_bytes((scans / "scan.fbx").read_bytes())
+    made_by(DELIGHT, tmp_path)
+    (ply,) = tmp_path.glob("joined_delit_*.ply")
+    given = read_mesh(ply)
+    truth = json.loads((scans / "truth.json").read_text())
+    expected = np.array([corners for _, _, corners in truth])[..., :5].reshape(-1, 5)
+    found = np.hstack([given.vertices, given.uvs])[given.faces].reshape(-1, 5)
+    for one in (expected, found):
+        one[:] = one[np.lexsort(one.round(3).T)]
+    assert found == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["fbx", "usd", "usda", "usdc", "usdz"])
+@pytest.mark.parametrize("content", [b"", b"no mesh at all\n"])
+def test_files_that_hold_nothing_are_refused_in_a_sentence(tmp_path, kind, content):
+    (tmp_path / f"bad.{kind}").write_bytes(content)
+    refused(tmp_path / f"bad.{kind}", tmp_path / "bad.glb", f"bad.{kind} cannot be read (")
+
+
+@pytest.mark.parametrize("name", ["bare.fbx", "bare.usda"])
+def test_files_without_faces_are_refused(scans, tmp_path, name):
+    refused(scans / name, tmp_path / "bare.glb", f"{name} shows no object with faces")
+
+
+def refused(file: Path, out: Path, sentence: str) -> None:
+    before = out.read_bytes() if out.is_file() else None
+    run = headless(file, out)
+    assert run.returncode == 2, run.stderr
+    (said,) = [line for line in run.stderr.splitlines() if line.startswith("error: ")]
+    assert sentence in said and "Traceback" not in run.stderr
+    assert before == (out.read_bytes() if out.is_file() else None)
+
+
+def test_paths_that_make_no_sense_are_refused(scans, tmp_path):
+    out, taken = tmp_path / "scan.glb", tmp_path / "taken.glb"
+    taken.write_bytes(b"of the user")
+    refused(tmp_path / "gone.fbx", out, "gone.fbx does not exist or is no file")
+    refused(tmp_path, out, "is of no kind that is converted here; give one of .fbx, .usd")
+    refused(scans / "scan.obj", out, "is of no kind that is converted here")
+    refused(scans / "scan.fbx", tmp_path / "scan.obj", "give it a name that ends in .glb")
+    refused(scans / "scan.fbx", taken, "taken.glb exists already")
+
+
+def test_a_full_disk_leaves_nothing(scans, tmp_path):
+    def little_room():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+
+    run = headless(scans / "scan.usdz", tmp_path / "scan.glb", preexec_fn=little_room)
+    assert run.returncode == 6, run.stderr
+    assert run.stderr.splitlines()[-1] == (
+        f"error: {tmp_path}/scan.glb cannot be written (OSError: [Errno 27] File too large); make "
+        "room or mend the folder, then try again"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_engine_names_the_command_that_makes_a_mesh_it_reads(scans, tmp_path, monkeypatch):
+    from robir_addon.capture.foreign_mesh import SUFFIXES  # it needs Blender
+
+    assert SUFFIXES == FOREIGN
+    file = tmp_path / "a scan.fbx"
+    file.write_bytes((scans / "scan.fbx").read_bytes())
+    with pytest.raises(CaptureError, match=r"--mesh 'a scan\.glb'") as refusal:
+        read_mesh(file)
+    command = str(refusal.value).split("`")[1]
+    subprocess.run(shlex.split(command), check=True, capture_output=True, cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert len(read_mesh(Path("a scan.glb")).faces) == 8
