@@ -193,7 +193,7 @@ pin() { "$(BIN)/uv" pip compile --quiet --universal --python-version 3.11 --gene
   --no-annotate --no-header "$$@"; }
 echo 'pip>=25.1' | pin - >$$folder/hashes-pip.txt
 # torch and what its build for CUDA needs are a list of their own: other builds do without
-pin pyproject.toml --constraint constraints.txt | awk -v folder=$$folder '
+pin pyproject.toml --extra photos --constraint constraints.txt | awk -v folder=$$folder '
   /^[a-z]/ { list = /^(torch|triton|nvidia-[a-z0-9-]+|cuda-[a-z]+)==/ ? "-torch" : "" }
   { print > (folder "/hashes" list ".txt") }'
 endef

@@ -51,8 +51,8 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         name="Computes with",
         description="Which torch is downloaded",
         items=(
-            ("CPU", "Processor", "Works everywhere; 0.4 GB to download"),
-            ("CUDA", "NVIDIA graphics card", "Many times faster; 1.5 GB to download"),
+            ("CPU", "Processor", "Works everywhere; 0.5 GB to download"),
+            ("CUDA", "NVIDIA graphics card", "Many times faster; 3 GB to download"),
         ),
         default="CPU",
     )

@@ -39,10 +39,10 @@ HASHES, TORCH_HASHES, PIP_HASHES = "hashes.txt", "hashes-torch.txt", "hashes-pip
 STEPS = {"environment": 0.04, "pip": 0.02, "robir": 0.27, "torch": 0.64, "check": 0.03}
 """Share of each step in the time."""
 
-TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 1300 * MEBIBYTE}
-OTHER_BYTES = 190 * MEBIBYTE
-NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 8 << 30}
-"""Room for the downloads and what they unpack to."""
+TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 2600 * MEBIBYTE}
+OTHER_BYTES = 250 * MEBIBYTE
+NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 11 << 30}
+"""Room for the downloads, of which pip holds those of one step twice, and what they unpack to."""
 
 _MARK = "RobIR's engine: made by the Blender add-on, removed by its preferences.\n"
 _CANCELLED = 130
@@ -95,6 +95,7 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
         _refuse_little_room(place, options.torch)
     place.record.unlink(missing_ok=True)
     place.log.unlink(missing_ok=True)
+    shutil.rmtree(place.unfinished, ignore_errors=True)
     steps = _Steps(progress)
     pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
     if options.wheels is None and not pip.can_resume:
@@ -176,9 +177,12 @@ def _torch_words(options: argparse.Namespace) -> list[str]:
 
 
 def _robir_words(options: argparse.Namespace) -> list[str]:
-    """The core with what it needs: from the network nothing but what was tested, by its hash."""
+    """The core with what it needs, for photographs alone too.
+
+    From the network comes nothing but what was tested, by its hash.
+    """
     if options.wheels is not None:
-        return [str(options.wheel), "--constraint", str(options.constraints)]
+        return [f"{options.wheel}[photos]", "--constraint", str(options.constraints)]
     address = f"{options.wheel.as_uri()}#sha256={wheel_hash(options.wheel)}"
     return [*_hashed(options, HASHES), f"robir @ {address}"]
 

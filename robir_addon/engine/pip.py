@@ -143,7 +143,10 @@ class Pip:
             "PIP_CONFIG_FILE": os.devnull,
             "PIP_DISABLE_PIP_VERSION_CHECK": "1",
             "PYTHONUTF8": "1",
+            # the system's place for temporary files may be small, and a stopped pip clears nothing
+            **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self._place.unfinished)),
         }
+        self._place.unfinished.mkdir(parents=True, exist_ok=True)
         tail: deque[str] = deque(maxlen=TAIL)
         process = None
         with self._place.log.open("a", encoding="utf-8") as log:

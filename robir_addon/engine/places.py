@@ -82,6 +82,11 @@ class Place:
         return self.root / "downloads"
 
     @property
+    def unfinished(self) -> Path:
+        """Where pip works; one that is stopped leaves there what it had fetched."""
+        return self.cache / "unfinished"
+
+    @property
     def log(self) -> Path:
         """All that pip said, for a report."""
         return self.root / "install.log"

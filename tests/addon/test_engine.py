@@ -103,7 +103,7 @@ def test_an_engine_is_made_and_known(made, source):
     found = status(place, source.robir, "CPU")
     assert (found.state, found.python, found.cure) == ("ready", place.python, "")
     assert "torch 2.13.0+cpu" in found.text
-    where = "import robir, sys; print(robir.__file__, sys.prefix)"
+    where = "import robir, pycolmap, sys; print(robir.__file__, sys.prefix)"
     said = subprocess.run([place.python, "-I", "-c", where], capture_output=True, text=True)
     assert said.stdout.count(str(place.environment)) == 2
     assert not place.cache.exists()
@@ -264,7 +264,8 @@ def test_the_network_may_give_the_pinned_versions_and_nothing_else():
     names = {name for name, _ in pinned}
     assert {entry for entry in listed if entry[0] in names} <= pinned
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = {plain(Requirement(line).name) for line in project["dependencies"]}
+    lines = project["dependencies"] + project["optional-dependencies"]["photos"]
+    needed = {plain(Requirement(line).name) for line in lines}
     assert needed <= {name for name, _ in listed}
 
 

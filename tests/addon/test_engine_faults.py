@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -14,7 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from addon.wheelhouse import CONSTRAINTS
+from addon.wheelhouse import CONSTRAINTS, ROOT
 
 import robir
 from robir_addon.engine import EngineError, Place, inspect, interpreter, places
@@ -55,15 +56,15 @@ class _Begun(Exception):
     """The first step has begun."""
 
 
+def begin(*_):
+    raise _Begun
+
+
 @pytest.mark.parametrize(("chosen", "begins"), [("CPU", True), ("CUDA", False)])
 def test_an_update_needs_no_room_for_another_torch(
     words, capsys, monkeypatch, tmp_path, chosen, begins
 ):
     """An engine that is refused another torch is what it was."""
-
-    def begin(*_):
-        raise _Begun
-
     place = Place(tmp_path / "engine")
     installer._take_folder(place)
     record = Record("1.2.2", "0", "CPU", "2.13.0+cpu", "2.0", "3.11")
@@ -75,8 +76,35 @@ def test_an_update_needs_no_room_for_another_torch(
         with pytest.raises(_Begun):
             installer.main(words)
     else:
-        assert "has 1.0 GB free, the engine needs about 8 GB" in refused(words, capsys)[0]
+        assert "has 1.0 GB free, the engine needs about 11 GB" in refused(words, capsys)[0]
         assert read_record(place) == record
+
+
+MADE = {"CPU": 1.8e9, "CUDA": 5.8e9}
+"""Bytes of engines that were made on Linux."""
+
+
+@pytest.mark.parametrize("build", MADE)
+def test_the_room_that_is_asked_for_holds_all_there_is_at_once(build):
+    torch = installer.TORCH_BYTES[build]  # once in the cache, once where pip unpacks it from
+    assert installer.NEEDED_BYTES[build] > MADE[build] + installer.OTHER_BYTES + 2 * torch
+
+
+def test_the_preferences_tell_how_much_is_downloaded():
+    text = (ROOT / "robir_addon/preferences.py").read_text(encoding="utf-8")
+    told = [float(size) for size in re.findall(r"; ([\d.]+) GB to download", text)]
+    sizes = [installer.TORCH_BYTES[build] + installer.OTHER_BYTES for build in ("CPU", "CUDA")]
+    assert told == [round(size / 1e9, 1) for size in sizes]
+
+
+def test_what_a_stopped_pip_left_is_cleared(words, monkeypatch, tmp_path):
+    place = Place(tmp_path / "engine")
+    installer._take_folder(place)
+    (place.unfinished / "pip-unpack").mkdir(parents=True)
+    monkeypatch.setattr(installer, "_environment_with_pip", begin)
+    with pytest.raises(_Begun):
+        installer.main(words)
+    assert not place.unfinished.exists()
 
 
 def test_a_disk_that_fills_up(words, capsys, monkeypatch):
@@ -260,6 +288,17 @@ def test_a_stop_while_pip_starts_leaves_no_pip_behind(tmp_path, monkeypatch):
     with installer._stopped_by_signals(), pytest.raises(KeyboardInterrupt):
         Pip(Place(tmp_path), None)._run(["list"])
     assert started[0].poll() not in (None, 0)
+
+
+def test_pip_works_in_the_engines_folder(tmp_path, monkeypatch):
+    """The system's place for temporary files may be too small, and keeps what was broken off."""
+    real, code = subprocess.Popen, "import tempfile; print(tempfile.mkdtemp())"
+    monkeypatch.setattr(
+        subprocess, "Popen", lambda _, **more: real([sys.executable, "-c", code], **more)
+    )
+    place = Place(tmp_path)
+    _, said = Pip(place, None)._run(["list"])
+    assert Path(said[-1]).parent == place.unfinished
 
 
 def test_variables_of_blenders_python_are_not_handed_on():

@@ -59,7 +59,7 @@ def stand_ins(folder: Path, label: str = "cpu", leave_out: tuple[str, ...] = ())
             pin = Requirement(line)
             if pin.marker is None or pin.marker.evaluate():
                 pins[plain(pin.name)] = str(pin.specifier).removeprefix("==")
-    for requirement in project["dependencies"]:
+    for requirement in project["dependencies"] + project["optional-dependencies"]["photos"]:
         name = Requirement(requirement).name
         if plain(name) in leave_out:
             continue
