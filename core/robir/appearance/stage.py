@@ -82,14 +82,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     mesh, tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
-    compared = Comparison.of(transport, tracer, capture, context.seed)
-    compared = course.carry_out(COMPARISON, compared)
+    compared = course.carry_out(COMPARISON, Comparison.of(transport, tracer, capture, context.seed))
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
     common = transport.without_views(other)
-    lit = Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
-    lit = course.carry_out(SURFACE, lit)
+    lit = course.carry_out(
+        SURFACE, Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
+    )
     scene = make_scene(
         lit.transport,
         tracer if transport.visibility.is_traced else None,

@@ -155,6 +155,40 @@ def test_the_cameras_aim_and_the_table_are_found(shots, points):
     assert np.linalg.norm(region.centre[:2] - [0.2, 0.0]) < 0.25
 
 
+def on_a_table(bottom: float, rng: np.random.Generator) -> np.ndarray:
+    """Points of a table, and a clump of them from some height on to 1.2 above it."""
+    table = np.column_stack([rng.uniform(-1.2, 1.2, (4000, 2)), rng.normal(0, 0.002, 4000)])
+    clump = rng.uniform((-0.25, -0.25, bottom), (0.25, 0.25, 1.2), (2000, 3))
+    return np.concatenate([table, clump])
+
+
+def test_what_stands_on_plain_legs_reaches_down_to_the_table():
+    rng = np.random.default_rng(0)
+    views = scene.cameras(16)
+    body = on_a_table(0.6, rng)
+    legs = np.concatenate(
+        [rng.uniform((x, -0.05, 0.1), (x + 0.1, 0.05, 0.6), (12, 3)) for x in (-0.2, 0.1)]
+    )
+    beside = rng.uniform((0.6, 0.6, 0.1), (0.7, 0.7, 0.6), (12, 3))
+    region = find_region(views, np.concatenate([body, legs, beside]))
+    assert region is not None and region.plane is not None
+    kept = {tuple(point) for point in region.points.round(6)}
+    assert all(tuple(point) in kept for point in legs.round(6)), "points of the legs are missing"
+    assert not any(tuple(point) in kept for point in beside.round(6))
+    shin, air = np.array([[-0.1, 0.0, 0.15]]), np.array([[0.9, 0.0, 0.15]])
+    assert region.belief(shin) > 0.7 > 0.3 > region.belief(air)
+    box = (region.centre - region.half)[2]
+    assert box == pytest.approx(region.plane.offset, abs=0.02)
+    # the legs make the box no wider
+    alone = find_region(views, body)
+    assert alone is not None
+    np.testing.assert_allclose(region.half[:2], alone.half[:2], rtol=0.05)
+    # what nearly touches the table stands there itself
+    standing = find_region(views, np.concatenate([on_a_table(0.1, rng), legs]))
+    assert standing is not None
+    assert standing.belief(np.array([[0.0, 0.0, 0.05]])) > 0.5
+
+
 def test_parallel_cameras_have_no_common_focus(shots):
     pose = shots[0].camera.camera_to_world
     moved = []

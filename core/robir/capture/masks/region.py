@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from robir.capture.camera import Camera
 from robir.capture.masks.sight import Array
@@ -32,6 +32,13 @@ DENSE = 0.1
 
 LEAST_POINTS = 25
 """Fewer points than this say nothing about the object's extent."""
+
+FLOATING = 0.15
+"""Height of the lowest points over the plane, against the height of all, from which what carries
+them has not been seen."""
+
+FOOT = 0.5
+"""Size of what then is looked for down on the plane, against the outline from above."""
 
 BLIND = 0.2
 """Radius of the object against the cameras' distance, where no points tell it."""
@@ -134,15 +141,17 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
     middle, distance = aim
     near = points[np.linalg.norm(points - middle, axis=1) < REACH * distance]
     plane = support_plane(near, cameras, distance)
-    own = _object_points(near, plane, middle, distance)
-    core = _half_spaces(own)
+    clump = _object_points(near, plane, middle, distance)
+    own, foot = _down_to_plane(clump, near, plane)
+    whole = np.concatenate([own, foot])
+    core = _half_spaces(whole)
     origin = f"{len(own)} points about the cameras' common focus"
     if core is None:
         half = np.full(3, BLIND * distance)
         blind = middle + half * np.array(_CORNERS)
         core = _half_spaces_of_box(middle, half)
-        return _around(blind, core, plane, "the cameras' common focus")
-    return replace(_around(own, core, plane, origin), points=own)
+        return _around(blind, core, (plane, blind), "the cameras' common focus")
+    return replace(_around(whole, core, (plane, clump), origin), points=own)
 
 
 def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
@@ -202,6 +211,47 @@ def _object_points(points: Array, plane: Plane | None, middle: Array, distance: 
     return own if len(own) >= LEAST_POINTS else points[:0]
 
 
+def _down_to_plane(own: Array, points: Array, plane: Plane | None) -> tuple[Array, Array]:
+    """The object's points with those below them, and where it may touch what it stands on.
+
+    Nothing floats: below a clump that ends far above the plane there is more of the object, a
+    plain leg or stem that few points show.
+
+    Args:
+        own: (N, 3) the clump.
+        points: (M, 3) all points about it.
+        plane: What the object stands on, or None.
+
+    Returns:
+        Points (N + B, 3) of the object, and (F, 3) that its extent takes in as well.
+    """
+    none = own[:0]
+    if plane is None or len(own) == 0:
+        return own, none
+    height = plane.height(own)
+    lowest, highest = np.quantile(height, [0.01, 0.99])
+    if lowest < FLOATING * (highest - lowest):
+        return own, none
+    middle = own.mean(axis=0)
+    shadow = own - height[:, None] * plane.normal
+    about = points - plane.height(points)[:, None] * plane.normal
+    with suppress(QhullError, ValueError):
+        flat = Delaunay(_on_plane(shadow - middle, plane))
+        inside = flat.find_simplex(_on_plane(about - middle, plane)) >= 0
+        above = plane.height(points)
+        below = points[inside & (above > 2.0 * plane.tolerance) & (above < lowest)]
+        foot = shadow.mean(axis=0) + FOOT * (shadow - shadow.mean(axis=0))
+        return np.concatenate([own, below]), foot
+    return own, none
+
+
+def _on_plane(points: Array, plane: Plane) -> Array:
+    """Coordinates (N, 2) of points along a plane."""
+    first = np.cross(plane.normal, np.eye(3)[np.abs(plane.normal).argmin()])
+    first /= np.linalg.norm(first)
+    return points @ np.stack([first, np.cross(plane.normal, first)]).T
+
+
 def _half_spaces(points: Array) -> Array | None:
     """Convex hull of the points, without the outermost in each direction, as half spaces."""
     if len(points) == 0:
@@ -221,15 +271,22 @@ def _half_spaces_of_box(centre: Array, half: Array) -> Array:
     return np.column_stack([normals, -normals @ centre - np.tile(half, 2)])
 
 
-def _around(own: Array, core: Array, plane: Plane | None, origin: str) -> Region:
-    """A box about the object's points with room for what has no points."""
+def _around(own: Array, core: Array, standing: tuple[Plane | None, Array], origin: str) -> Region:
+    """A box about the object's points with room for what has no points.
+
+    Args:
+        own: (N, 3) points that the object takes in.
+        core: As in `Region`.
+        standing: What the object stands on, and the points (C, 3) whose extent says how much room.
+        origin: As in `Region`.
+    """
+    plane, clump = standing
     up = np.array([0.0, 0.0, 1.0]) if plane is None else plane.normal
     first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(up, first), up])
-    local = own @ axes.T
-    lower, upper = np.quantile(local, 0.01, axis=0), np.quantile(local, 0.99, axis=0)
-    extent = float((upper - lower).max())
+    lower, upper = np.quantile(own @ axes.T, [0.01, 0.99], axis=0)
+    extent = float(np.ptp(np.quantile(clump @ axes.T, [0.01, 0.99], axis=0), axis=0).max())
     lower, upper = lower - ROOM * extent, upper + ROOM * extent
     if plane is not None:
         lower[2] = max(lower[2], plane.offset)
