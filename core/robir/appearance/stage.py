@@ -87,9 +87,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
     common = transport.without_views(other)
-    lit = course.carry_out(
-        SURFACE, Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
-    )
+    lit = Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
+    lit = course.carry_out(SURFACE, lit)
     scene = make_scene(
         lit.transport,
         tracer if transport.visibility.is_traced else None,
