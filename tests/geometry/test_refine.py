@@ -16,7 +16,7 @@ from robir.errors import ConfigError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import finished
 from robir.geometry.fit.field import Field
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.prediction import Predictions, lead
@@ -32,7 +32,7 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.rival import BENT, Rival, bending
+from robir.geometry.rival import BENT, FIELD, HULL, STEREO, Rival, bending, refined
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
@@ -195,43 +195,65 @@ def test_a_surface_that_is_missing_predicts_nothing(photos):
     assert lead(errors, predictions.errors(whole)) > 2
 
 
-def test_the_rival_takes_the_place_of_a_worse_field_alone(capture, photos):
+def lattice_and_radius():
     lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), 48)
+    return lattice, lattice.nodes().norm(dim=1)
+
+
+def waves(lattice):
     nodes = lattice.nodes()
-    radius = nodes.norm(dim=1)
-    hull = lattice, radius - 0.63
-    waves = torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
-    config = replace(
-        GeometryConfig(),
-        stereo=StereoConfig(image_side=SIDE, cells=48),
-        refine=CONFIG,
-        face_budget=3000,
-    )
+    return torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
+
+
+STEREO_CONFIG = replace(
+    GeometryConfig(),
+    stereo=StereoConfig(image_side=SIDE, cells=48),
+    refine=CONFIG,
+    face_budget=3000,
+)
+
+
+def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
+    lattice, radius = lattice_and_radius()
+    hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(capture.train, photos, hull, config)
-        field = Field(lattice, radius - RADIUS + dents * waves, 1)
-        assert rival.beats(field) == rival.leads == wins
+        rival = Rival(capture.train, photos, hull, STEREO_CONFIG)
+        field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
+        assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
-        assert rival.leads == wins
-    mesh = finished(rival.refined(), 10.0, print, Course())
+        assert (rival.best is not None) == wins
+    assert rival.best.name == STEREO
+    mesh = finished(refined(rival.best, capture.train, STEREO_CONFIG), 10.0, print, Course())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
-    silent = Rival(capture.train, photos, hull, replace(config, stereo=StereoConfig(image_side=0)))
+    off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))
+    silent = Rival(capture.train, photos, hull, off)
     assert not silent.beats(field)
+
+
+def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
+    capture, photos, monkeypatch
+):
+    lattice, radius = lattice_and_radius()
+    dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
+    monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
+    rival = Rival(capture.train, photos, Sampled(lattice, radius - RADIUS), STEREO_CONFIG)
+    assert rival.beats(Field(lattice, dented.values, 1))
+    assert rival.best.name == HULL and rival.best.cell == lattice.cell
+    (choice,) = rival.choices
+    assert choice.chosen == HULL and set(choice.alternatives) == {STEREO, FIELD}
+    assert roughness(rival.best.mesh) < 0.01
 
 
 @pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
-    lattice = Lattice.around(np.full(3, -0.8), np.full(3, 0.8), 48)
-    radius = lattice.nodes().norm(dim=1)
-    config = replace(GeometryConfig(), stereo=StereoConfig(image_side=SIDE, cells=48))
-    rival = Rival(capture.train, photos, (lattice, radius - 0.63), config)
+    lattice, radius = lattice_and_radius()
+    rival = Rival(capture.train, photos, Sampled(lattice, radius - 0.63), STEREO_CONFIG)
+    bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
     monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
-    monkeypatch.setattr(
-        "robir.geometry.rival.bending", lambda mesh: 1.0 if mesh is rival._mesh else np.e
-    )
+    monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))
     assert rival.beats(Field(lattice, radius - RADIUS, 1)) == wins
-    assert rival.choices[0].chosen.startswith("by depth maps") == wins
+    assert rival.choices[0].chosen == (STEREO if wins else FIELD)
 
 
 def test_how_much_a_sphere_and_a_box_bend():

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The surface by stereo, which takes the place of the fit where it is the better one.
+"""The surfaces by stereo and by masks alone, which take the fit's place where they are better.
 
 A fit of a field and its colours explains what it cannot otherwise by pits: highlights that move,
-exposures, masks that are a pixel off. Depth maps and a mesh moved to where patches agree know
-nothing of colours. On renderings, whose masks and poses are exact, the fit is the better one. So
-the first level of the fit and the stereo surface are both asked to let photographs predict each
-other, see prediction.py, and what the one bends more than the other speaks against it.
+exposures, masks that are a pixel off, and on plain parts whatever noise there is. Depth maps and a
+mesh moved to where patches agree know nothing of colours, and the visual hull knows of outlines
+alone. On renderings, whose masks and poses are exact, the fit is mostly the better one; a lone
+convex thing without texture is its hull. So the first level of the fit and the others are asked to
+let photographs predict each other, see prediction.py, and what one bends more than another speaks
+against it.
 """
 
 from __future__ import annotations
 
 import time
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +33,7 @@ from robir.geometry.refine.step import refine
 from robir.geometry.stereo.surface import stereo_surface
 from robir.jobs.choice import Choice
 
-STEREO, FIELD = "by depth maps", "by a fit of field and colours"
+STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
 
 BENT = 5.0
 """Standard errors by which a surface must lead that bends e times as much: a fit full of pits bends
@@ -47,8 +49,40 @@ FACE_PIXELS = 2.0
 """Pixels of a photograph a face: two faces a vertex, and a vertex every other row and column."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A surface that may take the place of the fit.
+
+    Attributes:
+        name: As in the report.
+        mesh: Smooth.
+        cell: Of the lattice that it was extracted from, unit frame.
+        ahead: By how many standard errors photographs predict each other better over it.
+        more: How many times as much the fit bends.
+    """
+
+    name: str
+    mesh: Mesh
+    cell: float
+    ahead: float
+    more: float
+
+    @property
+    def lead(self) -> float:
+        """Over the fit, in standard errors."""
+        return self.ahead + BENT * float(np.log(self.more))
+
+    @property
+    def words(self) -> str:
+        """For the report."""
+        return (
+            f"{self.name} photographs predict each other better by {self.ahead:+.1f} standard "
+            f"errors, and the fit bends {self.more:.1f} times as much: together {self.lead:+.1f}"
+        )
+
+
 class Rival:
-    """The stereo surface of a capture, made when it is asked for.
+    """The other surfaces of a capture, made when they are asked for.
 
     Args:
         views: Training photographs, unit frame.
@@ -57,7 +91,7 @@ class Rival:
         config: Settings of the stage.
 
     Attributes:
-        leads: Whether it goes on instead of the fit.
+        best: What goes on instead of the fit; None where that does.
         choices: What was compared, for the report; nothing if nothing was.
     """
 
@@ -70,11 +104,11 @@ class Rival:
     ) -> None:
         self._views, self._photos, self._hull, self._config = views, photos, hull, config
         self._was_asked = config.stereo.image_side == 0
-        self.leads = False
+        self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
 
     def beats(self, field: Field) -> bool:
-        """Whether it is the better one; only the first field is compared.
+        """Whether one of them is better than a fit; only the first field is compared.
 
         Args:
             field: Of the fit's first level.
@@ -83,51 +117,56 @@ class Rival:
             return False
         self._was_asked = True
         started = time.process_time()
-        surfaces = smooth_surface(field), self._mesh
-        ahead = lead(*(self._predictions.errors(mesh) for mesh in surfaces))
-        more = bending(surfaces[0]) / bending(surfaces[1])
-        self.leads = ahead + BENT * np.log(more) > 0
-        names = (STEREO, FIELD) if self.leads else (FIELD, STEREO)
+        fitted = smooth_surface(field)
+        predictions = Predictions(self._photos)
+        errors, bends = predictions.errors(fitted), bending(fitted)
+        candidates = []
+        for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hull)):
+            mesh = smooth_surface(Field(lattice, values, 1))
+            ahead, more = lead(errors, predictions.errors(mesh)), bends / bending(mesh)
+            candidates.append(
+                Candidate(name=name, mesh=mesh, cell=lattice.cell, ahead=ahead, more=more)
+            )
+        first = max(candidates, key=lambda candidate: candidate.lead)
+        self.best = first if first.lead > 0 else None
+        chosen = FIELD if self.best is None else first.name
         self.choices = (
             Choice(
                 choice="surface",
-                chosen=names[0],
-                alternatives=names[1:],
-                why="over depth maps photographs predict each other better by "
-                f"{ahead:+.1f} standard errors than over the first level of the fit, which bends "
-                f"{more:.1f} times as much: worth {BENT * np.log(more):+.1f}",
+                chosen=chosen,
+                alternatives=tuple(name for name in (FIELD, STEREO, HULL) if name != chosen),
+                why="; ".join(candidate.words for candidate in candidates)
+                + "; the fit's first level was compared",
                 cost_seconds=time.process_time() - started,
             ),
         )
-        return self.leads
+        return self.best is not None
 
-    @cached_property
-    def _predictions(self) -> Predictions:
-        return Predictions(self._photos)
-
-    @cached_property
-    def _field(self) -> Field:
+    def _stereo(self) -> Sampled:
         # nothing is restored where masks show something that no depth does: guessed masks hold
         # background between arm and body, and stereo is right to carve it
         side = self._config.stereo.image_side
         compared = [reduce_view(view, side) for view in self._views]
-        return Field(*stereo_surface(compared, self._hull, self._config.stereo), 1)
+        return stereo_surface(compared, self._hull, self._config.stereo)
 
-    @cached_property
-    def _mesh(self) -> Mesh:
-        return smooth_surface(self._field)
 
-    def refined(self) -> Dense:
-        """The stereo surface, refined where that lets photographs predict each other better."""
-        config, mesh = self._config, self._mesh
-        photos = [reduce_view(view, max(config.refine.image_sides)) for view in self._views]
-        moved = refine(mesh, self._views, config.refine)
-        # at the size that it was refined by: half of it does not show what it gained
-        predictions = Predictions(photos)
-        if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
-            mesh = moved
-        grain, faces = resolved(photos, config)
-        return Dense(mesh, min(self._field.lattice.cell, grain), faces)
+def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
+    """A surface moved to where patches agree, where photographs then predict each other better.
+
+    Args:
+        best: The surface.
+        views: Training photographs, unit frame.
+        config: Settings of the stage.
+    """
+    mesh = best.mesh
+    photos = [reduce_view(view, max(config.refine.image_sides)) for view in views]
+    moved = refine(mesh, views, config.refine)
+    # at the size that it was refined by: half of it does not show what it gained
+    predictions = Predictions(photos)
+    if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
+        mesh = moved
+    grain, faces = resolved(photos, config)
+    return Dense(mesh, min(best.cell, grain), faces)
 
 
 def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:

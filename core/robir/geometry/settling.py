@@ -116,7 +116,7 @@ class Level:
         sampler: Source of rays.
         hull: Lattice and signed distances of the visual hull.
         mirroring: What was learnt of parts that mirror.
-        rival: The surface by depth maps.
+        rival: The surfaces by depth maps and by masks alone.
         backdrop: The ground; None where there is none, or none any more.
         told: What the surface tells of it; None before that was asked, and where there is none.
         has_ended: Whether the fit goes no further.
@@ -184,7 +184,7 @@ def _undercut(state: Level) -> Level:
     return state.mended(undercut(told.backdrop, told.columns, lattice, state.sdf))
 
 
-def _ask_rival(state: Level) -> Level:
+def _ask_rivals(state: Level) -> Level:
     return replace(state, has_ended=state.rival.beats(state.field))
 
 
@@ -221,10 +221,11 @@ LEVEL: tuple[Step[Level], ...] = (
         run=_undercut,
     ),
     Step(
-        name="depth-maps",
-        purpose="ends the fit where depth maps let photographs predict each other better",
-        source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010)",
-        run=_ask_rival,
+        name="rivals",
+        purpose="ends the fit where depth maps or masks alone explain photographs better",
+        source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010), "
+        "visual hull (Laurentini 1994)",
+        run=_ask_rivals,
     ),
 )
 """What is done at the end of every level of the fit, in this order."""
@@ -244,7 +245,7 @@ class Settling:
         sampler: Source of rays.
         begun: Lattice and signed distances that the fit starts from.
         backdrop: The ground as far as the fit has got.
-        rival: The surface by depth maps.
+        rival: The surfaces by depth maps and by masks alone.
     """
 
     def __init__(

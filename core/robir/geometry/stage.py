@@ -27,14 +27,14 @@ from robir.geometry.ground.plane import SupportPlane
 from robir.geometry.mesh.triangles import LIGHT, Mesh
 from robir.geometry.rays import RaySampler
 from robir.geometry.remask import remasked
-from robir.geometry.rival import smooth_surface
+from robir.geometry.rival import FIELD, refined, smooth_surface
 from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import replacing, write_json
 from robir.steps import Course, Step, check_left_out
 
-REVISION = 33
+REVISION = 34
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
@@ -203,26 +203,26 @@ def reconstruct(
 
     start = settling.begun._replace(values=settling.begun.values.to(device))
     field = fit(sampler, start, config, generator, progress, settling)
-    rival = settling.rival
-    if rival.leads:
+    best = settling.rival.best
+    if best is not None:
         reporter.progress(0.86, "moving the mesh to where photographs agree")
-        dense = rival.refined()
+        dense = refined(best, capture.train, config)
     else:
         reporter.progress(0.86, "cleaning the mesh")
         dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
     mesh = finished(dense, config.unwrap_seconds, reporter.warn, course)
-    backdrop = None if rival.leads else settling.backdrop
+    backdrop = settling.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
         "cell": field.lattice.cell,
         "ground": "none" if backdrop is None else "flattened",
-        "surface": "stereo" if rival.leads else "field",
+        "surface": FIELD if best is None else best.name,
     }
     return Surface(
         mesh=mesh,
         metrics=metrics,
-        choices=rival.choices,
+        choices=settling.rival.choices,
         idle=tuple(course.idle(STEPS)),
         ground=None if backdrop is None else backdrop.ground.columns.plane,
     )
