@@ -87,7 +87,8 @@ class Rival:
     Args:
         views: Training photographs, unit frame.
         photos: The same at the size that surfaces are judged at.
-        hull: Lattice and (N,) signed distance of the visual hull, with ground if there is one.
+        hulls: Lattice and (N,) signed distance of the visual hull, with ground if there is one, and
+            as masks alone have it.
         config: Settings of the stage.
 
     Attributes:
@@ -99,10 +100,10 @@ class Rival:
         self,
         views: tuple[View, ...],
         photos: list[Photo],
-        hull: Sampled,
+        hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
     ) -> None:
-        self._views, self._photos, self._hull, self._config = views, photos, hull, config
+        self._views, self._photos, self._hulls, self._config = views, photos, hulls, config
         self._was_asked = config.stereo.image_side == 0
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
@@ -121,7 +122,7 @@ class Rival:
         predictions = Predictions(self._photos)
         errors, bends = predictions.errors(fitted), bending(fitted)
         candidates = []
-        for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hull)):
+        for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
             mesh = smooth_surface(Field(lattice, values, 1))
             ahead, more = lead(errors, predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(
@@ -147,7 +148,7 @@ class Rival:
         # background between arm and body, and stereo is right to carve it
         side = self._config.stereo.image_side
         compared = [reduce_view(view, side) for view in self._views]
-        return stereo_surface(compared, self._hull, self._config.stereo)
+        return stereo_surface(compared, self._hulls[0], self._config.stereo)
 
 
 def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:

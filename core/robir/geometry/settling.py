@@ -272,7 +272,7 @@ class Settling:
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
         self._mirroring = Mirroring([photo.camera for photo in photos], self.begun)
-        self.rival = Rival(capture.train, photos, self.begun, config)
+        self.rival = Rival(capture.train, photos, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because the rival leads."""
