@@ -10,7 +10,6 @@ from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.display_power import POWERS, PowerChoice
 from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
 from robir.jobs.choice import Choice
 
@@ -46,7 +45,6 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
             "between neighbours in different light, the simplest within one standard error"
             f"{_near(candidates)}{_lead(tone)}{_beyond(tone)}",
         ),
-        *_power(tone.power),
         Choice(
             choice="sharp lights",
             chosen=len(light.axes),
@@ -104,29 +102,6 @@ def _lead(tone: ToneChoice) -> str:
         f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
         f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
         f"{lead.margin:g}"
-    )
-
-
-def _power(choice: PowerChoice | None) -> tuple[Choice, ...]:
-    """On re-toned photographs; none where the curve was given."""
-    if choice is None:
-        return ()
-    asked = "; ".join(
-        f"{power:g}: {share:.3f}" for power, share in zip(POWERS, choice.votes, strict=False)
-    )
-    why = "as bright as photographs are: no power was asked for"
-    if asked:
-        why = (
-            f"share of the pairs that agree on one albedo under each power ({asked}); one other "
-            "than 1 must lead clearly"
-        )
-    return (
-        Choice(
-            choice="power of the display codes",
-            chosen=choice.power,
-            alternatives=tuple(power for power in POWERS if power != choice.power),
-            why=f"mean display code {choice.level:.2f}; {why}",
-        ),
     )
 
 

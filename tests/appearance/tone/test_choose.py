@@ -96,13 +96,6 @@ def test_verdict_of_the_histogram(codes, verdict):
     assert clipping_evidence(histogram(codes)).verdict is verdict
 
 
-def test_the_histogram_is_read_with_a_power_undone():
-    retoned = histogram([100] * 900 + [255] * 5 + [236] * 95)  # 245 ^ 2 and 255 ^ 2
-    assert clipping_evidence(retoned).bright_share == 0
-    assert clipping_evidence(retoned, 2.0).bright_share == pytest.approx(0.095)
-    assert clipping_evidence(retoned, 2.0).verdict is False
-
-
 def test_shares_count_only_what_is_seen():
     seen = histogram([255, 255, 250, 100])
     seen.weight[0] = 0

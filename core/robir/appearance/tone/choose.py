@@ -14,11 +14,10 @@ from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.light.problem import Scene, make_problem
 from robir.appearance.light.solver import Light, find_suns
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
-from robir.appearance.tone.display_power import PowerChoice, choose_power
 from robir.appearance.tone.gamut import unable
 from robir.appearance.tone.ranking import CAMERA, NEUTRAL, PLAIN, Candidate, ranked
 from robir.appearance.tone.shoulder import PlainLead
-from robir.maths.tone import curve_from_name, powered
+from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.steps import Course, Step
 
@@ -36,8 +35,6 @@ class ToneChoice:
         beyond: Shares of the observations whose colours no light gives under a curve, by the names
             of the curves that these rule out.
         suns: The light under the first curve: where shadows lie does not depend on it.
-        power: The power of the display codes, None where the curve was given or cameras took the
-            photographs, which have their own.
         candidates: The chosen one first, then by score.
         plain_lead: Of the plain curve against those with a shoulder, None where not both were
             compared.
@@ -50,7 +47,6 @@ class ToneChoice:
     evidence: ClippingEvidence
     beyond: dict[str, float]
     suns: Light | None = None
-    power: PowerChoice | None = field(default=None, compare=False)
     candidates: list[Candidate] = field(default_factory=list)
     plain_lead: PlainLead | None = None
 
@@ -100,22 +96,6 @@ def _search_suns(state: ToneChoice) -> ToneChoice:
     return replace(state, suns=find_suns(problem, state.config, state.seed))
 
 
-def _undo_power(state: ToneChoice) -> ToneChoice:
-    """A curve given by the user is taken as given, and cameras have a curve of their own."""
-    scene = state.scene
-    if len(state.allowed) == 1 or scene.by_camera:
-        return state
-    rivals = [curve for curve in state.allowed if curve.name == CAMERA]
-    power = choose_power(scene, (state.first, *rivals), state.found, state.seed)
-    if power.power == 1.0:
-        return replace(state, power=power)
-    observations = scene.transport.observations
-    toned = [powered(curve, power.power) for curve in state.allowed]
-    evidence = clipping_evidence(observations, power.power)
-    beyond = unable(toned, observations)
-    return replace(state, power=power, allowed=toned, evidence=evidence, beyond=beyond)
-
-
 def _rank(state: ToneChoice) -> ToneChoice:
     candidates, lead = ranked(state.scene, state.fitting, state.found, state.config, state.seed)
     return replace(state, candidates=candidates, plain_lead=lead)
@@ -128,12 +108,6 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
         source="ours: dense scan, then a shrinking search with traced rays",
         run=_search_suns,
         is_on_trial=False,
-    ),
-    Step(
-        name="display-power",
-        purpose="finds a power that the display codes were re-toned by",
-        source="ours",
-        run=_undo_power,
     ),
     Step(
         name="tone-curve",

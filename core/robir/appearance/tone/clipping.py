@@ -56,12 +56,10 @@ class ClippingEvidence:
         return None
 
 
-def clipping_evidence(
-    observations: Observations, power: float = 1.0, *, by_camera: bool = False
-) -> ClippingEvidence:
-    """Shares of clipped and of nearly white observations, a power of the codes undone."""
+def clipping_evidence(observations: Observations, *, by_camera: bool = False) -> ClippingEvidence:
+    """Shares of clipped and of nearly white observations."""
     valid = observations.weight > 0
-    brightest = 255 * (observations.display.max(2) / 255) ** (1 / power)
+    brightest = observations.display.max(2)
     clipped = observations.clipped.any(2)
     total = max(1, int(valid.sum()))
     return ClippingEvidence(
