@@ -206,8 +206,17 @@ validator: setup
 	    --silent --no-fund --no-audit --prefix $(VENV) gltf-validator@$(VALIDATOR) || \
 	  echo "******** GLB FILES ARE NOT VALIDATED: gltf-validator cannot be had ********"
 
+# One process of tests keeps one core busy; those that mostly wait for others run beside the rest.
+BESIDE := tests/addon tests/batch tests/hostile
+
 test: lint blenders validator
-	$(BIN)/python -m pytest -q
+	@mkdir -p build; \
+	$(BIN)/python -m pytest -q $(BESIDE) >build/beside.log 2>&1 & beside=$$!; \
+	trap 'kill $$beside 2>/dev/null' EXIT; \
+	tested=0; $(BIN)/python -m pytest -q $(addprefix --ignore=,$(BESIDE)) || tested=$$?; \
+	waited=0; wait $$beside || waited=$$?; \
+	cat build/beside.log; \
+	test $$tested -eq 0 && test $$waited -eq 0
 
 fast: lint
 	$(BIN)/python -m pytest -q -m 'not slow'
