@@ -38,9 +38,10 @@ falls to 0. Early steps are large and noisy, and lumps that stay where the colou
 metal and on plain surfaces, are dug further by the colours learnt on them. But smoothing shrinks
 what is round."""
 
-FAIRING = 0.25
+FAIRING, FAIRINGS = 0.5, 12
 """Share of the way that every such step moves a node there and back, which takes what is rough
-and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design")."""
+and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design"), and
+how often: pits on what has no texture are several cells wide."""
 
 DISTANCE_RATE = 0.375
 """Rate of the distances where gradients agree, cells a step."""
@@ -93,7 +94,7 @@ def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
         lattice: Nodes.
         share: Share of all steps of the fit that are done.
     """
-    for amount in (SMOOTHING * (1.0 - share) ** 2, FAIRING, -FAIRING):
+    for amount in (SMOOTHING * (1.0 - share) ** 2, *(FAIRING, -FAIRING) * FAIRINGS):
         laplacian_step(sdf, lattice, amount)
 
 
