@@ -38,7 +38,7 @@ falls to 0. Early steps are large and noisy, and lumps that stay where the colou
 metal and on plain surfaces, are dug further by the colours learnt on them. But smoothing shrinks
 what is round."""
 
-FAIRING, FAIRINGS = 0.5, 12
+FAIRING, FAIRINGS = 0.5, 3
 """Share of the way that every such step moves a node there and back, which takes what is rough
 and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design"), and
 how often: pits on what has no texture are several cells wide."""
