@@ -38,10 +38,9 @@ falls to 0. Early steps are large and noisy, and lumps that stay where the colou
 metal and on plain surfaces, are dug further by the colours learnt on them. But smoothing shrinks
 what is round."""
 
-FAIRING, FAIRINGS = 0.5, 3
+FAIRING = 0.25
 """Share of the way that every such step moves a node there and back, which takes what is rough
-and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design"), and
-how often: pits on what has no texture are several cells wide."""
+and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design")."""
 
 DISTANCE_RATE = 0.375
 """Rate of the distances where gradients agree, cells a step."""
@@ -94,7 +93,7 @@ def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
         lattice: Nodes.
         share: Share of all steps of the fit that are done.
     """
-    for amount in (SMOOTHING * (1.0 - share) ** 2, *(FAIRING, -FAIRING) * FAIRINGS):
+    for amount in (SMOOTHING * (1.0 - share) ** 2, FAIRING, -FAIRING):
         laplacian_step(sdf, lattice, amount)
 
 
