@@ -67,12 +67,12 @@ def backdrop_masks(views: Sequence[Posed], *, is_lossy: bool) -> tuple[Layer, ..
     limit = RINGING if is_lossy else FLAT
     alike = [np.abs(view.image_display - colour).max(axis=2) <= limit for view in views]
     parts = [_parted(each) for each in alike]
-    open_ = [near & np.isin(each, _strip(each)) for near, each in zip(alike, parts, strict=True)]
-    shares = [1.0 - float(each.mean()) for each in open_]
+    outside = [near & np.isin(each, _strip(each)) for near, each in zip(alike, parts, strict=True)]
+    shares = [1.0 - float(each.mean()) for each in outside]
     if not LEAST < np.median(shares) < MOST:
         return None
-    enclosed = [near & ~each for near, each in zip(alike, open_, strict=True)]
-    behind = _with_holes(open_, enclosed, parts, [view.camera for view in views])
+    enclosed = [near & ~each for near, each in zip(alike, outside, strict=True)]
+    behind = _with_holes(outside, enclosed, parts, [view.camera for view in views])
     return tuple(
         _coverage(view.image_display - colour, each)
         for view, each in zip(views, behind, strict=True)
@@ -103,7 +103,7 @@ def _parted(alike: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _with_holes(
-    open_: list[NDArray[np.bool_]],
+    outside: list[NDArray[np.bool_]],
     enclosed: list[NDArray[np.bool_]],
     parts: list[NDArray[np.int32]],
     cameras: list[Camera],
@@ -111,10 +111,10 @@ def _with_holes(
     """The backdrop of each photograph with those enclosed patches that are holes."""
     aim = focus(cameras)
     if aim is None:
-        return open_
+        return outside
     rng = np.random.default_rng(0)
     behind = []
-    for index, (own, patches) in enumerate(zip(open_, enclosed, strict=True)):
+    for index, (own, patches) in enumerate(zip(outside, enclosed, strict=True)):
         whole = own.copy()
         for piece in np.flatnonzero(np.bincount(parts[index][patches]) >= LEAST_HOLE):
             inside = parts[index] == piece
@@ -122,7 +122,7 @@ def _with_holes(
             rows = rows[rng.choice(len(rows), min(RAYS, len(rows)), replace=False)]
             points = _along(cameras[index], rows, aim)
             others = [k for k in range(len(cameras)) if k != index]
-            if _is_empty(points, others, (open_, enclosed), cameras).mean() > 0.5:
+            if _is_empty(points, others, (outside, enclosed), cameras).mean() > 0.5:
                 whole |= inside
         behind.append(whole)
     return behind

@@ -236,8 +236,9 @@ def _down_to_plane(own: Array, points: Array, plane: Plane | None) -> tuple[Arra
     shadow = own - height[:, None] * plane.normal
     about = points - plane.height(points)[:, None] * plane.normal
     with suppress(QhullError, ValueError):
-        flat = Delaunay(_on_plane(shadow - middle, plane))
-        inside = flat.find_simplex(_on_plane(about - middle, plane)) >= 0
+        across = _across(plane.normal).T
+        outline = Delaunay((shadow - middle) @ across)
+        inside = outline.find_simplex((about - middle) @ across) >= 0
         above = plane.height(points)
         below = points[inside & (above > 2.0 * plane.tolerance) & (above < lowest)]
         foot = shadow.mean(axis=0) + FOOT * (shadow - shadow.mean(axis=0))
@@ -245,11 +246,11 @@ def _down_to_plane(own: Array, points: Array, plane: Plane | None) -> tuple[Arra
     return own, none
 
 
-def _on_plane(points: Array, plane: Plane) -> Array:
-    """Coordinates (N, 2) of points along a plane."""
-    first = np.cross(plane.normal, np.eye(3)[np.abs(plane.normal).argmin()])
+def _across(normal: Array) -> Array:
+    """Two unit axes (2, 3) along a plane of that normal."""
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first /= np.linalg.norm(first)
-    return points @ np.stack([first, np.cross(plane.normal, first)]).T
+    return np.stack([first, np.cross(normal, first)])
 
 
 def _half_spaces(points: Array) -> Array | None:
@@ -282,9 +283,7 @@ def _around(own: Array, core: Array, standing: tuple[Plane | None, Array], origi
     """
     plane, clump = standing
     up = np.array([0.0, 0.0, 1.0]) if plane is None else plane.normal
-    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(up, first), up])
+    axes = np.stack([*_across(up), up])
     lower, upper = np.quantile(own @ axes.T, [0.01, 0.99], axis=0)
     extent = float(np.ptp(np.quantile(clump @ axes.T, [0.01, 0.99], axis=0), axis=0).max())
     lower, upper = lower - ROOM * extent, upper + ROOM * extent
