@@ -53,6 +53,13 @@ class Plane:
         return Plane(normal=self.normal, offset=offset, tolerance=self.tolerance / radius)
 
 
+def across(normal: Array) -> Array:
+    """Two unit axes (2, 3) along a plane of that unit normal."""
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
+
+
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
     """The plane with most points on it and next to none below it (Fischler and Bolles 1981).
 

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from robir.capture.camera import Camera
 from robir.capture.masks.sight import Array
-from robir.capture.support import Plane, support_plane
+from robir.capture.support import Plane, across, support_plane
 
 REACH = 1.0
 """Radius about the focus within which the object is looked for, against the cameras' distance."""
@@ -232,25 +232,17 @@ def _down_to_plane(own: Array, points: Array, plane: Plane | None) -> tuple[Arra
     lowest, highest = np.quantile(height, [0.01, 0.99])
     if lowest < FLOATING * (highest - lowest):
         return own, none
-    middle = own.mean(axis=0)
+    above = plane.height(points)
     shadow = own - height[:, None] * plane.normal
-    about = points - plane.height(points)[:, None] * plane.normal
+    about = points - above[:, None] * plane.normal
+    middle = shadow.mean(axis=0)
     with suppress(QhullError, ValueError):
-        across = _across(plane.normal).T
-        outline = Delaunay((shadow - middle) @ across)
-        inside = outline.find_simplex((about - middle) @ across) >= 0
-        above = plane.height(points)
+        flat = across(plane.normal).T
+        outline = Delaunay((shadow - middle) @ flat)
+        inside = outline.find_simplex((about - middle) @ flat) >= 0
         below = points[inside & (above > 2.0 * plane.tolerance) & (above < lowest)]
-        foot = shadow.mean(axis=0) + FOOT * (shadow - shadow.mean(axis=0))
-        return np.concatenate([own, below]), foot
+        return np.concatenate([own, below]), middle + FOOT * (shadow - middle)
     return own, none
-
-
-def _across(normal: Array) -> Array:
-    """Two unit axes (2, 3) along a plane of that normal."""
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
 
 
 def _half_spaces(points: Array) -> Array | None:
@@ -283,7 +275,7 @@ def _around(own: Array, core: Array, standing: tuple[Plane | None, Array], origi
     """
     plane, clump = standing
     up = np.array([0.0, 0.0, 1.0]) if plane is None else plane.normal
-    axes = np.stack([*_across(up), up])
+    axes = np.stack([*across(up), up])
     lower, upper = np.quantile(own @ axes.T, [0.01, 0.99], axis=0)
     extent = float(np.ptp(np.quantile(clump @ axes.T, [0.01, 0.99], axis=0), axis=0).max())
     lower, upper = lower - ROOM * extent, upper + ROOM * extent

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.sight import Array, Layer
-from robir.capture.support import Plane
+from robir.capture.support import Plane, across
 
 SPREAD = 1.5
 """Radius of the disc against the farthest part of the object."""
@@ -28,9 +28,7 @@ def disc_about(volume: Array, plane: Plane) -> Array:
     Returns:
         (K, 3) points of the rim, in order.
     """
-    first = np.cross(plane.normal, np.eye(3)[np.abs(plane.normal).argmin()])
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(plane.normal, first)])
+    axes = across(plane.normal)
     foot = volume @ axes.T
     middle = 0.5 * (foot.min(axis=0) + foot.max(axis=0))
     radius = SPREAD * float(np.linalg.norm(foot - middle, axis=1).max())

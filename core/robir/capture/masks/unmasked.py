@@ -40,7 +40,7 @@ from robir.jobs.paths import replacing
 _LEAST_PIXELS = 200
 """Pixels of a small photograph that a mesh has to cover to be what it shows."""
 
-LOSSLESS = (".png", ".tif", ".tiff", ".exr", ".bmp")
+LOSSLESS = (".png", ".tif", ".tiff", ".bmp")
 """Suffixes of pictures without the ringing of lossy compression."""
 
 _ENOUGH_POINTS = 200
