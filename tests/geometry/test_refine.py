@@ -217,7 +217,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(capture.train, photos, (hull, hull), STEREO_CONFIG)
+        rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
         field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
@@ -227,7 +227,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))
-    silent = Rival(capture.train, photos, (hull, hull), off)
+    silent = Rival(capture.train, Predictions(photos), (hull, hull), off)
     assert not silent.beats(field)
 
 
@@ -238,7 +238,7 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
     monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
     hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Rival(capture.train, photos, hulls, STEREO_CONFIG)
+    rival = Rival(capture.train, Predictions(photos), hulls, STEREO_CONFIG)
     assert rival.beats(Field(lattice, dented.values, 1))
     assert rival.best.name == HULL and rival.best.cell == lattice.cell
     (choice,) = rival.choices
@@ -250,7 +250,7 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    rival = Rival(capture.train, photos, (hull, hull), STEREO_CONFIG)
+    rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
     bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
     monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
     monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))

@@ -2,11 +2,14 @@
 """How well a surface lets photographs predict each other.
 
 A pixel is carried over a surface into the photographs beside it. Where the surface is right they
-show the same thing, whatever it is made of; so this judges surfaces that were found in different
-ways, without truth, light or material.
+show the same thing, so this judges surfaces that were found in different ways, without truth, light
+or material. What is polished shows each photograph something else: there a map of what is mirrored,
+see mirror_map.py, goes along wherever it helps to predict.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -18,6 +21,7 @@ from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mirror_map import learnt_map, mirrored_cells, nothing_mirrored
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
@@ -33,8 +37,30 @@ WHOLE = 0.95
 OUTLINE = 2
 """Pixels from the outline within which masks are not believed."""
 
+LEARNT_POINTS = 6000
+"""Points of the surface by which what is mirrored is learnt."""
+
 SLACK = 0.01
 """Distance, unit frame, by which a ray may end before the surface it is to see."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Spots:
+    """Where the pixels of a judge meet a surface.
+
+    Attributes:
+        rows: Of the pixels that are wholly object.
+        columns: Likewise.
+        met: (N,) bool, which of them meet it.
+        points: (P, 3) where.
+        normals: (P, 3) unit.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    met: NDArray[np.bool_]
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
 
 
 class Predictions:
@@ -66,48 +92,104 @@ class Predictions:
         Returns:
             Mean squared display error of every pixel that is wholly object; NaN where the surface
             shows it to no other photograph. Well inside the object, where there is no surface, it
-            is that of knowing no more than the object's mean colour.
+            is that of knowing no more than the object's mean colour. What the surface mirrors is
+            part of the prediction if it makes it better by more than a standard error.
         """
-        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        return [self._judged(tracer, own) for own in self._judges]
+        carried, told = self._both(mesh)
+        return told if lead(carried, told) > 1.0 else carried
 
-    def _judged(self, tracer: EmbreeTracer, own: int) -> NDArray[np.float32]:
-        """Errors of one judge."""
-        camera, layers = self._cameras[own], self._layers[own]
-        rows, columns = np.nonzero(layers[..., 3].numpy() > WHOLE)
+    def mirroring(self, mesh: Mesh) -> float:
+        """By how many standard errors photographs predict better with what a surface mirrors.
+
+        Args:
+            mesh: Surface, unit frame.
+        """
+        return lead(*self._both(mesh))
+
+    def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
+        """Errors without and with what the surface mirrors."""
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
+        maps = self._maps(tracer, list(spots.values()))
+        return (
+            [self._judged(tracer, own, spots[own], nothing_mirrored()) for own in spots],
+            [self._judged(tracer, own, spots[own], maps[own]) for own in spots],
+        )
+
+    def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
+        camera = self._cameras[own]
+        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > WHOLE)
         origins, directions = camera.rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
-        distance = tracer.first_hits(
-            origins.astype(np.float32), directions.astype(np.float32)
-        ).distance
-        met = np.isfinite(distance)
-        points = (origins + np.where(met, distance, 0.0)[:, None] * directions)[met]
-        total, weight = torch.zeros(len(points), 3), torch.zeros(len(points), 1)
+        hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        met = np.isfinite(hits.distance)
+        corners = mesh.normals[mesh.faces[hits.face[met]]].astype(np.float64)
+        normals = (corners * hits.barycentric[met][:, :, None]).sum(1)
+        return _Spots(
+            rows=rows,
+            columns=columns,
+            met=met,
+            points=origins[met] + hits.distance[met][:, None] * directions[met],
+            normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9),
+        )
+
+    def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, NDArray[np.floating]]:
+        """What is mirrored as all photographs but a judge tell it, for each judge."""
+        every = max(1, sum(len(one.points) for one in spots) // LEARNT_POINTS)
+        points = np.concatenate([one.points for one in spots])[::every]
+        normals = np.concatenate([one.normals for one in spots])[::every]
+        shown = [self._shown(tracer, other, points, normals) for other in range(len(self._cameras))]
+        colours, seen, cells = (np.stack(column, axis=1) for column in zip(*shown, strict=True))
+        maps = {}
+        for own in self._judges:
+            told = seen.copy()
+            told[:, own] = 0.0
+            maps[own] = learnt_map(colours, told, cells)
+        return maps
+
+    def _judged(
+        self, tracer: EmbreeTracer, own: int, spots: _Spots, mirrored: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """Errors of one judge, by what the others show and by a map of what is mirrored."""
+        layers = self._layers[own].numpy()
+        total, weight = np.zeros((len(spots.points), 3)), np.zeros((len(spots.points), 1))
         for other in self._nearest[own]:
-            colour, sure = self._shown(tracer, other, points)
-            total += sure * colour
-            weight += sure
-        shown = layers[rows, columns, :3][torch.from_numpy(met)]
-        error = ((total / weight.clamp(min=1e-6) - shown) ** 2).mean(1)
-        display = layers[rows, columns, :3].numpy()
-        inner = _within(layers[..., 3].numpy() > WHOLE)[rows, columns]
+            colours, seen, cells = self._shown(tracer, other, spots.points, spots.normals)
+            total += seen[:, None] * (colours - mirrored[cells])
+            weight += seen[:, None]
+        towards = _unit(self._cameras[own].position - spots.points)
+        predicted = total / np.maximum(weight, 1e-6)
+        predicted += mirrored[mirrored_cells(spots.normals, towards)]
+        display = layers[spots.rows, spots.columns, :3]
+        inner = _within(layers[..., 3] > WHOLE)[spots.rows, spots.columns]
         blind = ((display - display.mean(0)) ** 2).mean(1)
         result = np.where(inner, blind, np.nan).astype(np.float32)
-        result[met] = torch.where(weight[:, 0] > 0, error, float("nan")).numpy()
+        error = ((predicted - display[spots.met]) ** 2).mean(1)
+        result[spots.met] = np.where(weight[:, 0] > 0, error, np.nan)
         return result
 
     def _shown(
-        self, tracer: EmbreeTracer, other: int, points: NDArray[np.float64]
-    ) -> tuple[Tensor, Tensor]:
-        """Colours (P, 3) of points in a photograph, and 1 or 0 (P, 1) for whether it shows them."""
+        self,
+        tracer: EmbreeTracer,
+        other: int,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """Colours (P, 3) of points in a photograph, 1 (P,) where it shows them, mirrored cells."""
         camera, layers = self._cameras[other], self._layers[other]
         away = points - camera.position
         distance = np.linalg.norm(away, axis=1)
         origins = np.broadcast_to(camera.position, away.shape).astype(np.float32)
         reach = (distance - SLACK).astype(np.float32)
-        free = ~tracer.is_blocked(origins, (away / distance[:, None]).astype(np.float32), reach)
+        directions = away / distance[:, None]
+        free = ~tracer.is_blocked(origins, directions.astype(np.float32), reach)
         values, held = _read(layers, camera, points)
-        sure = held & (values[:, 3] > WHOLE) & torch.from_numpy(free)
-        return values[:, :3], sure.float()[:, None]
+        sure = (held & (values[:, 3] > WHOLE)).numpy() & free
+        cells = mirrored_cells(normals, -directions)
+        return values[:, :3].numpy(), sure.astype(np.float32), cells
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _within(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

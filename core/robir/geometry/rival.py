@@ -86,7 +86,7 @@ class Rival:
 
     Args:
         views: Training photographs, unit frame.
-        photos: The same at the size that surfaces are judged at.
+        predictions: Of the same at the size that surfaces are judged at.
         hulls: Lattice and (N,) signed distance of the visual hull, with ground if there is one, and
             as masks alone have it.
         config: Settings of the stage.
@@ -99,11 +99,12 @@ class Rival:
     def __init__(
         self,
         views: tuple[View, ...],
-        photos: list[Photo],
+        predictions: Predictions,
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
     ) -> None:
-        self._views, self._photos, self._hulls, self._config = views, photos, hulls, config
+        self._views, self._predictions = views, predictions
+        self._hulls, self._config = hulls, config
         self._was_asked = config.stereo.image_side == 0
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
@@ -119,12 +120,11 @@ class Rival:
         self._was_asked = True
         started = time.process_time()
         fitted = smooth_surface(field)
-        predictions = Predictions(self._photos)
-        errors, bends = predictions.errors(fitted), bending(fitted)
+        errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
         for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
             mesh = smooth_surface(Field(lattice, values, 1))
-            ahead, more = lead(errors, predictions.errors(mesh)), bends / bending(mesh)
+            ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(
                 Candidate(name=name, mesh=mesh, cell=lattice.cell, ahead=ahead, more=more)
             )

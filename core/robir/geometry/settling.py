@@ -22,8 +22,9 @@ from robir.geometry.ground.plane import detect
 from robir.geometry.ground.undercut import undercut
 from robir.geometry.hull import object_hull
 from robir.geometry.lattice import Lattice, Sampled, resample
+from robir.geometry.prediction import Predictions
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.rival import Rival
+from robir.geometry.rival import Rival, smooth_surface
 from robir.maths.vectors import farthest_points
 from robir.steps import Course, Step
 
@@ -271,8 +272,13 @@ class Settling:
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
-        self._mirroring = Mirroring([photo.camera for photo in photos], self.begun)
-        self.rival = Rival(capture.train, photos, (self.begun, Sampled(lattice, hull)), config)
+        predictions = Predictions(photos)
+        self._mirroring = Mirroring(
+            [photo.camera for photo in photos],
+            self.begun,
+            lambda field: predictions.mirroring(smooth_surface(field)) > 1.0,
+        )
+        self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because the rival leads."""

@@ -62,6 +62,10 @@ def depth(sdf: torch.Tensor, lattice: Lattice) -> float:
     return float(RADIUS - along[inside].max()) / lattice.cell
 
 
+def unasked(field: Field) -> bool:
+    raise AssertionError("little mirrors: nothing is to be proven")
+
+
 @pytest.fixture
 def cameras():
     result = []
@@ -95,7 +99,7 @@ def test_change_is_the_mean_difference_from_the_median(cameras):
 
 def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball())).filled(field, Colours(0.3))
+    filled = Mirroring(cameras, (LATTICE, ball()), unasked).filled(field, Colours(0.3))
     assert depth(field.sdf, LATTICE) > 2.5
     assert depth(filled, LATTICE) < 0.75
     assert bool((filled >= torch.minimum(ball(), field.sdf.detach()) - 1e-6).all())
@@ -103,21 +107,30 @@ def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
 
 def test_a_pit_in_paint_stays(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball())).filled(field, Colours(0.2 * MIRRORING))
+    filled = Mirroring(cameras, (LATTICE, ball()), unasked).filled(field, Colours(0.2 * MIRRORING))
     assert torch.equal(filled, field.sdf.detach())
 
 
-def test_where_most_changes_it_is_no_metal(cameras):
-    field = pitted()
-    colours = Colours(0.3, everywhere=True)
-    filled = Mirroring(cameras, (LATTICE, ball())).filled(field, colours)
-    assert torch.equal(filled, field.sdf.detach())
+@pytest.mark.parametrize("is_proven", [False, True])
+def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
+    field, asked = pitted(), []
+
+    def is_mirror(filled):
+        asked.append(depth(filled.sdf, LATTICE))
+        return is_proven
+
+    mirroring = Mirroring(cameras, (LATTICE, ball()), is_mirror)
+    filled = mirroring.filled(field, Colours(0.3, everywhere=True))
+    assert asked == [pytest.approx(0.0, abs=0.75)], "of the filled surface, once"
+    assert depth(filled, LATTICE) < 0.75 if is_proven else torch.equal(filled, field.sdf.detach())
+    again = mirroring.filled(field, Colours(0.3, everywhere=True))
+    assert torch.equal(again, filled) and len(asked) == 1
 
 
 def test_a_finer_level_is_filled_where_the_coarse_one_mirrors(cameras):
     coarse = pitted()
     finer = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.04, shape=(51, 51, 51))
-    mirroring = Mirroring(cameras, (LATTICE, ball()))
+    mirroring = Mirroring(cameras, (LATTICE, ball()), unasked)
     mirroring.filled(coarse, Colours(0.3))
     field = coarse.refined(finer)
     filled = mirroring.filled(field, Colours(0.0))

@@ -11,6 +11,8 @@ starts from the filled surface, with a network that knows reflections.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -40,8 +42,8 @@ which nothing is filled and from which hollows are filled at full speed: more th
 shows, less than metal."""
 
 MOST_MIRRORING = 0.25
-"""Share of the surface above which not metal is the cause but another light in some photographs, or
-cameras that are off, and nothing is filled."""
+"""Share of the surface above which another light in some photographs, or cameras that are off, may
+be the cause instead of metal, and what is mirrored must be proven."""
 
 REACH = 4
 """Cells of the coarsest level by which such a region is widened: a pit hides from the network what
@@ -94,12 +96,15 @@ class Mirroring:
     Args:
         cameras: From where it may be looked at.
         hull: What bounds the surface, signed distances on their lattice.
+        is_mirror: Tells of a filled field whether photographs prove that its surface mirrors.
     """
 
-    def __init__(self, cameras: list[Camera], hull: Sampled) -> None:
+    def __init__(
+        self, cameras: list[Camera], hull: Sampled, is_mirror: Callable[[Field], bool]
+    ) -> None:
         positions = np.stack([camera.position for camera in cameras])
         self._cameras = [cameras[k] for k in farthest_points(positions, MOST_VIEWS)]
-        self._hull = hull
+        self._hull, self._is_mirror = hull, is_mirror
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
@@ -112,10 +117,19 @@ class Mirroring:
         Returns:
             The new signed distances (N,).
         """
+        if self._learnt is not None:
+            return self._filled(field, _at(self._learnt, field.lattice))
+        lattice = field.lattice
+        share, is_common = self._share(field, network)
+        filled = self._filled(field, share.view(lattice.shape))
+        if is_common and not self._is_mirror(Field(lattice, filled, 1)):
+            share, filled = torch.zeros_like(share), field.sdf.detach()
+        self._learnt = Sampled(lattice, share)
+        return filled
+
+    def _filled(self, field: Field, share: Tensor) -> Tensor:
+        """Signed distances (N,) with hollows filled at the speed `share` (X, Y, Z) in [0, 1]."""
         lattice, before = field.lattice, field.sdf.detach()
-        if self._learnt is None:
-            self._learnt = Sampled(lattice, self._share(field, network))
-        share = _at(self._learnt, lattice)
         where = share.nonzero()
         if not len(where):
             return before
@@ -129,17 +143,18 @@ class Mirroring:
             part.copy_(torch.maximum(part + share * step, least))
         return sdf.view(-1)
 
-    def _share(self, field: Field, network: ColourNetwork) -> Tensor:
-        """How far every node's surroundings mirror, (N,) in [0, 1]."""
+    def _share(self, field: Field, network: ColourNetwork) -> tuple[Tensor, bool]:
+        """How far every node's surroundings mirror, (N,) in [0, 1], and whether most do."""
         lattice = field.lattice
         change = change_with_view(field, network, self._cameras)
         share = ((change - DULL) / (MIRRORING - DULL)).clamp_(0.0, 1.0)
         # off the surface a single spot may speak for a region: alone that is no metal
         mirroring = float(share[field.sdf.detach().abs() < NEAR * lattice.cell].mean())
-        if not 0.0 < mirroring <= MOST_MIRRORING:
-            return torch.zeros_like(share)
+        if mirroring == 0.0:
+            return torch.zeros_like(share), False
         grid = share.view(lattice.shape)[None]
-        return max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
+        widened = max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
+        return widened, mirroring > MOST_MIRRORING
 
 
 def _at(values: Sampled, lattice: Lattice) -> Tensor:
