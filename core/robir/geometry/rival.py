@@ -81,6 +81,27 @@ class Candidate:
         )
 
 
+class Judge:
+    """What photographs say of the surfaces of fields.
+
+    Args:
+        predictions: Of the photographs, at the size that surfaces are judged at.
+    """
+
+    def __init__(self, predictions: Predictions) -> None:
+        self._predictions = predictions
+
+    def is_mirror(self, field: Field) -> bool:
+        """Whether what is mirrored makes predictions better by more than a standard error."""
+        return self._predictions.mirroring(smooth_surface(field)) > 1.0
+
+    def is_better(self, field: Field, other: Field) -> bool:
+        """Whether photographs predict each other better over a field, what it bends counted."""
+        mesh, than = smooth_surface(field), smooth_surface(other)
+        ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
+        return ahead + BENT * float(np.log(bending(than) / bending(mesh))) > 0
+
+
 class Rival:
     """The other surfaces of a capture, made when they are asked for.
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.capture.capture import Capture
@@ -19,12 +18,11 @@ from robir.geometry.fit.mirror_pits import Mirroring
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
-from robir.geometry.ground.undercut import undercut
 from robir.geometry.hull import object_hull
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.prediction import Predictions
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.rival import Rival, smooth_surface
+from robir.geometry.rival import Judge, Rival
 from robir.maths.vectors import farthest_points
 from robir.steps import Course, Step
 
@@ -93,21 +91,6 @@ GROUND: tuple[Step[Start], ...] = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
-    """What a level's surface tells of the ground.
-
-    Attributes:
-        backdrop: The ground.
-        top: Height of the surface over each column, before the ground is made flat.
-        columns: Which columns are ground.
-    """
-
-    backdrop: Backdrop
-    top: NDArray[np.float64]
-    columns: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """A level of the fit that has ended; steps change its field's distances by `mended`.
 
@@ -119,7 +102,6 @@ class Level:
         mirroring: What was learnt of parts that mirror.
         rival: The surfaces by depth maps and by masks alone.
         backdrop: The ground; None where there is none, or none any more.
-        told: What the surface tells of it; None before that was asked, and where there is none.
         has_ended: Whether the fit goes no further.
         changes: How often something was changed in place.
     """
@@ -131,7 +113,6 @@ class Level:
     mirroring: Mirroring
     rival: Rival
     backdrop: Backdrop | None
-    told: Told | None = None
     has_ended: bool = False
     changes: int = 0
 
@@ -158,31 +139,16 @@ def _fill_mirror_pits(state: Level) -> Level:
     return state.mended(state.mirroring.filled(state.field, state.network))
 
 
-def _tell_ground(state: Level) -> Level:
-    if state.backdrop is None:
-        return state
-    ground = state.backdrop.ground
-    top = ground.heights(state.field.lattice, state.sdf)
-    columns = ground.settled(top, state.backdrop.known)
-    return replace(state, told=Told(backdrop=state.backdrop, top=top, columns=columns))
-
-
 def _flatten_ground(state: Level) -> Level:
     """A ground that turns out to be a bowl is none."""
-    told, lattice = state.told, state.field.lattice
-    if told is None:
+    if state.backdrop is None:
         return state
-    ground = told.backdrop.ground
-    if not ground.is_flat(lattice.cell, told.top, told.columns):
-        return replace(state, backdrop=None, told=None)
-    return state.mended(ground.flatten(lattice, state.sdf, told.columns))
-
-
-def _undercut(state: Level) -> Level:
-    told, lattice = state.told, state.field.lattice
-    if told is None:
-        return state
-    return state.mended(undercut(told.backdrop, told.columns, lattice, state.sdf))
+    ground, lattice = state.backdrop.ground, state.field.lattice
+    top = ground.heights(lattice, state.sdf)
+    columns = ground.settled(top, state.backdrop.known)
+    if not ground.is_flat(lattice.cell, top, columns):
+        return replace(state, backdrop=None)
+    return state.mended(ground.flatten(lattice, state.sdf, columns))
 
 
 def _ask_rivals(state: Level) -> Level:
@@ -203,23 +169,10 @@ LEVEL: tuple[Step[Level], ...] = (
         run=_fill_mirror_pits,
     ),
     Step(
-        name="ground-columns",
-        purpose="tells columns of ground from what stands on it",
-        source="ours: photo-consistency of columns' feet",
-        run=_tell_ground,
-        is_on_trial=False,
-    ),
-    Step(
         name="flat-ground",
-        purpose="makes ground flat",
-        source="ours",
+        purpose="tells columns of ground from what stands on it, and makes ground flat",
+        source="ours: photo-consistency of columns' feet",
         run=_flatten_ground,
-    ),
-    Step(
-        name="undercut",
-        purpose="frees the room below overhangs",
-        source="space carving (Kutulakos and Seitz 2000) from the ground's side",
-        run=_undercut,
     ),
     Step(
         name="rivals",
@@ -276,7 +229,7 @@ class Settling:
         self._mirroring = Mirroring(
             [photo.camera for photo in photos],
             self.begun,
-            lambda field: predictions.mirroring(smooth_surface(field)) > 1.0,
+            Judge(predictions),
         )
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 

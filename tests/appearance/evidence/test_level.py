@@ -15,6 +15,7 @@ from robir.appearance.evidence.level import (
     FACTORS,
     LIMIT,
     MISREAD,
+    TOLD_DIM,
     USUAL,
     expected,
     level_by_highlights,
@@ -90,7 +91,7 @@ def test_the_less_highlights_say_the_less_is_changed(deviation):
     told = -0.5 * ((FACTORS - 1.0) / deviation) ** 2
     # a product of Gaussians, and a dim light that makes paint too bright is out of question
     variance = MISREAD**2 + deviation**2
-    wanted = USUAL**2 / (USUAL**2 + variance)
+    wanted = (1.0 + TOLD_DIM) * USUAL**2 / (USUAL**2 + variance)
     assert expected(misread(told) + usual(albedo)) == pytest.approx(wanted, abs=0.03)
 
 

@@ -62,8 +62,22 @@ def depth(sdf: torch.Tensor, lattice: Lattice) -> float:
     return float(RADIUS - along[inside].max()) / lattice.cell
 
 
-def unasked(field: Field) -> bool:
-    raise AssertionError("little mirrors: nothing is to be proven")
+class Verdict:
+    """Photographs that say what they are told to, and of which surfaces they were asked."""
+
+    def __init__(self, mirrors: bool, prefers_more: bool = False) -> None:
+        self._mirrors, self._prefers_more = mirrors, prefers_more
+        self.asked: list[float] = []
+
+    def is_mirror(self, field: Field) -> bool:
+        """As told; the pit's depth is kept."""
+        self.asked.append(depth(field.sdf, LATTICE))
+        return self._mirrors
+
+    def is_better(self, field: Field, other: Field) -> bool:
+        """As told; of the field of which more is filled."""
+        assert (field.sdf <= other.sdf + 1e-6).all()
+        return self._prefers_more
 
 
 @pytest.fixture
@@ -99,7 +113,9 @@ def test_change_is_the_mean_difference_from_the_median(cameras):
 
 def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), unasked).filled(field, Colours(0.3))
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
+        field, Colours(0.3)
+    )
     assert depth(field.sdf, LATTICE) > 2.5
     assert depth(filled, LATTICE) < 0.75
     assert bool((filled >= torch.minimum(ball(), field.sdf.detach()) - 1e-6).all())
@@ -107,30 +123,35 @@ def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
 
 def test_a_pit_in_paint_stays(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), unasked).filled(field, Colours(0.2 * MIRRORING))
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
+        field, Colours(0.2 * MIRRORING)
+    )
     assert torch.equal(filled, field.sdf.detach())
 
 
 @pytest.mark.parametrize("is_proven", [False, True])
 def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
-    field, asked = pitted(), []
-
-    def is_mirror(filled):
-        asked.append(depth(filled.sdf, LATTICE))
-        return is_proven
-
-    mirroring = Mirroring(cameras, (LATTICE, ball()), is_mirror)
+    field, verdict = pitted(), Verdict(is_proven)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), verdict)
     filled = mirroring.filled(field, Colours(0.3, everywhere=True))
-    assert asked == [pytest.approx(0.0, abs=0.75)], "of the filled surface, once"
+    assert verdict.asked == [pytest.approx(0.0, abs=0.75)], "of the filled surface, once"
     assert depth(filled, LATTICE) < 0.75 if is_proven else torch.equal(filled, field.sdf.detach())
     again = mirroring.filled(field, Colours(0.3, everywhere=True))
-    assert torch.equal(again, filled) and len(asked) == 1
+    assert torch.equal(again, filled) and len(verdict.asked) == 1
+
+
+@pytest.mark.parametrize(("mirrors", "prefers"), [(False, True), (True, False), (True, True)])
+def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefers):
+    field = pitted()
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers))
+    filled = mirroring.filled(field, Colours(0.075, everywhere=True))
+    assert (depth(filled, LATTICE) < 0.75) == (mirrors and prefers)
 
 
 def test_a_finer_level_is_filled_where_the_coarse_one_mirrors(cameras):
     coarse = pitted()
     finer = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.04, shape=(51, 51, 51))
-    mirroring = Mirroring(cameras, (LATTICE, ball()), unasked)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False))
     mirroring.filled(coarse, Colours(0.3))
     field = coarse.refined(finer)
     filled = mirroring.filled(field, Colours(0.0))

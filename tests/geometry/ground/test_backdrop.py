@@ -10,11 +10,12 @@ import trimesh
 
 from robir.geometry.ground.backdrop import BINS, Backdrop, common_colour, ground_palette, hues_held
 from robir.geometry.ground.flatten import Ground
+from robir.geometry.ground.pixel_rays import pixels_of
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo, reduce_view
-from tests.geometry.scenes import capture_of, checker, disc
+from tests.geometry.scenes import camera_at, capture_of, checker, disc
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -122,3 +123,21 @@ def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:
     found = common_colour(colours, palette)
     assert found[0] == pytest.approx([0.5, 0.4, 0.3], abs=0.03)
     assert np.isnan(found[1]).all()
+
+
+def test_a_spot_of_the_ground_is_looked_up_in_every_photograph_that_shows_it() -> None:
+    camera = camera_at(0.3, 0.15, 96)
+    spots = np.column_stack([np.linspace(-0.9, 0.9, 400), np.zeros(400), np.full(400, -0.3)])
+    pixel = pixels_of(camera, spots)
+    # a grazing view shows several spots in a pixel; every spot of the picture has its pixel
+    image, _ = camera.project(spots)
+    held = ((image > 0) & (image < 96)).all(axis=1)
+    assert held.sum() > 300
+    np.testing.assert_array_equal(pixel >= 0, held)
+    rows, columns = pixel[held] // 96, pixel[held] % 96
+    assert np.abs(columns + 0.5 - image[held, 0]).max() <= 0.5
+    assert np.abs(rows + 0.5 - image[held, 1]).max() <= 0.5
+    coarse = pixels_of(camera, spots, 2)[held]
+    assert (coarse // 96 % 2 == 0).all() and (coarse % 2 == 0).all()
+    behind = 2.0 * camera.position[None]
+    assert pixels_of(camera, behind)[0] == -1

@@ -11,7 +11,7 @@ starts from the filled surface, with a network that knows reflections.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -40,6 +40,10 @@ DULL, MIRRORING = 0.042, 0.05
 """Mean change of display colour with the direction, over a region of the coarsest level, up to
 which nothing is filled and from which hollows are filled at full speed: more than glossy paint
 shows, less than metal."""
+
+PROVEN = 0.018, 0.026
+"""The same where photographs prove that something is mirrored: less than glossy paint shows. What
+is filled by it must let them predict each other better."""
 
 MOST_MIRRORING = 0.25
 """Share of the surface above which another light in some photographs, or cameras that are off, may
@@ -88,6 +92,30 @@ def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]
     return total / count.clamp(min=1e-6)
 
 
+class Judge(Protocol):
+    """What photographs say of surfaces."""
+
+    def is_mirror(self, field: Field) -> bool:
+        """Whether they prove that the surface of a field mirrors."""
+        ...
+
+    def is_better(self, field: Field, other: Field) -> bool:
+        """Whether the first field explains them better than the other."""
+        ...
+
+
+class _Tried(NamedTuple):
+    """Distances filled where nodes' surroundings mirror.
+
+    Attributes:
+        share: (N,) how fast, in [0, 1].
+        values: (N,) signed distances.
+    """
+
+    share: Tensor
+    values: Tensor
+
+
 class Mirroring:
     """Where a surface mirrors, as the coarsest level has learnt it, and what fills it.
 
@@ -96,15 +124,13 @@ class Mirroring:
     Args:
         cameras: From where it may be looked at.
         hull: What bounds the surface, signed distances on their lattice.
-        is_mirror: Tells of a filled field whether photographs prove that its surface mirrors.
+        judge: Tells by photographs whether a surface mirrors, and which one is better.
     """
 
-    def __init__(
-        self, cameras: list[Camera], hull: Sampled, is_mirror: Callable[[Field], bool]
-    ) -> None:
+    def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:
         positions = np.stack([camera.position for camera in cameras])
         self._cameras = [cameras[k] for k in farthest_points(positions, MOST_VIEWS)]
-        self._hull, self._is_mirror = hull, is_mirror
+        self._hull, self._judge = hull, judge
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
@@ -117,15 +143,31 @@ class Mirroring:
         Returns:
             The new signed distances (N,).
         """
-        if self._learnt is not None:
-            return self._filled(field, _at(self._learnt, field.lattice))
         lattice = field.lattice
-        share, is_common = self._share(field, network)
-        filled = self._filled(field, share.view(lattice.shape))
-        if is_common and not self._is_mirror(Field(lattice, filled, 1)):
-            share, filled = torch.zeros_like(share), field.sdf.detach()
-        self._learnt = Sampled(lattice, share)
-        return filled
+        if self._learnt is not None:
+            return self._filled(field, _at(self._learnt, lattice))
+        change = change_with_view(field, network, self._cameras)
+        share, more = _mirrors(change, DULL, MIRRORING), _mirrors(change, *PROVEN)
+        tried = self._tried(field, share)
+        if _common(field, more) > 0.0:
+            mirror = Field(lattice, tried.values, 1)
+            if self._judge.is_mirror(mirror):
+                further = self._tried(field, more)
+                if self._judge.is_better(Field(lattice, further.values, 1), mirror):
+                    tried = further
+            elif _common(field, share) > MOST_MIRRORING:
+                tried = self._tried(field, torch.zeros_like(share))
+        self._learnt = Sampled(lattice, tried.share)
+        return tried.values
+
+    def _tried(self, field: Field, share: Tensor) -> _Tried:
+        """Fill where the surroundings (N,) of nodes mirror."""
+        # off the surface a single spot may speak for a region: alone that is no metal
+        if _common(field, share) == 0.0:
+            return _Tried(torch.zeros_like(share), field.sdf.detach())
+        grid = share.view(field.lattice.shape)[None]
+        share = max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
+        return _Tried(share, self._filled(field, share.view(field.lattice.shape)))
 
     def _filled(self, field: Field, share: Tensor) -> Tensor:
         """Signed distances (N,) with hollows filled at the speed `share` (X, Y, Z) in [0, 1]."""
@@ -143,18 +185,15 @@ class Mirroring:
             part.copy_(torch.maximum(part + share * step, least))
         return sdf.view(-1)
 
-    def _share(self, field: Field, network: ColourNetwork) -> tuple[Tensor, bool]:
-        """How far every node's surroundings mirror, (N,) in [0, 1], and whether most do."""
-        lattice = field.lattice
-        change = change_with_view(field, network, self._cameras)
-        share = ((change - DULL) / (MIRRORING - DULL)).clamp_(0.0, 1.0)
-        # off the surface a single spot may speak for a region: alone that is no metal
-        mirroring = float(share[field.sdf.detach().abs() < NEAR * lattice.cell].mean())
-        if mirroring == 0.0:
-            return torch.zeros_like(share), False
-        grid = share.view(lattice.shape)[None]
-        widened = max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
-        return widened, mirroring > MOST_MIRRORING
+
+def _mirrors(change: Tensor, low: float, high: float) -> Tensor:
+    """How far regions mirror, (N,) in [0, 1], whose colours change so much with the view."""
+    return ((change - low) / (high - low)).clamp_(0.0, 1.0)
+
+
+def _common(field: Field, share: Tensor) -> float:
+    """Mean share of the surface that mirrors."""
+    return float(share[field.sdf.detach().abs() < NEAR * field.lattice.cell].mean())
 
 
 def _at(values: Sampled, lattice: Lattice) -> Tensor:
