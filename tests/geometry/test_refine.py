@@ -32,7 +32,7 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.rival import BENT, FIELD, HULL, STEREO, Rival, bending, refined
+from robir.geometry.rival import BENT, FIELD, HULL, STEREO, Judge, Rival, bending, refined
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
@@ -276,3 +276,13 @@ def test_how_much_a_sphere_and_a_box_bend():
 def test_settings_it_cannot_work_with_are_refused(wrong):
     with pytest.raises(ConfigError, match=rf"geometry\.refine\.{next(iter(wrong))}"):
         RefineConfig(**wrong)
+
+
+def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
+    lattice, radius = lattice_and_radius()
+    true, dented = (
+        Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
+    )
+    judge = Judge(Predictions(photos))
+    assert judge.is_better(true, dented) and not judge.is_better(dented, true)
+    assert not judge.is_mirror(true)

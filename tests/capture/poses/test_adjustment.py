@@ -93,7 +93,7 @@ def test_shaken_cameras_come_back(bundle, rng):
     # a tenth of what was found stands for another point
     wrong = rng.random(len(tracks.view)) < 0.1
     tracks.pixels[wrong] += 40 * rng.standard_normal((int(wrong.sum()), 2))
-    start = shaken(bundle, rng)
+    start = replace(shaken(bundle, rng), zoom=0.0)  # as if it had been given so
     assert np.median(start.errors(tracks, start.triangulated(tracks))) > 1.0
     found, _ = adjusted(start, tracks, start.triangulated(tracks), 60, moves_cameras=True)
     found = found.aligned(bundle)
@@ -101,6 +101,27 @@ def test_shaken_cameras_come_back(bundle, rng):
     np.testing.assert_allclose(found.focal, bundle.focal, rtol=2e-3)
     turn = Rotation.from_matrix(found.rotations @ bundle.rotations.transpose(0, 2, 1))
     assert turn.magnitude().max() < 1e-3
+
+
+def test_points_that_do_not_tell_a_focal_length_leave_it_as_given(rng):
+    """Of a flat, small thing from one height, focal length and distance are all but the same."""
+    cameras = scene.cameras(VIEWS, (800, 600))
+    far = [
+        replace(c, fx=8 * c.fx, fy=8 * c.fy, camera_to_world=_further(c.camera_to_world, 8.0))
+        for c in cameras
+    ]
+    bundle = Bundle.of(far)
+    points = 0.1 * rng.standard_normal((40, 3)) * [1.0, 1.0, 0.05]
+    tracks = tracks_of(bundle, points, rng, noise=0.5)
+    found, _ = adjusted(bundle, tracks, bundle.triangulated(tracks), 60, moves_cameras=True)
+    assert found.zoom == pytest.approx(np.log(found.focal[0, 0] / bundle.focal[0, 0]), abs=1e-9)
+    assert abs(found.zoom) < 0.03
+
+
+def _further(pose: np.ndarray, factor: float) -> np.ndarray:
+    moved = pose.copy()
+    moved[:3, 3] *= factor
+    return moved
 
 
 def test_a_moved_frame_is_moved_back(bundle, rng):

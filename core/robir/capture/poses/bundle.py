@@ -29,6 +29,10 @@ DAMPING, MOST_DAMPING = 1e-3, 1e6
 ENOUGH = 1e-5
 """Share of the sum by which a step must lower it to be followed by another."""
 
+ZOOM_SPREAD = 0.03
+"""Deviation of `zoom` in cameras that are a few pixels off, in units of a pixel's error: points of
+one thing hardly tell a focal length from a distance."""
+
 FLIP = np.array([1.0, -1.0])
 """Rows of a picture count downwards, a camera's y axis points up."""
 
@@ -70,12 +74,14 @@ class Bundle:
         centres: (V, 3) world.
         focal: (V, 2) pixels.
         principal: (V, 2) pixels.
+        zoom: Logarithm of the factor that focal lengths were multiplied by since they were given.
     """
 
     rotations: Array
     centres: Array
     focal: Array
     principal: Array
+    zoom: float = 0.0
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Bundle:
@@ -100,6 +106,7 @@ class Bundle:
             rotations=Rotation.from_rotvec(turn).as_matrix() @ self.rotations,
             centres=self.centres + shift,
             focal=self.focal * np.exp(step[-1]),
+            zoom=self.zoom + float(step[-1]),
         )
 
     def aligned(self, other: Bundle) -> Bundle:
@@ -225,6 +232,8 @@ class _Equations:
             a = sparse(by_camera, cameras_at, width)
             self._square = (a.T @ a).toarray()
             self._right_cameras = -(a.T @ right)
+            self._square[-1, -1] += ZOOM_SPREAD**-2
+            self._right_cameras[-1] -= bundle.zoom * ZOOM_SPREAD**-2
             self._mixed = (a.T @ b).tocsr()
 
     def step(self, damping: float) -> tuple[Array, Array]:
@@ -270,4 +279,5 @@ def _away(local: Array) -> Array:
 
 
 def _cost(bundle: Bundle, tracks: Tracks, points: Array) -> float:
-    return float(np.log1p((bundle.offsets(tracks, points) ** 2).sum(1)).sum())
+    errors = np.log1p((bundle.offsets(tracks, points) ** 2).sum(1)).sum()
+    return float(errors) + (bundle.zoom / ZOOM_SPREAD) ** 2
