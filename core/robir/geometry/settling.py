@@ -29,6 +29,12 @@ from robir.steps import Course, Step
 GROUND_SIDE = 200
 """Longer side of the photographs that tell the ground, pixels."""
 
+NEARLY = 4.0
+"""Cells from the plane within which a surface may be ground that the fit left bumpy."""
+
+MORE = 1.1
+"""Times as many columns as are ground for certain from which that is asked."""
+
 EVENING: tuple[Step[Capture], ...] = (
     Step(
         name="even-brightness",
@@ -100,6 +106,7 @@ class Level:
         sampler: Source of rays.
         hull: Lattice and signed distances of the visual hull.
         mirroring: What was learnt of parts that mirror.
+        judge: What photographs say of surfaces.
         rival: The surfaces by depth maps and by masks alone.
         backdrop: The ground; None where there is none, or none any more.
         has_ended: Whether the fit goes no further.
@@ -111,6 +118,7 @@ class Level:
     sampler: RaySampler
     hull: Sampled
     mirroring: Mirroring
+    judge: Judge
     rival: Rival
     backdrop: Backdrop | None
     has_ended: bool = False
@@ -148,7 +156,14 @@ def _flatten_ground(state: Level) -> Level:
     columns = ground.settled(top, state.backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
-    return state.mended(ground.flatten(lattice, state.sdf, columns))
+    flat = ground.flatten(lattice, state.sdf, columns)
+    nearly = ground.nearly(top, columns, NEARLY * lattice.cell)
+    if nearly.sum() > MORE * columns.sum():
+        # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
+        flatter = ground.flatten(lattice, state.sdf, nearly)
+        if state.judge.is_better(Field(lattice, flatter, 1), Field(lattice, flat, 1)):
+            flat = flatter
+    return state.mended(flat)
 
 
 def _ask_rivals(state: Level) -> Level:
@@ -226,11 +241,8 @@ class Settling:
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
         predictions = Predictions(photos)
-        self._mirroring = Mirroring(
-            [photo.camera for photo in photos],
-            self.begun,
-            Judge(predictions),
-        )
+        self._judge = Judge(predictions)
+        self._mirroring = Mirroring([photo.camera for photo in photos], self.begun, self._judge)
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
@@ -241,6 +253,7 @@ class Settling:
             sampler=self.sampler,
             hull=Sampled(self.begun.lattice, self._hull),
             mirroring=self._mirroring,
+            judge=self._judge,
             rival=self.rival,
             backdrop=self.backdrop,
         )

@@ -4,13 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from unittest.mock import Mock
 
 import numpy as np
+import pytest
 import torch
 import trimesh
 
+from robir.geometry.fit.field import Field
 from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.flatten import HIGHEST
+from robir.geometry.ground.flatten import HIGHEST, Ground
+from robir.geometry.lattice import Sampled
+from robir.geometry.settling import LEVEL, Level
 from tests.geometry.scenes import disc, drum, ground_of
 
 TOP = -0.3
@@ -120,3 +125,31 @@ def test_a_pit_below_a_table_is_filled() -> None:
     assert hole.sum() >= 8
     assert (before[hole] > 0).all()
     assert (after[hole] < 0).all()
+
+
+@pytest.mark.parametrize("is_better", [False, True])
+def test_bumpy_ground_is_made_flat_where_that_is_judged_better(monkeypatch, is_better):
+    ground, photos, lattice, hull = ground_of(disc(), pale)
+    nodes = lattice.nodes().double().numpy()
+    radius, height = np.hypot(*nodes.T[:2]), nodes[:, 2] - TOP
+    waves = 1.5 * lattice.cell * (1.0 + np.cos(12.0 * nodes[:, 0]))
+    surface = np.maximum(np.maximum(height - waves, -height - 0.1), radius - 0.9)
+    # photographs that tell nothing of the ground but its rim
+    monkeypatch.setattr(Ground, "settled", lambda self, top, known: self.joined(self.start & False))
+    judge = Mock(is_better=Mock(return_value=is_better))
+    state = Level(
+        field=Field(lattice, torch.from_numpy(surface).float(), 1),
+        network=Mock(),
+        sampler=Mock(),
+        hull=Sampled(lattice, hull),
+        mirroring=Mock(),
+        judge=judge,
+        rival=Mock(),
+        backdrop=Backdrop(ground, photos),
+    )
+    step = next(step for step in LEVEL if step.name == "flat-ground")
+    after = step.run(state).sdf.numpy()
+    bump = (surface < 0) & (height > 0.6 * lattice.cell) & (radius < 0.7)
+    assert bump.sum() > 100
+    judge.is_better.assert_called_once()
+    assert ((after[bump] > 0).mean() > 0.95) == is_better

@@ -115,6 +115,16 @@ class Ground:
         agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
         return self._spread((self.start & known & low) | flat | agree)
 
+    def nearly(self, top: Array, settled: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
+        """Columns that are ground if what is no further than `height` from the plane is.
+
+        Args:
+            top: Height of the surface over each column.
+            settled: Result of `settled` for it.
+            height: Unit frame.
+        """
+        return self._spread(settled | (self.columns.inside & (np.abs(top) < height)))
+
     def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.
 
