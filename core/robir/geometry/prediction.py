@@ -111,10 +111,10 @@ class Predictions:
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
         maps = self._maps(tracer, list(spots.values()))
-        return (
-            [self._judged(tracer, own, spots[own], nothing_mirrored()) for own in spots],
-            [self._judged(tracer, own, spots[own], maps[own]) for own in spots],
-        )
+        pairs = [
+            self._judged(tracer, own, spots[own], (nothing_mirrored(), maps[own])) for own in spots
+        ]
+        return [without for without, _ in pairs], [told for _, told in pairs]
 
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
         camera = self._cameras[own]
@@ -147,25 +147,33 @@ class Predictions:
         return maps
 
     def _judged(
-        self, tracer: EmbreeTracer, own: int, spots: _Spots, mirrored: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """Errors of one judge, by what the others show and by a map of what is mirrored."""
+        self,
+        tracer: EmbreeTracer,
+        own: int,
+        spots: _Spots,
+        maps: tuple[NDArray[np.floating], ...],
+    ) -> list[NDArray[np.float32]]:
+        """Errors of one judge by what the others show, for each map of what is mirrored."""
         layers = self._layers[own].numpy()
-        total, weight = np.zeros((len(spots.points), 3)), np.zeros((len(spots.points), 1))
+        totals = [np.zeros((len(spots.points), 3)) for _ in maps]
+        weight = np.zeros((len(spots.points), 1))
         for other in self._nearest[own]:
             colours, seen, cells = self._shown(tracer, other, spots.points, spots.normals)
-            total += seen[:, None] * (colours - mirrored[cells])
+            for total, mirrored in zip(totals, maps, strict=True):
+                total += seen[:, None] * (colours - mirrored[cells])
             weight += seen[:, None]
-        towards = _unit(self._cameras[own].position - spots.points)
-        predicted = total / np.maximum(weight, 1e-6)
-        predicted += mirrored[mirrored_cells(spots.normals, towards)]
+        cells = mirrored_cells(spots.normals, _unit(self._cameras[own].position - spots.points))
         display = layers[spots.rows, spots.columns, :3]
         inner = _within(layers[..., 3] > WHOLE)[spots.rows, spots.columns]
         blind = ((display - display.mean(0)) ** 2).mean(1)
-        result = np.where(inner, blind, np.nan).astype(np.float32)
-        error = ((predicted - display[spots.met]) ** 2).mean(1)
-        result[spots.met] = np.where(weight[:, 0] > 0, error, np.nan)
-        return result
+        results = []
+        for total, mirrored in zip(totals, maps, strict=True):
+            predicted = total / np.maximum(weight, 1e-6) + mirrored[cells]
+            error = ((predicted - display[spots.met]) ** 2).mean(1)
+            result = np.where(inner, blind, np.nan).astype(np.float32)
+            result[spots.met] = np.where(weight[:, 0] > 0, error, np.nan)
+            results.append(result)
+        return results
 
     def _shown(
         self,

@@ -49,6 +49,11 @@ FACE_PIXELS = 2.0
 """Pixels of a photograph a face: two faces a vertex, and a vertex every other row and column."""
 
 
+def weighed(ahead: float, more: float) -> float:
+    """A surface's lead over another that bends `more` times as much, in standard errors."""
+    return ahead + BENT * float(np.log(more))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A surface that may take the place of the fit.
@@ -70,7 +75,7 @@ class Candidate:
     @property
     def lead(self) -> float:
         """Over the fit, in standard errors."""
-        return self.ahead + BENT * float(np.log(self.more))
+        return weighed(self.ahead, self.more)
 
     @property
     def words(self) -> str:
@@ -99,7 +104,7 @@ class Judge:
         """Whether photographs predict each other better over a field, what it bends counted."""
         mesh, than = smooth_surface(field), smooth_surface(other)
         ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
-        return ahead + BENT * float(np.log(bending(than) / bending(mesh))) > 0
+        return weighed(ahead, bending(than) / bending(mesh)) > 0
 
 
 class Rival:
