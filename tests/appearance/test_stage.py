@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole stage on a ball of which two photographs were taken in another light."""
+"""The whole stage on a ball with a spot of known paint, two photographs in another light."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ CONFIG = AppearanceConfig(
     texture_size=64,
 )
 
+PAINT = (0.5, 0.25, 0.125)
+"""Albedo of one spot, as a user tells it."""
+
 DARK = ("view_003", "view_004")
 
 
@@ -48,6 +51,7 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     mesh = unwrap(plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces)), 20.0, print)
     paths.stage("geometry").mkdir(parents=True)
     mesh.save(paths.stage("geometry") / "mesh.npz")
+    spot = mesh.uvs[mesh.uv_faces].mean(1)[np.argmax(mesh.vertices[mesh.faces].mean(1)[:, 2])]
     paths.stage("transport").mkdir(parents=True)
     sizes = TransportConfig(num_surfels=1500, num_directions=64)
     bake(mesh, capture.train, sizes, seed=0, device="cpu").save(paths.stage("transport"))
@@ -63,7 +67,7 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     stage.run(
         StageContext(
             paths=paths,
-            config=CONFIG,
+            config=replace(CONFIG, white_point=(*map(float, spot), *PAINT)),
             source=tmp_path,
             masks=None,
             seed=0,
@@ -74,4 +78,9 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     told = json.loads((paths.stage("appearance") / "exposure.json").read_text())
     assert set(told["other_light"]) == set(DARK)
     assert len(read) >= 15 and not set(read) & set(DARK)
-    assert (paths.stage("appearance") / "textures.npz").is_file()
+    with np.load(paths.stage("appearance") / "textures.npz") as textures:
+        side = len(textures["inside"])
+        rows, columns = np.indices((side, side)) + 0.5
+        near = np.hypot(rows - (1 - spot[1]) * side, columns - spot[0] * side) <= 1.5
+        about = textures["albedo_linear"][near & textures["inside"]]
+        assert about.mean(0) == pytest.approx(PAINT, rel=1e-3)

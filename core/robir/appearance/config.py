@@ -31,6 +31,10 @@ class AppearanceConfig:
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.
         texture_size: Largest side of the textures, texels: they are as fine as the photographs
             resolve, a multiple of `shading_size` by a power of two.
+        white_point: What the user knows of one spot's paint: its u and v on the texture (v upwards),
+            then its true albedo, linear Rec.709; empty if nothing. It settles how bright and of
+            which hue light and albedo are, which photographs leave open.
+        sun: Direction towards the sun, capture frame, if the user knows it, else empty.
         without: Names of steps that are left out, to see what they are worth.
     """
 
@@ -44,6 +48,8 @@ class AppearanceConfig:
     num_materials: int = 40
     shading_size: int = 512
     texture_size: int = 2048
+    white_point: tuple[float, ...] = ()
+    sun: tuple[float, ...] = ()
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -68,7 +74,23 @@ class AppearanceConfig:
                 raise ConfigError(
                     f"appearance.{name} is {getattr(self, name)}; it must be at least {low}"
                 )
+        if self.white_point and not _is_white_point(self.white_point):
+            raise ConfigError(
+                f"appearance.white_point is {list(self.white_point)}; it must be u and v of a texel, "
+                "0 to 1, and its albedo red, green and blue, above 0 and at most 1"
+            )
+        if self.sun and (len(self.sun) != 3 or not any(self.sun) or self.num_sharp_lobes < 1):
+            raise ConfigError(
+                f"appearance.sun is {list(self.sun)}; it must be a direction x, y, z towards the sun, "
+                "and appearance.num_sharp_lobes at least 1"
+            )
         if self.parsimony_weight < 0:
             raise ConfigError(
                 f"appearance.parsimony_weight is {self.parsimony_weight}; it must not be negative"
             )
+
+
+def _is_white_point(values: tuple[float, ...]) -> bool:
+    """Whether these are a texel and an albedo."""
+    texel, albedo = values[:2], values[2:]
+    return len(albedo) == 3 and all(0 <= v <= 1 for v in texel) and all(0 < v <= 1 for v in albedo)

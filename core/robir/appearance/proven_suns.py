@@ -41,7 +41,7 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
         course: Of the stage's steps.
     """
     number = len(solution.light.axes)
-    if not tone.scene.by_camera or not number:
+    if not tone.scene.by_camera or not number or tone.scene.sun is not None:
         return solution
     config, problem = solution.config, tone.candidates[0].problem
     sky = fit(problem, *no_suns(), config.iterations)

@@ -13,10 +13,11 @@ from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
 from robir.jobs.choice import Choice
 
-GREY, BY_MEAN, BY_HIGHLIGHTS = (
+GREY, BY_ALL, BY_HIGHLIGHTS, BY_PAINT = (
     "grey as a whole",
-    "by the mean albedo of common scenes",
+    "by all that tells it",
     "as of the highlights",
+    "by the paint that you know",
 )
 
 
@@ -29,6 +30,8 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
         seconds: Processor time by task: "tone_curve", "light".
     """
     candidates, evidence = tone.candidates, tone.evidence
+    is_known = tone.scene.known_paint is not None
+    told = BY_PAINT if is_known else BY_HIGHLIGHTS
     reason = {
         True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
         False: "bright pixels thin out towards code 255: the curve rolls off",
@@ -57,17 +60,17 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
         ),
         Choice(
             choice="hue of the light",
-            chosen=GREY if light.told is None else BY_HIGHLIGHTS,
-            alternatives=(BY_HIGHLIGHTS if light.told is None else GREY,),
+            chosen=told if is_known or light.told is not None else GREY,
+            alternatives=(GREY if light.told is not None else told,),
             why="highlights on paint have the colour of the light; where too few show, nothing "
-            "tells it from the colour of all albedos",
+            "tells it from the colour of all albedos, but paint that you know",
         ),
         Choice(
             choice="brightness of the light",
-            chosen=BY_MEAN if light.level is None else BY_HIGHLIGHTS,
-            alternatives=(BY_HIGHLIGHTS if light.level is None else BY_MEAN,),
-            why="paint returns 4% of a light as a highlight, however bright it is itself; where "
-            "these do not tell, the mean albedo is taken to be that of common scenes",
+            chosen=BY_PAINT if is_known else BY_ALL,
+            alternatives=(BY_ALL if is_known else BY_PAINT,),
+            why="paint returns 4% of a light as a highlight, however bright it is itself; how "
+            "bright paints and exposures commonly are tells as well",
         ),
     )
 

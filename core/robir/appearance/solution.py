@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.hue import hue_by_highlights
-from robir.appearance.evidence.level import level_by_highlights
+from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
+from robir.appearance.evidence.white_point import sent_by_paint
+from robir.appearance.evidence.witness import Witness
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, polish, refit
 from robir.appearance.material.gloss import Gloss, estimate_gloss
@@ -42,6 +44,7 @@ class Solution:
         config: Sizes.
         seed: Of sub-samples and clusters.
         choices: What was chosen, for the report.
+        witnesses: What evidence tells of the light, for the report.
     """
 
     problem: Problem
@@ -52,6 +55,7 @@ class Solution:
     gloss: Gloss | None = None
     paint: NDArray[np.bool_] | None = None
     choices: tuple[Choice, ...] = field(default=(), compare=False)
+    witnesses: tuple[Witness, ...] = field(default=(), compare=False)
 
     @property
     def material(self) -> Gloss:
@@ -129,10 +133,20 @@ def _hue(state: Solution) -> Solution:
 
 
 def _level(state: Solution) -> Solution:
-    level = level_by_highlights(state.problem, state.light, state.material, state.seed)
-    if level is None:
+    told = told_level(state.problem, state.light, state.material, state.seed)
+    if not told:
         return state
-    return replace(state, light=replace(state.light, level=level))
+    light = replace(state.light, level=told[-1].value)
+    return replace(state, light=light, witnesses=(*state.witnesses, *told))
+
+
+def _white_point(state: Solution) -> Solution:
+    known = state.problem.scene.known_paint
+    if known is None:
+        return state
+    sent = sent_by_paint(state.matte, state.light, known)
+    level = float(sent.mean())
+    return replace(state, light=replace(state.light, told=sent - level, level=level))
 
 
 def _turned_sides(state: Solution) -> Solution:
@@ -207,10 +221,17 @@ SOLUTION: tuple[Step[Solution], ...] = (
         run=_hue,
     ),
     Step(
-        name="level-by-highlights",
-        purpose="takes the light's level from what paint reflects of it",
-        source="ours: Fresnel reflectance of .04 at normal incidence",
+        name="level",
+        purpose="takes the light's level from highlights, common paints and common exposures",
+        source="ours: Bayes' rule; Fresnel reflectance of .04 at normal incidence",
         run=_level,
+    ),
+    Step(
+        name="white-point",
+        purpose="takes level and hue from paint that the user knows, where one is told",
+        source="calibration by a known patch, as of a colour checker",
+        run=_white_point,
+        is_on_trial=False,
     ),
     Step(
         name="turned-sides",

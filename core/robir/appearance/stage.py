@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.light.known_paint import KnownPaint
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, make_scene
 from robir.appearance.light.solver import Light
@@ -43,7 +44,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 74
+REVISION = 75
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -96,7 +97,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         (config.num_solve_surfels, config.num_soft_lobes),
         np.random.default_rng(context.seed),
     )
-    scene = replace(scene, exposures=compared.exposures, by_camera=lit.by_camera)
+    scene = replace(
+        scene,
+        exposures=compared.exposures,
+        by_camera=lit.by_camera,
+        known_paint=KnownPaint.of(mesh, config.white_point),
+        sun=_direction(config.sun),
+    )
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)
@@ -110,7 +117,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     texture = textured(
         (problem, light, gloss), (lit.mesh, tracer), capture.without(other), config, course
     )
-    inside, values, normals = texture.inside, texture.values, texture.normals
+    light, inside, values, normals = texture.light, texture.inside, texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
     surface = Painted(replace(mesh, normals=normals), tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
@@ -127,6 +134,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
+    write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
     write_json(context.paths.idle_steps("appearance"), course.idle(STEPS))
     return {
         "tone_curve": tone.candidates[0].curve.name,
@@ -134,6 +142,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _direction(vector: tuple[float, ...]) -> np.ndarray | None:
+    """Unit vector (3,) of a setting; None of an empty one."""
+    if not vector:
+        return None
+    return (np.asarray(vector) / np.linalg.norm(vector)).astype(np.float32)
 
 
 def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, AbstractTracer]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
@@ -149,6 +150,19 @@ def _refine_detail(state: Texture) -> Texture:
     return replace(state, inside=inside, values=values)
 
 
+def _hold_to_known_paint(state: Texture) -> Texture:
+    known = state.problem.scene.known_paint
+    if known is None:
+        return state
+    off = known.off(state.values.albedo[known.texels(state.inside)])
+    values = replace(
+        state.values,
+        albedo=state.values.albedo * np.exp(-off),
+        read=state.values.read * np.exp(-off),
+    )
+    return replace(state, values=values, light=state.light.tinted(torch.from_numpy(off)))
+
+
 TEXTURE: tuple[Step[Texture], ...] = (
     Step(
         name="shading-normals",
@@ -167,6 +181,13 @@ TEXTURE: tuple[Step[Texture], ...] = (
         purpose="adds what the sharpest photographs show finer than the solved texels",
         source="multi-band blending (Burt and Adelson 1983; Allene et al. 2008)",
         run=_refine_detail,
+    ),
+    Step(
+        name="known-paint",
+        purpose="makes a spot whose paint the user knows exactly that, and the light as much dimmer",
+        source="calibration by a known patch, as of a colour checker",
+        run=_hold_to_known_paint,
+        is_on_trial=False,
     ),
 )
 """What is done to the texels once their albedo was read, in this order."""

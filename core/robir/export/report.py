@@ -84,6 +84,7 @@ class Products:
         light: Recovered light.
         tone_curve: Contents of export/tone_curve.json.
         choices: Contents of the choices.json of geometry and appearance.
+        evidence: Contents of the evidence.json of appearance.
         exposure: Contents of the appearance stage's exposure.json.
         rendering: Blender's part.
         seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.
@@ -95,6 +96,7 @@ class Products:
     light: RecoveredLight
     tone_curve: dict[str, Any]
     choices: list[dict[str, Any]]
+    evidence: list[dict[str, Any]]
     exposure: dict[str, Any]
     rendering: Rendering
     seconds: Callable[[], dict[str, float]]
@@ -271,6 +273,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "cycles": cycles,
         "tone_curve": curve,
         "choices": {choice["choice"]: choice for choice in products.choices},
+        "light_level": light_level(products.evidence),
         "exposure": exposure_summary(products.exposure),
         "light": _light_summary(products.light),
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
@@ -316,6 +319,27 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
         "corner_steps": round(exposure["corner_steps"], 3),
         "views": views,
     }
+
+
+def light_level(evidence: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What tells how bright the light is, for report.json.
+
+    Args:
+        evidence: Contents of the appearance stage's evidence.json.
+
+    Returns:
+        A row a witness, all together last, or none where nothing is told: "by"; "times", the light
+        that it tells over that of all together; "within", the factor of one standard deviation.
+    """
+    rows = [row for row in evidence if row["of"] == "level"]
+    return [
+        {
+            "by": row["by"],
+            "times": round(float(np.exp(row["value"] - rows[-1]["value"])), 3),
+            "within": round(float(np.exp(row["deviation"])), 3),
+        }
+        for row in rows
+    ]
 
 
 def _light_summary(light: RecoveredLight) -> dict[str, Any]:

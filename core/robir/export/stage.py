@@ -27,7 +27,7 @@ from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import NUMBERS
 from robir.transport.observe import spread_views
 
-REVISION = 11
+REVISION = 12
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -45,6 +45,7 @@ _CHOICES = [{
     "choice": str, "chosen": (str, float), "alternatives": [(str, float)], "why": str,
     "held_out_error": (None, float), "cost_seconds": (None, float),
 }]  # fmt: skip
+_EVIDENCE = [{"of": str, "by": str, "value": float, "deviation": float}]
 
 
 def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
@@ -86,6 +87,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             light=light,
             tone_curve=tone_curve,
             choices=_choices(paths),
+            evidence=_evidence(paths),
             exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
@@ -104,6 +106,12 @@ def _choices(paths: JobPaths) -> list[dict[str, Any]]:
     """Rows of the report's table; not every method chooses its surface."""
     files = [paths.stage(stage) / "choices.json" for stage in ("geometry", "appearance")]
     return [row for file in files if file.is_file() for row in stored_facts(file, _CHOICES)]
+
+
+def _evidence(paths: JobPaths) -> list[dict[str, Any]]:
+    """What tells of the light; not every method says it."""
+    file = paths.stage("appearance") / "evidence.json"
+    return stored_facts(file, _EVIDENCE) if file.is_file() else []
 
 
 def asset_name(capture: Capture) -> str:

@@ -12,17 +12,17 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import (
+    EXPOSURE,
     FACTORS,
     LIMIT,
     MISREAD,
-    TOLD_DIM,
-    USUAL,
-    expected,
-    level_by_highlights,
+    PAINT,
     misread,
-    usual,
+    told_level,
+    usual_exposure,
+    usual_paint,
 )
-from robir.appearance.light.lobes import MEAN_ALBEDO, log_sent
+from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
 from robir.appearance.material.gloss import estimate_gloss
@@ -46,53 +46,75 @@ def level_of(problem, light):
     return float(log_sent(light.irradiance(problem, rows), problem.indirect[rows]).mean())
 
 
+def witnesses_of(problem, light, gloss):
+    """What each tells, by its name."""
+    return {told.by: told for told in told_level(problem, light, gloss, 0)}
+
+
 @pytest.mark.parametrize("wrong", [-1.2, -0.4, 0.0, 0.4, 1.2])
 def test_highlights_tell_the_brightness(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.full((3,), wrong))
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
-    told = level_by_highlights(problem, supposed, gloss, 0)
-    assert told is not None
-    assert told == pytest.approx(level_of(problem, light), abs=0.2)
+    told = witnesses_of(problem, supposed, gloss)["highlights"]
+    assert told.value == pytest.approx(level_of(problem, light), abs=0.2)
+    assert told.deviation >= 0.9 * MISREAD
 
 
-def test_without_a_specular_layer_no_dimmer_light_is_told(ball):
+def test_what_all_tell_is_the_same_wherever_one_starts(ball):
     problem, light = ball
-    for wrong in (-0.8, 0.8):
+    told = []
+    for wrong in (-0.8, 0.0, 0.8):
         supposed = light.tinted(torch.full((3,), wrong))
         gloss = replace(estimate_gloss(problem, supposed, 2, 0)[0], has_highlights=False)
-        told = level_by_highlights(problem, supposed, gloss, 0)
-        wanted = max(level_of(problem, light), level_of(problem, supposed))
-        assert told == pytest.approx(wanted, abs=0.2)
+        told.append(witnesses_of(problem, supposed, gloss)["all"].value)
+    assert np.ptp(told) < 0.1
 
 
 def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    assert level_by_highlights(problem, light, all_metal, 0) is None
+    assert told_level(problem, light, all_metal, 0) == ()
 
 
-def test_without_evidence_paints_are_common_ones():
-    shares = np.array([0.05, 0.1, MEAN_ALBEDO, 1.5])
-    told = [expected(usual(np.log(np.full((1000, 3), share)))) for share in shares]
-    assert (np.diff(told) > 0).all()
-    assert told[0] < -1
+def test_what_shows_no_highlights_tells_by_what_is_common_alone(ball):
+    problem, light = ball
+    gloss = replace(estimate_gloss(problem, light, 2, 0)[0], has_highlights=False)
+    assert list(witnesses_of(problem, light, gloss)) == ["common paints", "exposure", "all"]
+
+
+def mean_of(log_likely):
+    """Mean log factor."""
+    likely = np.exp(log_likely - log_likely.max())
+    return float(likely @ FACTORS / likely.sum())
+
+
+def test_without_other_evidence_paints_are_common_ones():
+    common = np.exp(PAINT[0])
+    shares = np.array([0.6 * common, common, 3 * common])
+    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)))) for share in shares]
+    assert told == pytest.approx(np.log(shares / common), abs=0.03)
     # what seems to return more than it receives bounds the light from below
-    assert told[-1] > np.log(1.5) - LIMIT
-    some = np.log(np.full((1000, 3), 0.05))
-    some[:50] = 0.0
-    assert expected(usual(some)) > -LIMIT
+    some = np.log(np.full((1000, 3), common))
+    some[:50] = 1.0
+    assert mean_of(usual_paint(some)) > 1.0 - 2 * LIMIT
+
+
+def test_without_other_evidence_white_paint_is_exposed_as_is_common():
+    for white in (-1.0, 0.5):
+        told = mean_of(usual_exposure(np.log(np.pi) + EXPOSURE[0] + white))
+        assert told == pytest.approx(-white, abs=0.03)
 
 
 @pytest.mark.parametrize("deviation", [0.1, 0.5])
 def test_the_less_highlights_say_the_less_is_changed(deviation):
-    albedo = np.log(np.full((10, 3), MEAN_ALBEDO))
+    albedo = np.full((10, 3), PAINT[0])
     told = -0.5 * ((FACTORS - 1.0) / deviation) ** 2
-    # a product of Gaussians, and a dim light that makes paint too bright is out of question
+    # a product of Gaussians
     variance = MISREAD**2 + deviation**2
-    wanted = (1.0 + TOLD_DIM) * USUAL**2 / (USUAL**2 + variance)
-    assert expected(misread(told) + usual(albedo)) == pytest.approx(wanted, abs=0.03)
+    wanted = PAINT[1] ** 2 / (PAINT[1] ** 2 + variance)
+    assert mean_of(misread(told) + usual_paint(albedo)) == pytest.approx(wanted, abs=0.03)
 
 
 @pytest.mark.parametrize("level", [-0.3, 0.3])

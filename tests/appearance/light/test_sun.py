@@ -11,7 +11,7 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
-from robir.appearance.light.solver import ALIKE_COSINE, polish
+from robir.appearance.light.solver import ALIKE_COSINE, find_suns, polish
 from robir.appearance.light.sun import (
     RIVALS,
     SAME_LIGHT,
@@ -97,3 +97,19 @@ def test_a_sun_is_polished_by_all_samples():
     start = replace(synthetic.true_light(SUN, SKY), axes=aside[None] / np.linalg.norm(aside))
     found = polish(some, start, AppearanceConfig(iterations=20), 0).axes[0]
     assert degrees(found, synthetic.SUN) < 0.6
+
+
+@pytest.mark.parametrize("strength", [SUN, 0.0])
+def test_a_sun_that_the_user_tells_is_taken_and_moved_a_little(strength):
+    curve = curve_from_name("filmic")
+    scene = synthetic.scene_of(synthetic.boxes_on_a_floor(), strength, SKY, curve)
+    told = synthetic.SUN + np.float32([0.05, 0, 0])
+    told /= np.linalg.norm(told)
+    config = AppearanceConfig(iterations=60, num_scan_directions=300, num_sharp_lobes=1)
+    light = find_suns(make_problem(replace(scene, sun=told), curve), config, 0)
+    assert len(light.axes) == 1
+    assert degrees(light.axes[0], told) < 20
+    if strength:
+        assert degrees(light.axes[0], synthetic.SUN) < 1.5
+    else:
+        assert len(find_suns(make_problem(scene, curve), config, 0).axes) == 0

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the light as a whole is, by what paint reflects of it.
+"""How bright the light as a whole is, by all that tells it.
 
-Photographs of diffuse surfaces know light and albedo by their product alone. What a specular layer
-on paint returns of sky and suns is known, F0 = 0.04: beside the diffuse light it is weaker the
-brighter the paint is. How views differ by it depends on the roughness too, so both are tried
-together, and what a brightness is worth is summed over all roughnesses, each patch of paint having
-its own. A highlight that the mesh puts in the wrong place would speak for a dim light, so each
-sample's normal may be as far off as the mesh's usually are. Where no specular layer was found all
-the same, that the light is dimmer is not believed.
+Photographs of diffuse surfaces know light and albedo by their product alone. Three witnesses tell
+the light's part of it, and their log likelihoods are added:
+
+- Paints: how bright they commonly are.
+- Exposure: photographs are exposed for the light that there is, as by an incident-light meter, so
+  that white paint is about as bright as the brightest that a photograph shows.
+- Highlights: what a specular layer on paint returns of sky and suns is known, F0 = 0.04: beside the
+  diffuse light it is weaker the brighter the paint is. How views differ by it depends on the
+  roughness too, so both are tried together, and what a brightness is worth is summed over all
+  roughnesses, each patch of paint having its own. A highlight that the mesh puts in the wrong place
+  would speak for a dim light, so each sample's normal may be as far off as the mesh's usually are.
 """
 
 from __future__ import annotations
@@ -17,7 +21,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, MEAN_ALBEDO, log_ratio, log_sent
+from robir.appearance.evidence.witness import Witness
+from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, clusters, diffuse_below
@@ -36,9 +41,14 @@ Reals = NDArray[np.float64]
 FACTORS = np.linspace(-2.0, 3.0, 21)
 """Logs of the factors that are tried."""
 
-USUAL = 0.9
-"""Deviation of the log of a scene's mean albedo: that of factors over the paints of the development
-population."""
+PAINT = -1.85, 0.65
+"""Mean and deviation of the mean log albedo of what photographs show: of the development
+population, whose mean is .16; photography's mean scene reflects .18 (Jones and Condit 1941, "The
+brightness scale of exterior scenes")."""
+
+EXPOSURE = -0.15, 0.65
+"""Mean and deviation of the log radiance of white paint in the mean light, 1 being what the plain
+curve shows as white: of the development population."""
 
 LIMIT = 0.1
 """How far, in log units, the brightest paint may seem to return more than it receives."""
@@ -47,17 +57,13 @@ MISREAD = 0.3
 """Deviation of the log factor that is left of one told by many views alike: where the mesh is more
 wrong than is tried, highlights are missed and the light is told too dim."""
 
-TOLD_DIM = 0.2
-"""Log factor by which light is told too dim in the middle of the development population: .17 on a
-ground, .46 without."""
-
 NUM_PATCHES = 16
 
 MOST_SAMPLES = 450
 """Of the samples that take part in the light solve, looked at."""
 
 
-def level_by_highlights(problem: Problem, light: Light, gloss: Gloss, seed: int) -> float | None:
+def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple[Witness, ...]:
     """What sky and suns likely send, of which diffuse surfaces tell the product with albedo alone.
 
     Args:
@@ -67,22 +73,36 @@ def level_by_highlights(problem: Problem, light: Light, gloss: Gloss, seed: int)
         seed: Of the patches.
 
     Returns:
-        Mean over the channels of the log of the mean irradiance: the likeliest by what views show
-        of reflections and by how bright paints commonly are. None where too few views show any.
+        What each witness tells of the mean over the channels of the log of the mean irradiance, all
+        together last; of highlights only where some are known and enough views show them. Nothing
+        where all is metal: paints and exposures of metal are not common ones.
     """
     chosen = problem.radiance.seen.numpy() & gloss.is_paint
     every = problem.scene.rows
     rows = every[chosen[every]]
+    if not len(rows):
+        return ()
     rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
     albedo = log_ratio(problem.radiance.linear[rows], light.irradiance(problem, rows)).numpy()
-    errors, count = _errors(problem, light, rows)
-    if count.sum() < FEWEST_VIEWS:
-        return None
-    position = problem.scene.transport.surfels.position[rows]
-    patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
-    sent = log_sent(light.irradiance(problem, every), problem.indirect[every])
-    factor = expected(_evidence(errors, count, patch) + usual(albedo))
-    return float(sent.mean()) + (factor if gloss.has_highlights else max(factor, 0.0))
+    sent = float(log_sent(light.irradiance(problem, every), problem.indirect[every]).mean())
+    told = {"common paints": usual_paint(albedo), "exposure": usual_exposure(sent)}
+    if gloss.has_highlights:
+        errors, count = _errors(problem, light, rows)
+        if count.sum() >= FEWEST_VIEWS:
+            position = problem.scene.transport.surfels.position[rows]
+            patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
+            told["highlights"] = misread(_evidence(errors, count, patch))
+    told["all"] = sum(told.values(), start=np.zeros(len(FACTORS)))
+    return tuple(_witness(by, likely, sent) for by, likely in told.items())
+
+
+def _witness(by: str, log_likely: Reals, sent: float) -> Witness:
+    """Mean and deviation under log likelihoods (FACTORS,), up to a constant, of the light's level."""
+    likely = np.exp(log_likely - log_likely.max())
+    likely /= likely.sum()
+    mean = float(likely @ FACTORS)
+    deviation = float(np.sqrt(likely @ (FACTORS - mean) ** 2))
+    return Witness(of="level", by=by, value=sent + mean, deviation=deviation)
 
 
 def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Reals, Reals]:
@@ -119,27 +139,27 @@ def _evidence(errors: Reals, count: Reals, patch: NDArray[np.int64]) -> Reals:
 
 def misread(evidence: Reals) -> Reals:
     """Log likelihood (FACTORS,) of what is true, from that of what is told."""
-    missed = FACTORS[:, None] - FACTORS[None] - TOLD_DIM
+    missed = FACTORS[:, None] - FACTORS[None]
     return logsumexp(evidence - 0.5 * (missed / MISREAD) ** 2, axis=1)
 
 
-def usual(albedo: NDArray[np.floating]) -> Reals:
+def usual_paint(albedo: NDArray[np.floating]) -> Reals:
     """Log of how common the paints are, (FACTORS,), were the light so much brighter.
 
     Args:
         albedo: (U, 3) log albedo by the light as it is.
     """
-    mean = albedo.mean() - FACTORS
+    (usual, deviation), mean = PAINT, albedo.mean() - FACTORS
     brightest = np.quantile(albedo.max(1), BRIGHTEST_QUANTILE) - FACTORS
-    common = ((mean - np.log(MEAN_ALBEDO)) / USUAL) ** 2
-    return -0.5 * (common + (brightest.clip(0) / LIMIT) ** 2)
+    return -0.5 * (((mean - usual) / deviation) ** 2 + (brightest.clip(0) / LIMIT) ** 2)
 
 
-def expected(log_likely: Reals) -> float:
-    """Mean log factor.
+def usual_exposure(sent: float) -> Reals:
+    """Log of how common it is to expose so, (FACTORS,), were the light so much brighter.
 
     Args:
-        log_likely: (FACTORS,) up to a constant.
+        sent: Mean log irradiance by the light as it is.
     """
-    likely = np.exp(log_likely - log_likely.max())
-    return float(likely @ FACTORS / likely.sum())
+    usual, deviation = EXPOSURE
+    white = sent - np.log(np.pi) + FACTORS
+    return -0.5 * ((white - usual) / deviation) ** 2

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
+from robir.appearance.light.known_paint import KnownPaint
 from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.photometry.exposure import Exposures, Gains
 from robir.appearance.photometry.statistics import (
@@ -66,6 +67,8 @@ class Scene:
         pairs: Neighbours among them.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
         by_camera: Whether cameras took the photographs, and no renderer.
+        known_paint: A spot whose paint the user tells, if any.
+        sun: (3,) unit, towards the first sun, if the user tells it.
     """
 
     transport: Transport
@@ -76,6 +79,8 @@ class Scene:
     pairs: Pairs
     exposures: Exposures | None = None
     by_camera: bool = False
+    known_paint: KnownPaint | None = None
+    sun: Floats | None = None
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""

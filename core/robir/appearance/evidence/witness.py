@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one kind of evidence tells of the light."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Witness:
+    """One row of the report's table of evidence.
+
+    Attributes:
+        of: What it tells of: "level", mean over the channels of the log of the mean irradiance.
+        by: What tells it; "all" for all together.
+        value: What it tells, log units.
+        deviation: One standard deviation of that.
+    """
+
+    of: str
+    by: str
+    value: float
+    deviation: float
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A spot whose paint the user knows: a grey card, a label, a measured colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robir.errors import ConfigError
+from robir.geometry.mesh.triangles import Mesh
+from robir.transport.surfels import interpolate
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownPaint:
+    """A spot whose albedo the user tells.
+
+    Attributes:
+        texel: u and v on the texture, 0..1, v upwards.
+        position: (3,) of the spot, unit frame.
+        normal: (3,) unit.
+        albedo: (3,) linear Rec.709, above 0.
+    """
+
+    texel: tuple[float, float]
+    position: Floats
+    normal: Floats
+    albedo: Floats
+
+    @classmethod
+    def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownPaint | None:
+        """The spot of the setting `appearance.white_point` on an unwrapped mesh, if there is one.
+
+        Args:
+            mesh: Unit frame.
+            white_point: u, v, red, green, blue; or empty.
+
+        Raises:
+            ConfigError: If no face lies there.
+        """
+        if not white_point:
+            return None
+        texel = np.asarray(white_point[:2], np.float64)
+        a, b, c = np.moveaxis(mesh.uvs[mesh.uv_faces].astype(np.float64), 1, 0)
+        whole = _cross(b - a, c - a)
+        shares = np.stack([_cross(b - texel, c - texel), _cross(c - texel, a - texel)], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = shares / whole[:, None]
+        shares = np.concatenate([shares, 1 - shares.sum(1, keepdims=True)], axis=1)
+        found = np.flatnonzero((shares >= -1e-6).all(1) & (np.abs(whole) > 0))
+        if not len(found):
+            raise ConfigError(
+                f"appearance.white_point: no face has the texture coordinates {texel[0]:g}, "
+                f"{texel[1]:g}; pick a texel that shows the object"
+            )
+        face = found[:1].astype(np.int32)
+        position, normal = interpolate(mesh, face, shares[face].astype(np.float32))
+        return cls(
+            texel=(float(texel[0]), float(texel[1])),
+            position=position[0],
+            normal=normal[0],
+            albedo=np.asarray(white_point[2:], np.float32),
+        )
+
+    def off(self, seen: Floats) -> Floats:
+        """Log (3,) by which albedo (N, 3), read at the spot, is too bright."""
+        return np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo).astype(np.float32)
+
+    def texels(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Numbers (N,) of the texels about the spot, among those (T, T) inside charts."""
+        side = len(inside)
+        column, row = self.texel[0] * side, (1 - self.texel[1]) * side
+        rows, columns = np.nonzero(inside)
+        distance = np.hypot(rows + 0.5 - row, columns + 0.5 - column)
+        return np.flatnonzero(distance <= max(1.5, float(distance.min())))
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products (N,) of plane vectors (N, 2)."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A spot whose paint the user knows: on a quad whose texture is known, and on a ball of one light."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from appearance import synthetic
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.evidence.white_point import sent_by_paint
+from robir.appearance.light.known_paint import KnownPaint
+from robir.appearance.light.lobes import log_sent
+from robir.appearance.light.problem import make_problem
+from robir.errors import ConfigError
+from robir.geometry.mesh.triangles import Mesh
+from robir.maths.tone import curve_from_name
+
+RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 1.0, specular=0.0)
+BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 1.0, specular=0.0)
+
+
+@pytest.fixture(scope="module")
+def quad() -> Mesh:
+    """Two by one in the plane z = 3; its texture lies in the lower half of the atlas."""
+    return Mesh(
+        vertices=np.float32([[0, 0, 3], [2, 0, 3], [2, 1, 3], [0, 1, 3]]),
+        faces=np.int32([[0, 1, 2], [0, 2, 3]]),
+        normals=np.float32([[0, 0, 1]] * 4),
+        uvs=np.float32([[0, 0], [1, 0], [1, 0.5], [0, 0.5]]),
+        uv_faces=np.int32([[0, 1, 2], [0, 2, 3]]),
+    )
+
+
+@pytest.mark.parametrize("texel", [(0.25, 0.125), (0.75, 0.4), (0.1, 0.45)])
+def test_a_texel_is_found_on_the_mesh(quad, texel):
+    known = KnownPaint.of(quad, (*texel, 0.5, 0.4, 0.3))
+    assert known is not None
+    assert known.position == pytest.approx([2 * texel[0], 2 * texel[1], 3.0], abs=1e-5)
+    assert known.normal == pytest.approx([0, 0, 1])
+    assert known.albedo == pytest.approx([0.5, 0.4, 0.3])
+
+
+def test_a_texel_beside_the_object_is_refused(quad):
+    with pytest.raises(ConfigError, match="no face has the texture coordinates 0.5, 0.75"):
+        KnownPaint.of(quad, (0.5, 0.75, 0.5, 0.5, 0.5))
+
+
+def test_without_a_spot_nothing_is_known(quad):
+    assert KnownPaint.of(quad, ()) is None
+
+
+def test_the_texels_about_a_spot(quad):
+    known = KnownPaint.of(quad, (0.25, 0.125, 0.5, 0.5, 0.5))
+    inside = np.zeros((8, 8), bool)
+    inside[4:] = True
+    # u .25 and v .125 of 8 texels: between columns 1 and 2, rows 6 and 7, counted from row 4
+    assert set(known.texels(inside)) == {2 * 8 + 1, 2 * 8 + 2, 3 * 8 + 1, 3 * 8 + 2}
+    far = np.zeros((8, 8), bool)
+    far[0, 0] = True
+    assert list(known.texels(far)) == [0]
+
+
+@pytest.mark.parametrize("paint", [RED, BLUE])
+def test_known_paint_tells_level_and_hue(paint):
+    light, curve = synthetic.sun_and_uneven_sky(), curve_from_name("filmic")
+    halves = [(lambda at: at[:, 1] > 0, RED), (lambda at: at[:, 1] <= 0, BLUE)]
+    problem = make_problem(synthetic.ball(halves, light, curve)[0], curve)
+    at = np.float32([0.5, 0.6 if paint is RED else -0.6, 0.62])
+    at /= np.linalg.norm(at)
+    surfels = problem.scene.transport.surfels
+    radius = np.linalg.norm(surfels.position, axis=1).mean()
+    known = KnownPaint(texel=(0, 0), position=radius * at, normal=at, albedo=np.float32(paint.base))
+    rows = problem.scene.rows
+    wanted = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
+    for wrong in ([0.0, 0.0, 0.0], [0.8, 0.5, 0.9], [-1.0, -0.7, -0.9]):
+        supposed = light.tinted(torch.tensor(wrong))
+        assert sent_by_paint(problem, supposed, known) == pytest.approx(wanted, abs=0.03)
+
+
+def test_a_texture_is_as_bright_as_the_paint_at_the_spot():
+    known = KnownPaint(
+        texel=(0, 0),
+        position=np.zeros(3, np.float32),
+        normal=np.zeros(3, np.float32),
+        albedo=np.float32([0.2, 0.4, 0.8]),
+    )
+    read = np.float32([[0.1, 0.1, 0.1], [0.3, 0.3, 0.3]])
+    assert known.off(read) == pytest.approx(np.log([1.0, 0.5, 0.25]), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "wrong", [(0.5, 0.5, 0.5, 0.5), (1.2, 0, 0.5, 0.5, 0.5), (0, 0, 0.5, 0, 0.5), (0, 0, 1, 1, 1.5)]
+)
+def test_what_is_no_texel_with_an_albedo_is_refused(wrong):
+    with pytest.raises(ConfigError, match="appearance.white_point is"):
+        AppearanceConfig(white_point=wrong)
+
+
+@pytest.mark.parametrize("wrong", [(1.0, 0.0), (0.0, 0.0, 0.0)])
+def test_what_is_no_direction_is_refused(wrong):
+    with pytest.raises(ConfigError, match="appearance.sun is"):
+        AppearanceConfig(sun=wrong)
