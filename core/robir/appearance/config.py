@@ -31,8 +31,8 @@ class AppearanceConfig:
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.
         texture_size: Largest side of the textures, texels: they are as fine as the photographs
             resolve, a multiple of `shading_size` by a power of two.
-        white_point: What the user knows of one spot's paint: its u and v on the texture (v upwards),
-            then its true albedo, linear Rec.709; empty if nothing. It settles how bright and of
+        white_point: What the user knows of one spot's paint: its u and v on the texture, v upwards,
+            then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
             which hue light and albedo are, which photographs leave open.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
         without: Names of steps that are left out, to see what they are worth.
@@ -76,13 +76,13 @@ class AppearanceConfig:
                 )
         if self.white_point and not _is_white_point(self.white_point):
             raise ConfigError(
-                f"appearance.white_point is {list(self.white_point)}; it must be u and v of a texel, "
-                "0 to 1, and its albedo red, green and blue, above 0 and at most 1"
+                f"appearance.white_point is {list(self.white_point)}; it must be u and v of a "
+                "texel, 0 to 1, and its albedo red, green and blue, above 0 and at most 1"
             )
         if self.sun and (len(self.sun) != 3 or not any(self.sun) or self.num_sharp_lobes < 1):
             raise ConfigError(
-                f"appearance.sun is {list(self.sun)}; it must be a direction x, y, z towards the sun, "
-                "and appearance.num_sharp_lobes at least 1"
+                f"appearance.sun is {list(self.sun)}; it must be a direction x, y, z towards the "
+                "sun, and appearance.num_sharp_lobes at least 1"
             )
         if self.parsimony_weight < 0:
             raise ConfigError(

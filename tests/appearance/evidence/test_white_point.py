@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A spot whose paint the user knows: on a quad whose texture is known, and on a ball of one light."""
+"""A spot whose paint the user knows: on a quad with a known texture, and on a ball."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_texel_is_found_on_the_mesh(quad, texel):
 
 
 def test_a_texel_beside_the_object_is_refused(quad):
-    with pytest.raises(ConfigError, match="no face has the texture coordinates 0.5, 0.75"):
+    with pytest.raises(ConfigError, match=r"no face has the texture coordinates 0\.5, 0\.75"):
         KnownPaint.of(quad, (0.5, 0.75, 0.5, 0.5, 0.5))
 
 
@@ -94,11 +94,11 @@ def test_a_texture_is_as_bright_as_the_paint_at_the_spot():
     "wrong", [(0.5, 0.5, 0.5, 0.5), (1.2, 0, 0.5, 0.5, 0.5), (0, 0, 0.5, 0, 0.5), (0, 0, 1, 1, 1.5)]
 )
 def test_what_is_no_texel_with_an_albedo_is_refused(wrong):
-    with pytest.raises(ConfigError, match="appearance.white_point is"):
+    with pytest.raises(ConfigError, match=r"appearance\.white_point is"):
         AppearanceConfig(white_point=wrong)
 
 
 @pytest.mark.parametrize("wrong", [(1.0, 0.0), (0.0, 0.0, 0.0)])
 def test_what_is_no_direction_is_refused(wrong):
-    with pytest.raises(ConfigError, match="appearance.sun is"):
+    with pytest.raises(ConfigError, match=r"appearance\.sun is"):
         AppearanceConfig(sun=wrong)

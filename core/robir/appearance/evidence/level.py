@@ -97,7 +97,7 @@ def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple
 
 
 def _witness(by: str, log_likely: Reals, sent: float) -> Witness:
-    """Mean and deviation under log likelihoods (FACTORS,), up to a constant, of the light's level."""
+    """Mean and deviation of the level under log likelihoods (FACTORS,), up to a constant."""
     likely = np.exp(log_likely - log_likely.max())
     likely /= likely.sum()
     mean = float(likely @ FACTORS)

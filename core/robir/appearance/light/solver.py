@@ -147,21 +147,21 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
         base = None if index == 0 else _direct(problem, light)
         coarse = _sub_sampled(problem, base, SCAN_SURFELS, rng)
         fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
-        is_told = index == 0 and scene.sun is not None
+        told = scene.sun if index == 0 else None
         candidates = (
-            [SunCandidate(axis=scene.sun, loss=np.inf, gain=0.0)]
-            if is_told
-            else _promising(scan(coarse, config.num_scan_directions, 3), is_first=index == 0)
+            _promising(scan(coarse, config.num_scan_directions, 3), is_first=index == 0)
+            if told is None
+            else [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
         )
         spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
         refined = [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates]
         best = _best_addition(problem, light, refined, trial)
-        if best is None or (best.loss > light.loss and not is_told):
+        if best is None or (best.loss > light.loss and told is None):
             break
         is_seen, gains = _casts_shadow(problem, light, best), 1 - best.loss / light.loss > MIN_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
-        if not (is_told or (is_seen or gains if index == 0 else is_seen and gains)):
+        if told is None and not (is_seen or gains if index == 0 else is_seen and gains):
             break
         light = best
         losses.append(light.loss)
