@@ -143,29 +143,44 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     light = fit(problem, axes, sharpness, trial)
     losses = [light.loss]
     for index in range(config.num_sharp_lobes):
-        rng = np.random.default_rng(seed + index)
-        base = None if index == 0 else _direct(problem, light)
-        coarse = _sub_sampled(problem, base, SCAN_SURFELS, rng)
-        fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
-        told = scene.sun if index == 0 else None
-        candidates = (
-            _promising(scan(coarse, config.num_scan_directions, 3), is_first=index == 0)
-            if told is None
-            else [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
-        )
-        spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
-        refined = [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates]
+        refined = _searched(problem, light, config, index, seed)
         best = _best_addition(problem, light, refined, trial)
-        if best is None or (best.loss > light.loss and told is None):
+        is_told = index == 0 and scene.sun is not None
+        if best is None or (best.loss > light.loss and not is_told):
             break
         is_seen, gains = _casts_shadow(problem, light, best), 1 - best.loss / light.loss > MIN_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
-        if told is None and not (is_seen or gains if index == 0 else is_seen and gains):
+        if not (is_told or (is_seen or gains if index == 0 else is_seen and gains)):
             break
         light = best
         losses.append(light.loss)
     return replace(light, history=tuple(losses))
+
+
+def _searched(
+    problem: Problem, light: Light, config: AppearanceConfig, index: int, seed: int
+) -> list[SunCandidate]:
+    """Where the next sun may be: about the direction that the user tells, or all that a scan finds.
+
+    Args:
+        problem: Scene under a tone curve.
+        light: With the suns that are known.
+        config: Sizes.
+        index: How many these are.
+        seed: Of the sub-samples.
+    """
+    rng, told = np.random.default_rng(seed + index), problem.scene.sun
+    base = None if index == 0 else _direct(problem, light)
+    coarse = _sub_sampled(problem, base, SCAN_SURFELS, rng)
+    fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
+    if index == 0 and told is not None:
+        candidates = [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
+    else:
+        scanned = scan(coarse, config.num_scan_directions, 3)
+        candidates = _promising(scanned, is_first=index == 0)
+    spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
+    return [refine(fine, candidate, 0.8 * spacing, 4) for candidate in candidates]
 
 
 def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCandidate]:
