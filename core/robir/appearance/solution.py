@@ -20,7 +20,8 @@ from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
 from robir.appearance.evidence.witness import Witness
 from robir.appearance.light.problem import Problem
-from robir.appearance.light.solver import Light, polish, refit
+from robir.appearance.light.solver import Light, refit
+from robir.appearance.light.sun_search import polish
 from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.model_size import with_even_sky, with_reflected_sky, without_bounces
 from robir.jobs.choice import Choice

@@ -14,7 +14,7 @@ import torch
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.known_paint import KnownPaint
 from robir.appearance.light.lobes import lobes_of
-from robir.appearance.light.problem import Problem, make_scene
+from robir.appearance.light.problem import Problem, Scene, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.comparison import COMPARISON, Comparison
@@ -90,20 +90,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     common = transport.without_views(other)
     lit = Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
     lit = course.carry_out(SURFACE, lit)
-    scene = make_scene(
-        lit.transport,
-        tracer if transport.visibility.is_traced else None,
-        transport.visibility.offset,
-        (config.num_solve_surfels, config.num_soft_lobes),
-        np.random.default_rng(context.seed),
-    )
-    scene = replace(
-        scene,
-        exposures=compared.exposures,
-        by_camera=lit.by_camera,
-        known_paint=KnownPaint.of(mesh, config.white_point),
-        sun=_direction(config.sun),
-    )
+    scene = _scene(context, lit, tracer, compared)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
     tone = choose_tone_curve(scene, config, context.seed, course)
@@ -142,6 +129,30 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _scene(
+    context: StageContext[AppearanceConfig],
+    lit: Surface,
+    tracer: AbstractTracer,
+    compared: Comparison,
+) -> Scene:
+    """The scene whose light is sought, with what the user tells of it."""
+    config, visibility = context.config, lit.transport.visibility
+    scene = make_scene(
+        lit.transport,
+        tracer if visibility.is_traced else None,
+        visibility.offset,
+        (config.num_solve_surfels, config.num_soft_lobes),
+        np.random.default_rng(context.seed),
+    )
+    return replace(
+        scene,
+        exposures=compared.exposures,
+        by_camera=lit.by_camera,
+        known_paint=KnownPaint.of(lit.mesh, config.white_point),
+        sun=_direction(config.sun),
+    )
 
 
 def _direction(vector: tuple[float, ...]) -> np.ndarray | None:

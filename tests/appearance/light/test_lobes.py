@@ -23,8 +23,9 @@ from robir.appearance.light.lobes import (
 )
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.problem import make_problem, with_hidden
-from robir.appearance.light.solver import find_suns, fit, polish, refit
+from robir.appearance.light.solver import fit, refit
 from robir.appearance.light.sun import SunProblem, refine, scan
+from robir.appearance.light.sun_search import find_suns, polish
 from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
 from robir.maths.tone import curve_from_name
 

@@ -11,7 +11,6 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
-from robir.appearance.light.solver import ALIKE_COSINE, find_suns, polish
 from robir.appearance.light.sun import (
     RIVALS,
     SAME_LIGHT,
@@ -21,6 +20,7 @@ from robir.appearance.light.sun import (
     refine,
     scan,
 )
+from robir.appearance.light.sun_search import ALIKE_COSINE, find_suns, polish
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12

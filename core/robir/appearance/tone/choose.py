@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.light.problem import Scene, make_problem
-from robir.appearance.light.solver import Light, find_suns
+from robir.appearance.light.solver import Light
+from robir.appearance.light.sun_search import find_suns
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.gamut import unable
 from robir.appearance.tone.ranking import CAMERA, NEUTRAL, PLAIN, Candidate, ranked
