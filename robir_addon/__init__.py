@@ -24,6 +24,7 @@ _MODULES = (
     "operators.notice",
     "operators.reconstruct",
     "operators.delight",
+    "operators.known",
     "operators.result",
     "operators.placing",
     "operators.relight",
@@ -35,6 +36,7 @@ _MODULES = (
     "capture.photographs",
     "panels.notices",
     "panels.sidebar",
+    "panels.known",
     "panels.menus",
     "command_line",
 )

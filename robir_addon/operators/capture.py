@@ -30,6 +30,9 @@ _FORMATS = {
 _MOST_NAMES = 3
 """Files that a finding names in the panel; `robir check` names more."""
 
+_KNOWN = ("spot_texel", "spot_albedo", "spot_result", "spot_shape", "sun", "tone_curve")
+"""Settings that say what the user knows of the capture."""
+
 _PLACE = ("view_scale", "view_shift")
 """Settings that say how the capture was brought into view."""
 
@@ -341,7 +344,8 @@ def take_capture(
 
 def _forget_choices(settings: Any) -> None:
     """What was chosen for one capture is no other's."""
-    for name in ("masks", "box", "photographs", "skip_missing", "out", "result", *_PLACE):
+    own = ("masks", "box", "photographs", "skip_missing", "out", "result")
+    for name in (*own, *_PLACE, *_KNOWN):
         settings.property_unset(name)
 
 

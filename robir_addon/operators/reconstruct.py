@@ -15,6 +15,7 @@ from ..preferences import engine_python, engine_status
 from ..result.delight import target_of
 from ..words import reported, told
 from ..work import monitor
+from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
 from .shared import MixedIn
@@ -61,6 +62,7 @@ class WorkerOperator(MixedIn):
         try:
             request = self.request(context)
             if not client.snapshot(request.out).is_live:
+                check_spot(context.scene.robir, request)
                 words = program(engine_python(context))
                 client.start(words, request, worker_environment())
                 own_folder = context.scene.robir.out and str(result_folder(context.scene.robir))

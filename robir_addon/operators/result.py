@@ -20,6 +20,7 @@ from ..result.importer import asset_of, mark_of, read_cameras, read_tone_curve, 
 from ..result.materials import is_edited
 from ..result.pictures import put_image, read_codes, show_image
 from ..words import told, words
+from ..work.known import forget_former_spot
 from ..work.support import support_report
 from .shared import ImportedOperator, ResultOperator, is_in_object_mode, result_paths, result_root
 
@@ -111,6 +112,7 @@ def _is_edited(root: Path) -> bool:
 
 def _bring_in(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:
     notes = (bring_in if target_of(root) is None else give_back)(context, root)
+    notes += forget_former_spot(context.scene.robir, root)
     for note in notes:
         operator.report({"INFO"}, note)
     context.window_manager.robir.message = ". ".join(notes)

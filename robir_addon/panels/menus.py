@@ -8,6 +8,7 @@ _IN_ORDER = (
     ("reconstruct", "delight", "attach", "cancel_reconstruct"),
     ("run_batch", "stop_batch", "add_library"),
     ("import_result", "refresh_result", "remove_result"),
+    ("pick_spot", "forget_spot", "take_sun", "forget_sun"),
     ("set_real_size", "stand_on_floor", "drop_ground", "crop_to_box"),
     ("compare", "compare_next", "show_tone_curve", "match_view_transform"),
     ("use_recovered_light", "use_environment", "picture_lights", "turntable"),
@@ -31,6 +32,8 @@ class ROBIR_MT_commands(bpy.types.Menu):
             if "reconstruct" in group:
                 layout.prop_menu_enum(settings, "preset")
                 layout.prop_menu_enum(settings, "device")
+            if "pick_spot" in group:
+                layout.prop_menu_enum(settings, "tone_curve")
             if "use_environment" in group:
                 layout.operator_menu_enum("robir.use_studio_light", "light")
                 layout.prop(settings, "use_sun_lamp")

@@ -21,6 +21,7 @@ from bpy.props import (
 from ..relighting.lights import STUDIO_LIGHTS, turn_light, use_lamps
 from ..result.summary import read_shown
 from ..work import batch
+from ..work.known import AUTOMATIC
 
 
 class ROBIR_PG_finding(bpy.types.PropertyGroup):
@@ -127,6 +128,49 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         description="Result folder that the panels Result, Relight and Export work with",
         subtype="DIR_PATH",
         update=lambda _settings, _context: read_shown(),
+    )
+    spot_texel: FloatVectorProperty(
+        name="Spot",
+        description="Place of the spot of known paint on the result's texture, v upwards",
+        size=2,
+        min=0.0,
+        max=1.0,
+    )
+    spot_albedo: FloatVectorProperty(
+        name="True Colour",
+        description="Colour of the spot without light; a photographer's grey card is 0.18",
+        subtype="COLOR",
+        default=(0.18, 0.18, 0.18),
+        min=0.001,
+        max=1.0,
+    )
+    spot_result: StringProperty(
+        name="Result of the spot",
+        description="Result folder on whose texture the spot lies; empty if none is known",
+        options={"HIDDEN"},
+    )
+    spot_shape: StringProperty(
+        name="Shape of the spot",
+        description="Fingerprint of the shape that the spot was picked on",
+        options={"HIDDEN"},
+    )
+    sun: FloatVectorProperty(
+        name="Sun",
+        description="Direction towards the sun in the capture's own frame; zero if it is unknown",
+    )
+    tone_curve: EnumProperty(
+        name="Tone Curve",
+        description="How light became the photographs' values",
+        items=(
+            (AUTOMATIC, "Automatic", "The one whose shadows agree best with their surroundings"),
+            ("standard", "Standard", "Blender's Standard: sRGB, clipped"),
+            ("camera", "Camera", "The mean of many cameras: more contrast than Standard"),
+            ("filmic", "Filmic", "Blender's Filmic"),
+            ("khronos_pbr_neutral", "Khronos PBR Neutral", "Of product viewers on the web"),
+            ("agx", "AgX", "Blender's AgX"),
+            ("robir_aces", "ACES", "The fit of ACES that RobIR takes"),
+        ),
+        default=AUTOMATIC,
     )
     studio_light: EnumProperty(
         name="Studio light",

@@ -107,6 +107,20 @@ def target_of(root: Path) -> bpy.types.Object | None:
     return next((o for o in bpy.data.objects if o.type == "MESH" and o.get(TARGET) == mark), None)
 
 
+def has_own_layout(root: Path) -> bool:
+    """Whether textures were made for the texture coordinates that the user's mesh brought.
+
+    Raises:
+        ResultError: If the result folder does not tell.
+    """
+    file = JobPaths(Path(mark_of(root))).manifest("geometry")
+    try:
+        layout = read_record(file, _GEOMETRY)["metrics"]["layout"]
+    except (OSError, ValueError) as fault:
+        raise ResultError("{file} cannot be read ({fault})", file=file, fault=fault) from fault
+    return layout == "own"
+
+
 def give_back(context: bpy.types.Context, root: Path) -> list[str]:
     """Give the object its new material and the scene the recovered light.
 
@@ -123,12 +137,7 @@ def give_back(context: bpy.types.Context, root: Path) -> list[str]:
     target, mark, scene = target_of(root), mark_of(root), context.scene
     assert target is not None
     paths = JobPaths(Path(mark))
-    try:
-        layout = read_record(paths.manifest("geometry"), _GEOMETRY)["metrics"]["layout"]
-    except (OSError, ValueError) as fault:
-        file = paths.manifest("geometry")
-        raise ResultError("{file} cannot be read ({fault})", file=file, fault=fault) from fault
-    if layout != "own":
+    if not has_own_layout(root):
         return [
             *bring_in(context, root),
             told(

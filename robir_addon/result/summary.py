@@ -77,6 +77,9 @@ def _facts(report: dict[str, Any]) -> list[str]:
         share, height = 100.0 * sun["power_share"], sun["elevation_degrees"]
         text = "Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light"
         facts.append(words(text, height=height, share=share))
+    if report.get("light_level"):  # older results say nothing of it
+        text = "Brightness of albedo known to a factor of {factor:.2f}"
+        facts.append(words(text, factor=report["light_level"][-1]["within"]))
     share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
     facts.append(words("{share:.0f} % of the surface was seen", share=share))
     text = "{faces} triangles, textures of {side} x {side}"

@@ -14,6 +14,7 @@ from mathutils import Vector
 
 from ..capture.photographs import left_out_of
 from ..gateway import client
+from .known import known_of
 
 _WORDS = (
     ("; continue with --resume", "; press Reconstruct to go on"),
@@ -113,6 +114,7 @@ def request_of(settings: Any) -> client.Request:
         box=box_of(settings),
         skips_missing=settings.skip_missing,
         left_out=left_out_of(settings),
+        settings=known_of(settings),
     )
 
 

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where on a result's texture a point of the scene lies, and whence the capture's sun shone."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+from mathutils.geometry import closest_point_on_tri
+from mathutils.interpolate import poly_3d_calc
+
+from ..errors import RequestError, ResultError
+from ..gateway import JobPaths, read_record
+from .delight import has_own_layout, target_of
+from .importer import asset_of
+
+FAR = 0.05
+"""Farthest that a point may lie from the surface, shares of the object's longest side."""
+
+_OUTSIDE = 1e-4
+"""How far rounding may lead out of the texture."""
+
+
+def textured_object(root: Path) -> bpy.types.Object:
+    """The object that shows a result's textures: the imported one, or the user's own.
+
+    Args:
+        root: Result folder, absolute.
+
+    Raises:
+        ResultError: If it is not in the file.
+    """
+    shown = asset_of(root)
+    if shown is None:
+        target = target_of(root)
+        shown = target if target is not None and has_own_layout(root) else None
+    if shown is None:
+        raise ResultError("the object is not in this file; import the result again")
+    return shown
+
+
+def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, float]:
+    """Where on the texture the point of an object lies that is nearest to a place.
+
+    Args:
+        shown: Mesh object, seen as it stands in the scene, modifiers included.
+        place: World.
+
+    Returns:
+        u and v, 0 to 1, v upwards.
+
+    Raises:
+        RequestError: If the place is far from the object, or the object has no texture there.
+    """
+    graph = bpy.context.evaluated_depsgraph_get()
+    place, world = Vector(place), shown.matrix_world
+    try:
+        is_found, nearest, _, face = shown.closest_point_on_mesh(
+            world.inverted_safe() @ place, depsgraph=graph
+        )
+    except RuntimeError as fault:  # it is hidden, or has no faces
+        raise _without_surface(shown) from fault
+    if not is_found:
+        raise _without_surface(shown)
+    seen = shown.evaluated_get(graph)
+    if (world @ nearest - place).length > FAR * max(seen.dimensions):
+        raise RequestError(
+            "the 3D cursor is not on {name}; put it there with Shift and the right mouse button",
+            name=shown.name,
+        )
+    mesh = seen.data
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    uv = None if layer is None else _interpolated(mesh, layer, face, nearest)
+    if uv is None or not all(-_OUTSIDE <= x <= 1.0 + _OUTSIDE for x in uv):
+        raise RequestError(
+            "{name} lacks the texture coordinates of the result there; undo what removed them",
+            name=shown.name,
+        )
+    return min(max(uv.x, 0.0), 1.0), min(max(uv.y, 0.0), 1.0)
+
+
+def _without_surface(shown: bpy.types.Object) -> RequestError:
+    return RequestError("{name} shows no surface; unhide it", name=shown.name)
+
+
+def _interpolated(
+    mesh: bpy.types.Mesh, layer: bpy.types.MeshUVLoopLayer, face: int, point: Vector
+) -> Vector:
+    """Texture coordinates (2,) of a point, object frame, on one of a mesh's faces."""
+    mesh.calc_loop_triangles()
+    owners = np.empty(len(mesh.loop_triangles), np.int32)
+    mesh.loop_triangles.foreach_get("polygon_index", owners)
+
+    def corners(index: int) -> list[Vector]:
+        return [mesh.vertices[vertex].co for vertex in mesh.loop_triangles[index].vertices]
+
+    def distance(index: int) -> float:
+        return (closest_point_on_tri(point, *corners(index)) - point).length
+
+    nearest = min(np.flatnonzero(owners == face).tolist(), key=distance)
+    shares = poly_3d_calc(corners(nearest), point)
+    uvs = [layer.uv[loop].vector for loop in mesh.loop_triangles[nearest].loops]
+    return sum((share * uv for share, uv in zip(shares, uvs, strict=True)), Vector((0.0, 0.0)))
+
+
+def sun_direction(lamp: bpy.types.Object, shown: bpy.types.Object | None) -> Vector:
+    """Direction from the captured object towards the sun that a Sun lamp stands for.
+
+    The capture's own frame is that of the imported object: where the user has turned it, the lamp
+    is taken to shine on it as it stands now. Scale and shift of the view turn nothing.
+
+    Args:
+        lamp: Sun lamp, which shines along its -z axis.
+        shown: The imported object; None where there is none or the capture's frame is the world.
+
+    Returns:
+        (3,) unit vector, capture frame.
+    """
+    bpy.context.view_layer.update()  # a script may have turned either just now
+    towards = lamp.matrix_world.to_quaternion() @ Vector((0.0, 0.0, 1.0))
+    if shown is not None:
+        towards = shown.matrix_world.to_3x3().inverted_safe() @ towards
+    return towards.normalized()
+
+
+def shape_of(root: Path) -> str:
+    """Fingerprint of a result's shape and so of its texture coordinates; empty if not known."""
+    try:
+        manifest = read_record(JobPaths(root).manifest("geometry"), {"fingerprint?": str})
+    except (OSError, ValueError):
+        return ""
+    return manifest.get("fingerprint", "")
