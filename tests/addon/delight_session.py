@@ -5,7 +5,8 @@ Runs inside Blender after the text of capture_session.py, whose names it uses.
 """
 
 import bpy
-from capture_session import attempt, told  # taken out before it runs
+from capture_session import attempt, settings, told  # taken out before it runs
+from mathutils import Vector
 
 
 def delight(capture, ball, box):
@@ -26,6 +27,7 @@ def delight(capture, ball, box):
         if node.type == "TEX_IMAGE"
     )
     answer["world"] = bpy.context.scene.world.name
+    answer["spot"] = spot_on(target)
     answer["again"] = attempt(bpy.ops.robir.delight)
     answer["after_again"] = state_of(target)
     bpy.ops.ed.undo()
@@ -37,6 +39,20 @@ def delight(capture, ball, box):
     answer["bare"] = attempt(bpy.ops.robir.delight)
     answer["bare_after"] = state_of(bpy.data.objects["Figure"])
     answer["objects"] = [o.name for o in bpy.data.objects if o.get("robir_result")]
+    return answer
+
+
+def spot_on(target):
+    """A spot picked on a face of the object, and its true place; what the others say of it."""
+    triangle = target.data.polygons[700]
+    corners = [target.data.vertices[v].co for v in triangle.vertices]
+    uvs = [target.data.uv_layers[0].uv[loop].vector for loop in triangle.loop_indices]
+    middle = sum(corners, Vector()) / len(corners)
+    bpy.context.view_layer.update()
+    bpy.context.scene.cursor.location = target.matrix_world @ middle
+    answer = [attempt(bpy.ops.robir.pick_spot), list(settings().spot_texel)]
+    answer.append([sum(uv[k] for uv in uvs) / len(uvs) for k in range(2)])
+    answer.append(attempt(bpy.ops.robir.reconstruct)[1])
     return answer
 
 

@@ -122,6 +122,12 @@ def done(settings, state, result):
     settings.result = result
 
 
+def knowing(settings, state, result):
+    done(settings, state, result)
+    settings.spot_result, settings.spot_texel = result, (0.25, 0.5)
+    settings.sun, settings.tone_curve = (0.0, 0.6, 0.8), "filmic"
+
+
 def relit(settings, state, result):
     done(settings, state, result)
     bpy.ops.robir.import_result(directory=result)
@@ -187,8 +193,8 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, offline, done, relit, pictured, doubtful, unreadable, damaged, filming,
-        installing, checking, engine_checked,
+        stopped, failed, offline, done, knowing, relit, pictured, doubtful, unreadable, damaged,
+        filming, installing, checking, engine_checked,
     )
 }  # fmt: skip
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,11 @@ def test_an_object_gets_a_material_beside_its_own(own_blender, extension_zip, tm
     assert set(answer["remembered"]) == {0}
     root = Path(answer["told"]["result"])
     assert root.parent == capture.parent
+    said, texel, true, elsewhere = answer["spot"]
+    assert said == [["FINISHED"], ""] and "was picked on" in elsewhere
+    assert texel == pytest.approx(true, abs=2e-3), "a quad is two triangles, its middle near both"
+    white = tomllib.loads(JobPaths(root).config.read_text(encoding="utf-8"))["appearance"]
+    assert white["white_point"][:2] == pytest.approx(texel, abs=1e-6)
     assert answer["images"][0] == str(JobPaths(root).textures / "albedo.png")
     assert answer["world"] == root.name
     metrics = read_json(JobPaths(root).manifest("geometry"))["metrics"]

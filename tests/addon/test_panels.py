@@ -56,12 +56,18 @@ def test_each_panel_appears_in_its_state(seen):
         "failed": {"check", "notice"},
         "stopped": {"notice"},
         "done": {"check", "relight", "export"},
+        "chosen": {"known"},
     }
     for state, found in seen["states"].items():
         names = {name.removeprefix("ROBIR_PT_") for name in found["panels"]}
         assert always <= names, state
         assert names >= more.get(state, set()), state
-    for state, absent in (("nothing", "check"), ("nothing", "relight"), ("running", "notice")):
+    for state, absent in (
+        ("nothing", "check"),
+        ("nothing", "relight"),
+        ("nothing", "known"),
+        ("running", "notice"),
+    ):
         assert f"ROBIR_PT_{absent}" not in seen["states"][state]["panels"]
 
 
@@ -87,6 +93,9 @@ def test_what_matters_is_said(seen):
     assert [seen["states"][state].get("pictures") for state in ("started", "running")] == [0, 4]
     assert "Reconstruct again; it goes on" in said("failed")
     assert "goes on from the last finished stage" in said("stopped")
+    for words in ("Known paint at 0.250, 0.500", "Known sun 53\N{DEGREE SIGN} high", "shape stays"):
+        assert words in said("knowing")
+    assert not any(words in said("chosen") for words in ("Known paint", "Known sun", "stays"))
     for words in ("kept aside", "Tone curve:", "triangles", "über all"):
         assert words in said("done")
     assert "Not to be trusted: the re-render reaches only 12.7 dB" in said("doubtful")
@@ -107,6 +116,8 @@ def test_the_button_that_is_needed_is_there(seen):
         "stopped": "dismiss",
         "offline": "allow_online",
         "done": "use_studio_light",
+        "chosen": "pick_spot",
+        "knowing": "forget_sun",
         "pictured": "use_recovered_light",
         "installing": "cancel_install",
         "unreadable": "import_result",
