@@ -8,6 +8,7 @@ import bpy
 from ..operators.shared import result_root
 from ..paragraphs import paragraph
 from ..result.delight import target_of
+from ..result.summary import shown_summary
 from ..words import words
 from .drawing import Panel, split
 
@@ -25,8 +26,11 @@ class ROBIR_PT_known(Panel, bpy.types.Panel):
         return bool(context.scene.robir.capture)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """A button for each that takes it and one that forgets it; then the way to use it."""
+        """What is open, what takes and forgets each thing that is known, and the way to use it."""
         layout, settings = self.layout, context.scene.robir
+        summary = shown_summary(settings)
+        if summary is not None and summary.brightness:
+            paragraph(layout, context, summary.brightness)
         row = layout.row(align=True)
         row.operator("robir.pick_spot", icon="CURSOR")
         if settings.spot_result:

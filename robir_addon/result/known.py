@@ -69,9 +69,12 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
             "the 3D cursor is not on {name}; put it there with Shift and the right mouse button",
             name=shown.name,
         )
-    mesh = seen.data
-    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
-    uv = None if layer is None else _interpolated(mesh, layer, face, nearest)
+    mesh = seen.to_mesh()  # its data may be that of before a subdivision by the graphics card
+    try:
+        layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+        uv = None if layer is None else _interpolated(mesh, layer, face, nearest)
+    finally:
+        seen.to_mesh_clear()
     if uv is None or not all(-_OUTSIDE <= x <= 1.0 + _OUTSIDE for x in uv):
         raise RequestError(
             "{name} lacks the texture coordinates of the result there; undo what removed them",

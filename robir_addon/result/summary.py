@@ -24,11 +24,14 @@ class Summary:
         facts: How good the result is and where it came from, the most important first.
         choices: What the model chose, each with the reason.
         warnings: What to be careful about.
+        brightness: How well the photographs tell it, which is among the facts as well; empty where
+            the report does not say.
     """
 
     facts: tuple[str, ...]
     choices: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
+    brightness: str
 
 
 _known: dict[str, Summary] = {}
@@ -61,7 +64,15 @@ def summary_of(report: dict[str, Any]) -> Summary:
     doubts = (words("Not to be trusted: {doubt}", doubt=d) for d in report["trust"]["doubts"])
     told = (warning["message"] for warning in report["warnings"])
     warnings = (*doubts, *told, *report["missing"])
-    return Summary(tuple(_facts(report)), choices, warnings)
+    return Summary(tuple(_facts(report)), choices, warnings, _brightness(report))
+
+
+def _brightness(report: dict[str, Any]) -> str:
+    levels = report.get("light_level")  # older results have none
+    if not levels:
+        return ""
+    text = "Brightness of albedo known to a factor of {factor:.2f}"
+    return words(text, factor=levels[-1]["within"])
 
 
 def _facts(report: dict[str, Any]) -> list[str]:
@@ -77,9 +88,7 @@ def _facts(report: dict[str, Any]) -> list[str]:
         share, height = 100.0 * sun["power_share"], sun["elevation_degrees"]
         text = "Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light"
         facts.append(words(text, height=height, share=share))
-    if report.get("light_level"):  # older results say nothing of it
-        text = "Brightness of albedo known to a factor of {factor:.2f}"
-        facts.append(words(text, factor=report["light_level"][-1]["within"]))
+    facts += filter(None, [_brightness(report)])
     share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
     facts.append(words("{share:.0f} % of the surface was seen", share=share))
     text = "{faces} triangles, textures of {side} x {side}"

@@ -152,6 +152,7 @@ def pictured(settings, state, result):
 def doubtful(settings, state, result):
     folder = Path(tempfile.mkdtemp())
     report = json.loads((Path(result) / "report" / "report.json").read_text())
+    report["light_level"] = [{"by": "all", "times": 1.0, "within": 1.8}]
     report["trust"] |= {"is_trusted": False, "doubts": ["the re-render reaches only 12.7 dB"]}
     (folder / "report").mkdir()
     (folder / "report" / "report.json").write_text(json.dumps(report))

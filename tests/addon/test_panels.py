@@ -100,6 +100,9 @@ def test_what_matters_is_said(seen):
         assert words in said("done")
     assert "Not to be trusted: the re-render reaches only 12.7 dB" in said("doubtful")
     assert "Not to be trusted" not in said("done")
+    # among the facts and, open and closed, where it can be settled
+    assert said("doubtful").count("Brightness of albedo known to a factor of 1.80") == 3
+    assert "Brightness" not in said("done")
     for state in ("unreadable", "damaged"):
         assert "What the model chose" not in said(state)
     assert "frame 24 of 48" in said("filming")
