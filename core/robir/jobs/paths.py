@@ -281,6 +281,19 @@ def tiles_there(path: Path) -> list[int]:
     return sorted(int(parts[-2]) for parts in found if parts[-2].isdecimal())
 
 
+def files_of(path: Path) -> list[Path]:
+    """The files that a path stands for: itself, or those of its tiles where it names all of them.
+
+    Args:
+        path: As `of_tile` gives it.
+    """
+    mark = f".{UDIM}{path.suffix}"
+    if not path.name.endswith(mark):
+        return [path]
+    alone = path.with_name(path.name.removesuffix(mark) + path.suffix)
+    return [of_tile(alone, tile) for tile in tiles_there(alone)]
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it if the block ends well.

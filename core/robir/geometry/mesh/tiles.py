@@ -46,8 +46,8 @@ def corners_of(numbers: Whole) -> NDArray[np.int32]:
 
 
 def cells_of(count: int) -> NDArray[np.int32]:
-    """Column and row (N, 2), from u = v = 0, of the cells that so many tiles take."""
-    row, column = np.divmod(np.arange(count), cells_along(count))
+    """Column and row (N, 2), from u = v = 0, of the cells that so many tiles take; one for none."""
+    row, column = np.divmod(np.arange(max(count, 1)), cells_along(count))
     return np.stack([column, row], axis=1).astype(np.int32)
 
 
