@@ -70,9 +70,9 @@ def reload_image(image: bpy.types.Image) -> None:
         raise ResultError(_UNREADABLE, file=file)
     if was_packed:
         image.unpack(method="REMOVE")
-    if image.source == "TILED":
-        _fit_tiles(image, file)
     image.reload()
+    if image.source == "TILED":  # Blender looks for tiles among files of other kinds as well
+        _fit_tiles(image, file)
     if was_packed:
         image.pack()
 

@@ -127,6 +127,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
             for name in ("albedo", "roughness", "metallic", "coverage", "uncertainty")
             if (picture := shown_texture(paths, name)) is not None
         ],
+        tiles=products.mesh.tiles.tolist(),
         relit_with=products.rendering.relit_with,
     )
     with replacing(paths.report) as temporary:
