@@ -107,13 +107,14 @@ def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
     if len(found) > MOST_TILES:
         return f"{where}, on {len(found)} tiles, and textures are made for {MOST_TILES} at most"
     middle = places.mean(axis=1)
-    inset = np.where((np.minimum(middle, 1 - middle) < RIM).any(axis=1), 2 * RIM, 0.0)
-    places = np.clip(places, inset[:, None, None], 1 - inset[:, None, None])
+    is_near = (np.minimum(middle, 1 - middle) < RIM).any(axis=1)
+    inset = np.where(is_near, 2 * RIM, 0.0)[:, None, None]
     of_corner = np.repeat(index, 3)
-    atlas = packed(places.reshape(-1, 2), of_corner, len(found))
-    # what faces of a tile share stays shared; a place on a border is one for each of its tiles
-    rows = np.column_stack([of_corner, atlas])
-    _, first, uv_faces = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    atlas = packed(np.clip(places, inset, 1 - inset).reshape(-1, 2), of_corner, len(found))
+    # what faces of a tile share stays shared; a vertex on a border is one for each of its tiles
+    whose = (faces.reshape(-1).astype(np.int64) * len(found) + of_corner) * 2
+    whose += np.repeat(is_near, 3)
+    _, first, uv_faces = np.unique(whose, return_index=True, return_inverse=True)
     return Layout(
         uvs=atlas[first],
         uv_faces=uv_faces.reshape(-1, 3).astype(np.int32),
@@ -133,12 +134,11 @@ def _tile_of(corners: NDArray[np.float64]) -> NDArray[np.int64]:
     tile = np.floor(middle).astype(np.int64)
     if not is_flat.any() or is_flat.all():
         return tile
-    filled = {tuple(row) for row in np.unique(tile[~is_flat], axis=0).tolist()}
-    before = np.floor(middle[is_flat] - OUTSIDE).astype(np.int64)
-    tile[is_flat] = [
-        one if tuple(one) in filled or tuple(other) not in filled else other
-        for one, other in zip(tile[is_flat].tolist(), before.tolist(), strict=True)
-    ]
+    keys = np.array([1, 1 << 20])  # no two squares within FAR have the same
+    own, before = tile[is_flat], np.floor(middle[is_flat] - OUTSIDE).astype(np.int64)
+    filled = np.unique(tile[~is_flat] @ keys)
+    opens = ~np.isin(own @ keys, filled) & np.isin(before @ keys, filled)
+    tile[is_flat] = np.where(opens[:, None], before, own)
     return tile
 
 
