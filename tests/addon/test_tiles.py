@@ -194,6 +194,32 @@ def test_files_for_blender_hold_all_tiles(tiled, command):
         assert [tuple(tile.size) for tile in image.tiles] == [(SIDE, SIDE)] * 3
 
 
+def test_what_blender_makes_of_it_comes_back_over_its_tiles(tiled, scene, tmp_path):
+    """Its GLB has a material for each tile; a result's USD it shows as its own tiled images."""
+    import bpy
+
+    from robir.capture.mesh_file import read_mesh
+    from robir.export.usd import write_usd
+    from robir_addon.result.importer import import_result
+
+    import_result(tiled.root, scene).asset.select_set(True)
+    glb = tmp_path / "from_blender.glb"
+    bpy.ops.export_scene.gltf(filepath=str(glb), use_selection=True)
+    given = read_mesh(glb)
+    corners = np.sort(given.uvs[given.faces].reshape(-1, 2) @ [1, 100])
+    assert corners == pytest.approx(np.sort(own_uvs().reshape(-1, 2) @ [1, 100]), abs=1e-3)
+    write_usd(tiled, {})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.usd_import(filepath=str(tiled.usd))
+    images = {image.name: image for image in bpy.data.images if image.source == "TILED"}
+    assert set(images) == {"albedo.<UDIM>.png", "roughness.<UDIM>.png"}
+    for image in images.values():
+        assert [tile.number for tile in image.tiles] == TILES.tolist()
+    (item,) = [item for item in bpy.data.objects if item.type == "MESH"]
+    uvs = np.array([one.vector[:] for one in item.data.uv_layers[0].uv]).reshape(-1, 3, 2)
+    assert uvs == pytest.approx(own_uvs(), abs=1e-6)
+
+
 DELIGHT = """
 def main(archive, result, shape, out):
     import importlib

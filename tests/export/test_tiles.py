@@ -10,6 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import trimesh
+from capture.test_normal_map import rewrite
 from evaluation import sphere_run
 from export.test_gltf import document, embedded, faults_of
 from export.test_stage import Recorder, context
@@ -17,10 +18,12 @@ from export.tiled_run import CORNERS, SHADES, SIDE, TILES, make_tiled_run, own_u
 from export.tiled_run import tiled_textures as arrays
 from PIL import Image
 
+from robir.capture.mesh_file import read_mesh
 from robir.evaluation.metrics import srgb_from_linear
 from robir.export import stage, tiles
 from robir.export.textures import finished_textures, write_png
 from robir.export.usd import write_usd
+from robir.geometry.given.layout import Layout, own_layout
 from robir.jobs.paths import of_tile, read_json
 
 KINDS = ("albedo", "roughness", "coverage", "uncertainty")
@@ -126,6 +129,24 @@ def test_a_second_reader_finds_faces_and_places_within_tiles(exported):
         within = np.asarray(part.visual.uv)[part.faces]
         assert within == pytest.approx(uvs[chosen] - CORNERS[index], abs=1e-6)
     assert index == 2
+
+
+def test_handed_in_again_the_glb_has_the_layout_it_was_made_for(exported):
+    given = read_mesh(exported.asset)
+    third = np.floor(own_uvs().mean(axis=1)) @ [1, 10]
+    expected = own_uvs()[np.argsort(third, kind="stable")]
+    assert given.uvs[given.faces] == pytest.approx(expected, abs=1e-6)
+    found = own_layout(given)
+    assert isinstance(found, Layout), found
+    assert found.tiles.tolist() == TILES.tolist()
+
+
+@pytest.mark.parametrize("name", ["capture.1000", "capture.2001", "capture.001", "capture", "1003"])
+def test_other_names_of_materials_stand_for_no_tile(exported, tmp_path, name):
+    copy = tmp_path / "scan.glb"
+    copy.write_bytes(exported.asset.read_bytes())
+    rewrite(copy, lambda table: table["materials"][1].update(name=name))
+    assert read_mesh(copy).uvs.max() <= 1
 
 
 def test_the_khronos_validator_finds_no_fault(exported):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shlex
 import struct
 import sys
@@ -38,6 +39,12 @@ _Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]
 """Normal maps, and which of them each material has; see `normal_maps`."""
 
 _NO_MAPS: _Maps = ((), {})
+
+_TILE = re.compile(r"\.(1(?:00[1-9]|0[1-9][0-9]|[1-9][0-9]{2})|2000)$")
+"""End of the name of a material that stands for a UDIM tile; "Material.001" is none."""
+
+_OUTSIDE = 1e-3
+"""Of a texture's side: as far as texture coordinates may leave it by rounding."""
 
 _JSON, _BINARY = b"JSON", b"BIN\0"
 
@@ -125,7 +132,7 @@ def read_mesh(path: Path) -> Given:
     suffix = path.suffix.lower().removeprefix(".")
     content = parts.pop("")
     try:
-        maps, notes = _NO_MAPS, ()
+        maps, notes, document = _NO_MAPS, (), {}
         if suffix in ("gltf", "glb"):
             document, rest = _opened(content, is_binary=suffix == "glb")
             maps, notes = _normal_maps(document, rest, parts)
@@ -136,7 +143,7 @@ def read_mesh(path: Path) -> Given:
         )
         pieces = [scene.graph[node] for node in scene.graph.nodes_geometry]
         found = [(matrix, scene.geometry[name]) for matrix, name in pieces]
-        given = replace(_merged(found, maps), notes=notes)
+        given = replace(_merged(found, maps, _named_tiles(document, found)), notes=notes)
     except Exception as fault:  # a foreign parser on foreign bytes may raise anything
         raise CaptureError(
             f"the mesh {path} cannot be read ({fault or type(fault).__name__}); check the file"
@@ -166,8 +173,10 @@ def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
 
 
-def _merged(pieces: list[tuple[Any, Any]], maps: _Maps) -> Given:
-    """One soup of all pieces that have faces, each at its place."""
+def _merged(
+    pieces: list[tuple[Any, Any]], maps: _Maps, corners_of: dict[int, tuple[int, int]]
+) -> Given:
+    """One soup of all pieces that have faces, each at its place and in its material's tile."""
     vertices, faces, uvs, normals, of_face, count = [], [], [], [], [], 0
     for matrix, piece in pieces:
         if len(getattr(piece, "faces", ())) == 0:
@@ -182,6 +191,8 @@ def _merged(pieces: list[tuple[Any, Any]], maps: _Maps) -> Given:
         uv = getattr(piece.visual, "uv", None)
         fits = uv is not None and np.shape(uv) == (len(own), 2)
         uvs.append(np.asarray(uv, np.float64) if fits else np.full((len(own), 2), np.nan))
+        if corners_of:
+            uvs[-1] += corners_of[_material(piece)]
         if maps[0]:
             of_face.append(np.full(len(corners), maps[1].get(_material(piece), -1), np.int32))
             normal = np.asarray(piece.vertex_normals, np.float64) @ np.linalg.inv(matrix[:3, :3])
@@ -204,6 +215,27 @@ def _material(piece: Any) -> int:
     """Number of the material of a part of a glTF file, which `_bare` has made its name."""
     name = getattr(getattr(piece.visual, "material", None), "name", None)
     return int(name) if name is not None else -1
+
+
+def _named_tiles(
+    document: dict[str, Any], pieces: list[tuple[Any, Any]]
+) -> dict[int, tuple[int, int]]:
+    """Where the UDIM tile begins that each material of a glTF file stands for, by its number.
+
+    glTF has no such tiles: Blender and we write a material for each, its name ending in the tile's
+    number, and move texture coordinates to 0..1. Empty unless all materials are of that kind.
+    """
+    solid = [piece for _, piece in pieces if len(getattr(piece, "faces", ()))]
+    names = document.get("materials", ())
+    corners_of: dict[int, tuple[int, int]] = {}
+    for piece in solid if names else ():
+        uv, material = getattr(piece.visual, "uv", None), _material(piece)
+        found = _TILE.search(str(names[material].get("name", ""))) if material >= 0 else None
+        if found is None or uv is None or np.min(uv) < -_OUTSIDE or np.max(uv) > 1 + _OUTSIDE:
+            return {}
+        row, column = divmod(int(found[1]) - 1001, 10)
+        corners_of[material] = (column, row)
+    return corners_of if len(set(corners_of.values())) > 1 else {}
 
 
 def _sound(given: Given, path: Path) -> Given:
