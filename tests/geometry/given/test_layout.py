@@ -49,11 +49,15 @@ def own_of(given: Given, found: Layout) -> np.ndarray:
     ("one", "numbers"),
     [
         (squares((0, 0), (1, 0), (2, 0)), [1001, 1002, 1003]),
+        (squares((0, 0), (1, 0), (2, 0), shared=True), [1001, 1002, 1003]),
         (squares((0, 0), (1, 0), (0, 1), (1, 1), shared=True), [1001, 1002, 1011, 1012]),
         (squares((3, 2), (9, 0)), [1010, 1024]),
         (squares((0.1, 0.1), (1.1, 0.1), size=0.5), [1001, 1002]),  # the same place, two tiles
         (squares((0, 0), (0, 99)), [1001, 1991]),
-        (squares(*((i, j) for j in range(10) for i in range(10))), list(range(1001, 1101))),
+        (
+            squares(*((i, j) for j in range(10) for i in range(10)), size=0.3),
+            list(range(1001, 1101)),
+        ),
     ],
 )
 def test_tiles_are_kept_border_to_border(one, numbers):
