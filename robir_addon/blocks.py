@@ -49,7 +49,7 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
         raise ResultError(_UNREADABLE, file=file) from fault
     if UDIM in file.name:
         image.source, image.filepath, image.name = "TILED", str(file), file.name
-        _fit_tiles(image, file)
+        _forget_other_tiles(image, file)
     sizes = [tile.size for tile in image.tiles] if image.source == "TILED" else [image.size]
     if any(0 in size for size in sizes):  # Blender finds damage only when asked about the pixels
         bpy.data.images.remove(image)
@@ -71,18 +71,16 @@ def reload_image(image: bpy.types.Image) -> None:
     if was_packed:
         image.unpack(method="REMOVE")
     image.reload()
-    if image.source == "TILED":  # Blender looks for tiles among files of other kinds as well
-        _fit_tiles(image, file)
+    if image.source == "TILED":
+        _forget_other_tiles(image, file)
     if was_packed:
         image.pack()
 
 
-def _fit_tiles(image: bpy.types.Image, file: Path) -> None:
-    """Give a tiled image the tiles that have files, and no others."""
+def _forget_other_tiles(image: bpy.types.Image, file: Path) -> None:
+    """Take from a tiled image what is no file of it: Blender looks at files of other kinds too."""
     numbers = {int(one.name.split(".")[-2]) for one in files_of(file)}
     known = {tile.number: tile for tile in image.tiles}
-    for number in sorted(numbers - known.keys()):
-        image.tiles.new(tile_number=number)
     for number in known.keys() - numbers:
         image.tiles.remove(known[number])
 

@@ -20,6 +20,7 @@ from export.tiled_run import SIDE, TILES, make_tiled_run, own_uvs
 from PIL import Image
 
 from robir.export import stage
+from robir.export.textures import write_png
 from robir.jobs.paths import JobPaths, of_tile, write_json
 
 pytestmark = pytest.mark.blender
@@ -162,6 +163,19 @@ def test_pictures_beside_each_other_show_every_tile(tiled):
         shown |= {tuple(row) for row in codes.reshape(-1, 4)[:, :3].tolist()}
     assert {tuple(row) for row in CODES.tolist()} <= shown
     assert {(rough,) * 3 for rough in (51, 102, 153)} <= shown
+
+
+def test_pictures_show_the_place_within_a_tile(tiled):
+    """A ramp from side to side of tile 1003, of which every view shows a half or more."""
+    from robir_addon.result.comparison import compare
+    from robir_addon.result.importer import read_cameras
+
+    ramp = np.zeros((SIDE, SIDE, 3), np.uint8)
+    ramp[..., 0], ramp[..., 1] = 100 + np.arange(SIDE), 3
+    write_png(of_tile(tiled.textures / "albedo.png", 1003), ramp)
+    codes = np.rint(255 * compare(tiled, read_cameras(tiled), "held_out_000").codes).astype(int)
+    seen = {red for red, green, blue, _ in codes.reshape(-1, 4).tolist() if (green, blue) == (3, 0)}
+    assert len(seen) > 20, seen
 
 
 def test_smaller_textures_are_smaller_in_every_tile_and_come_back(tiled, scene):

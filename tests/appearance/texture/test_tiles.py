@@ -48,37 +48,38 @@ def test_one_texture_is_as_large_as_was_asked_for():
     assert (solved_side(config), most_side(config)) == (700, 3000)
 
 
-def tiles_side_by_side() -> Mesh:
-    """Two squares beside each other in the atlas, the right one full, the left one but for a rim.
+def tiles_side_by_side(width: float) -> Mesh:
+    """Two squares beside each other in the atlas, the right one full, the left one up to a width.
 
-    Four texels a tile: the rim is the left tile's last column.
+    Of four texels a tile, 0.8 leaves out the left tile's last column but for a rim.
     """
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    uvs = np.concatenate([square * [0.8, 1], square + np.array([1, 0])]) / 2
+    uvs = np.concatenate([square * [width, 1], square + np.array([1, 0])]) / 2
     vertices = np.column_stack([np.concatenate([square, square + np.array([3, 0])]), np.zeros(8)])
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
     mesh = plain_mesh(vertices.astype(np.float32), faces)
     return replace(mesh, uvs=uvs.astype(np.float32), uv_faces=faces, tiles=TILES[:2])
 
 
-def inside() -> np.ndarray:
+def inside(columns: int) -> np.ndarray:
+    """Texels of both tiles, so many columns of the left one."""
     texels = np.zeros((8, 8), bool)
-    texels[4:, :3] = texels[4:, 4:] = True
+    texels[4:, :columns] = texels[4:, 4:] = True
     return texels
 
 
 def test_a_point_on_a_rim_takes_a_texel_of_its_own_tile():
-    mesh = tiles_side_by_side()
+    mesh = tiles_side_by_side(0.8)
     right = np.array([[0.0, 0.5, 0.5]], np.float32)  # u = 0.8 of the left tile: on the rim
-    columns = np.nonzero(inside())[1]
-    found = AtlasLookup(mesh, inside())(np.array([0], np.int32), right)
+    columns = np.nonzero(inside(3))[1]
+    found = AtlasLookup(mesh, inside(3))(np.array([0], np.int32), right)
     assert columns[found].tolist() == [2]
-    alone = AtlasLookup(replace(mesh, tiles=TILES[:0]), inside())(np.array([0], np.int32), right)
+    alone = AtlasLookup(replace(mesh, tiles=TILES[:0]), inside(3))(np.array([0], np.int32), right)
     assert columns[alone].tolist() == [4], "else nothing is shown"
 
 
 def test_finer_texels_are_read_from_their_own_tile():
-    mesh, held = tiles_side_by_side(), inside()
+    mesh, held = tiles_side_by_side(1.0), inside(4)
     paint = np.where((np.nonzero(held)[1] < 4)[:, None], 0.2, 0.6) * np.ones(3, np.float32)
     flat = np.zeros(len(paint), np.float32)
     values = TexelAlbedo(
