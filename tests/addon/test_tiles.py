@@ -166,7 +166,7 @@ def test_pictures_beside_each_other_show_every_tile(tiled):
 
 
 def test_pictures_show_the_place_within_a_tile(tiled):
-    """A ramp from side to side of tile 1003, of which every view shows a half or more."""
+    """A ramp from side to side of tile 1003, a part of which the view shows."""
     from robir_addon.result.comparison import compare
     from robir_addon.result.importer import read_cameras
 
