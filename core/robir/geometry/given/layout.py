@@ -35,10 +35,7 @@ SMALLEST = 1e-3
 """Share of a tile below which a layout is none."""
 
 ATLAS = 1024
-"""Texels along a side by which a layout is judged."""
-
-TILE = 512
-"""The same for one of several tiles."""
+"""Texels along a side by which a layout is judged, each tile by itself."""
 
 MOST_TILES = 100
 """Tiles beyond which a texture would have too few texels of those that memory holds."""
@@ -177,7 +174,7 @@ def _fault(given: Given, layout: Layout) -> str | None:
             corners = layout.uvs[uv_faces].reshape(-1, 2)
             mesh = replace(mesh, uvs=within(corners, np.full(len(corners), index), count))
             uv_faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), TILE if count else ATLAS)
+        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), ATLAS)
         covered = float((face >= 0).mean())
         if covered < (1 - OVERLAP) * area:
             place = f" in tile {layout.tiles[index]}" if count else ""
