@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 
 from .errors import ResultError
+from .gateway import UDIM, files_of
 
 MARK = "robir_result"
 """Custom property that names the result folder a data-block came from."""
@@ -25,11 +26,17 @@ def remove_marked(mark: str, *kinds: bpy.types.bpy_prop_collection) -> None:
             blocks.remove(block)
 
 
+def are_there(file: Path) -> bool:
+    """Whether an image has its file, or one with tiles all that were written."""
+    files = files_of(file)
+    return bool(files) and all(one.is_file() for one in files)
+
+
 def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
     """An image of its own, even where the user has loaded the same file.
 
     Args:
-        file: Image file.
+        file: Image file; one whose name has <UDIM> for the tile's number becomes one tiled image.
         space: Name of its colour space.
         mark: Result folder it belongs to.
 
@@ -37,10 +44,14 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
         ResultError: If it is missing or damaged.
     """
     try:
-        image = bpy.data.images.load(str(file), check_existing=False)
+        image = bpy.data.images.load(str((files_of(file) or [file])[0]), check_existing=False)
     except RuntimeError as fault:
         raise ResultError(_UNREADABLE, file=file) from fault
-    if 0 in image.size:  # Blender finds damage only when it is asked about the pixels
+    if UDIM in file.name:
+        image.source, image.filepath, image.name = "TILED", str(file), file.name
+        _forget_other_tiles(image, file)
+    sizes = [tile.size for tile in image.tiles] if image.source == "TILED" else [image.size]
+    if any(0 in size for size in sizes):  # Blender finds damage only when asked about the pixels
         bpy.data.images.remove(image)
         raise ResultError(_UNREADABLE, file=file)
     image.colorspace_settings.name = space
@@ -55,13 +66,23 @@ def reload_image(image: bpy.types.Image) -> None:
         ResultError: If its file is missing or damaged.
     """
     file, was_packed = Path(bpy.path.abspath(image.filepath)), image.packed_file is not None
-    if not file.is_file():
+    if not are_there(file):
         raise ResultError(_UNREADABLE, file=file)
     if was_packed:
         image.unpack(method="REMOVE")
     image.reload()
+    if image.source == "TILED":
+        _forget_other_tiles(image, file)
     if was_packed:
         image.pack()
+
+
+def _forget_other_tiles(image: bpy.types.Image, file: Path) -> None:
+    """Take from a tiled image what is no file of it: Blender looks at files of other kinds too."""
+    numbers = {int(one.name.split(".")[-2]) for one in files_of(file)}
+    known = {tile.number: tile for tile in image.tiles}
+    for number in known.keys() - numbers:
+        image.tiles.remove(known[number])
 
 
 def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:

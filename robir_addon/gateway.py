@@ -76,7 +76,17 @@ from robir.jobs import client, library
 from robir.jobs.folder import special_fault
 from robir.jobs.lock import holder
 from robir.jobs.names import file_in, leads_out, read_regular
-from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
+from robir.jobs.paths import (
+    STAGES,
+    UDIM,
+    JobPaths,
+    files_of,
+    of_tile,
+    read_json,
+    replacing,
+    tiles_there,
+    write_json,
+)
 from robir.jobs.records import CAMERA, NUMBERS, read_record
 from robir.jobs.status import Status, read_status
 
@@ -84,19 +94,23 @@ __all__ = [
     "CAMERA",
     "NUMBERS",
     "STAGES",
+    "UDIM",
     "JobPaths",
     "Status",
     "__version__",
     "client",
     "file_in",
+    "files_of",
     "holder",
     "leads_out",
     "library",
+    "of_tile",
     "read_json",
     "read_record",
     "read_regular",
     "read_status",
     "replacing",
     "special_fault",
+    "tiles_there",
     "write_json",
 ]

@@ -126,7 +126,7 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     prepare_scene(scene)
     photos = {c.data.background_images[0].image for c in imported.cameras.values()}
     for image in bpy.data.images:
-        if image.source == "FILE" and image not in photos:
+        if image.source in ("FILE", "TILED") and image not in photos:
             image.pack()
     with _replacing_blend(paths.scene) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)

@@ -13,8 +13,8 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..errors import ResultError
-from ..gateway import JobPaths
-from .glb import GlbMesh, read_glb
+from ..gateway import JobPaths, of_tile
+from .glb import GlbMesh, corners_of, read_glb
 from .pictures import read_codes
 
 MAX_SIDE = 400
@@ -167,14 +167,17 @@ def _seen_textures(
     paths: JobPaths, view: dict[str, Any], size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Albedo and roughness as the view's camera sees them, without light."""
-    uv, hit = _surface_seen(read_glb(paths.asset), view, size)
+    uv, tile, hit = _surface_seen(read_glb(paths.asset), view, size)
     pictures = []
     for name in ("albedo", "roughness"):
-        texture = read_codes(paths.textures / f"{name}.png")
-        side = np.array(texture.shape[1::-1])
-        column, row = np.clip((uv * side).astype(int), 0, side - 1).T
+        colours = np.zeros((len(uv), 4))
+        for number in np.unique(tile).tolist():
+            texture = read_codes(of_tile(paths.textures / f"{name}.png", number or None))
+            side, chosen = np.array(texture.shape[1::-1]), tile == number
+            column, row = np.clip((uv[chosen] * side).astype(int), 0, side - 1).T
+            colours[chosen] = texture[row, column]
         seen = np.zeros((size[1], size[0], 4))
-        seen[hit] = texture[row, column]
+        seen[hit] = colours
         seen[..., 3] = hit
         pictures.append(seen)
     return pictures[0], pictures[1]
@@ -182,9 +185,10 @@ def _seen_textures(
 
 def _surface_seen(
     mesh: GlbMesh, view: dict[str, Any], size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates (M, 2) of the M pixels that see the surface, and which (H, W) these are.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the M pixels that see the surface see of its texture, and which (H, W) these are.
 
+    First places (M, 2) in 0..1 within a tile, then the tile's number (M,), 0 where there are none.
     One ray through the middle of each pixel, row 0 at the bottom.
     """
     tree = BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist(), all_triangles=True)
@@ -199,7 +203,7 @@ def _surface_seen(
     points = np.array([place[:] for place, _, index, _ in found if index is not None])
     face = np.array([index for _, _, index, _ in found if index is not None], int)
     if len(face) == 0:
-        return np.zeros((0, 2)), hit.reshape(size[1], size[0])
+        return np.zeros((0, 2)), np.zeros(0, int), hit.reshape(size[1], size[0])
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]].astype(float), 1, 0)
     normal = np.cross(b - a, c - a)
     whole = np.maximum((normal**2).sum(axis=-1), 1e-30)
@@ -207,7 +211,8 @@ def _surface_seen(
     share_c = (np.cross(a - b, b - points) * normal).sum(axis=-1) / whole
     shares = np.stack([1.0 - share_b - share_c, share_b, share_c], axis=-1)
     uv = (shares[..., None] * mesh.corner_uvs[face]).sum(axis=1)
-    return uv, hit.reshape(size[1], size[0])
+    tile = mesh.tiles[face]
+    return uv - corners_of(tile), tile, hit.reshape(size[1], size[0])
 
 
 def _cut(pictures: list[np.ndarray]) -> list[np.ndarray]:

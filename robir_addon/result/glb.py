@@ -21,6 +21,10 @@ _TYPES = {5126: np.float32, 5125: np.uint32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 
 
+_TILES = range(1001, 2001)
+"""Numbers that UDIM tiles may have: ten a row, from u = v = 0."""
+
+
 @dataclass(frozen=True)
 class GlbMesh:
     """Triangles with what each corner carries.
@@ -30,7 +34,8 @@ class GlbMesh:
         vertices: (N, 3) positions, capture frame; seams of the texture are closed.
         faces: (F, 3) indices into vertices.
         corner_normals: (F, 3, 3) unit normals.
-        corner_uvs: (F, 3, 2) texture coordinates, v upwards.
+        corner_uvs: (F, 3, 2) texture coordinates, v upwards, over the tiles where there are such.
+        tiles: (F,) number of the UDIM tile that a face lies in; 0 where there are none.
         specular: 1 where what is no metal reflects as any paint, 0 where it does not.
     """
 
@@ -39,6 +44,7 @@ class GlbMesh:
     faces: np.ndarray
     corner_normals: np.ndarray
     corner_uvs: np.ndarray
+    tiles: np.ndarray
     specular: float
 
 
@@ -51,16 +57,12 @@ def read_glb(path: Path) -> GlbMesh:
     try:
         document, binary = _chunks(path.read_bytes())
         mesh = document["meshes"][0]
-        primitive = mesh["primitives"][0]
-        arrays = {
-            name: _array(document, binary, index) for name, index in primitive["attributes"].items()
-        }
-        corners = _array(document, binary, primitive["indices"]).reshape(-1, 3)
-        position = _z_up(arrays["POSITION"])
-        normal, uv = _z_up(arrays["NORMAL"]), arrays["TEXCOORD_0"]
-        extensions = document["materials"][primitive["material"]].get("extensions", {})
+        parts = [_part(document, binary, primitive) for primitive in mesh["primitives"]]
+        places, normals, uvs, tiles = (
+            np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+        )
+        extensions = document["materials"][0].get("extensions", {})
         specular = float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
-        _check(arrays, corners)
         name = str(mesh["name"])
     except _DAMAGE as fault:
         raise ResultError(
@@ -69,14 +71,43 @@ def read_glb(path: Path) -> GlbMesh:
             file=path,
             fault=fault,
         ) from fault
-    vertices, welded = np.unique(position, axis=0, return_inverse=True)
+    vertices, welded = np.unique(places.reshape(-1, 3), axis=0, return_inverse=True)
     return GlbMesh(
         name=name,
         vertices=vertices,
-        faces=welded.reshape(-1)[corners].astype(np.int32),
-        corner_normals=normal[corners],
-        corner_uvs=np.stack([uv[corners][..., 0], 1.0 - uv[corners][..., 1]], axis=-1),
+        faces=welded.reshape(-1, 3).astype(np.int32),
+        corner_normals=normals,
+        corner_uvs=uvs + corners_of(tiles)[:, None],
+        tiles=tiles,
         specular=specular,
+    )
+
+
+def corners_of(tiles: np.ndarray) -> np.ndarray:
+    """Where (N, 2) tiles of some numbers (N,) begin; at 0 where there are none."""
+    index = np.maximum(tiles - _TILES.start, 0)
+    return np.stack([index % 10, index // 10], axis=-1).astype(np.float32)
+
+
+def _part(
+    document: dict[str, Any], binary: memoryview, primitive: dict[str, Any]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Places, normals and texture coordinates of the corners of faces, (F, 3, ...), and tiles."""
+    arrays = {
+        name: _array(document, binary, index) for name, index in primitive["attributes"].items()
+    }
+    corners = _array(document, binary, primitive["indices"]).reshape(-1, 3)
+    _check(arrays, corners)
+    extras = document["materials"][primitive["material"]].get("extras", {})
+    tile = extras.get("udim", 0)
+    if tile and tile not in _TILES:
+        raise ValueError(f"there is no tile {tile!r}")
+    uv = arrays["TEXCOORD_0"][corners]
+    return (
+        _z_up(arrays["POSITION"])[corners],
+        _z_up(arrays["NORMAL"])[corners],
+        np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1),
+        np.full(len(corners), tile, np.int64),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import bpy
 
-from ..blocks import MARK, remove_marked, with_mark
+from ..blocks import MARK, are_there, remove_marked, with_mark
 from ..capture.cameras import VIEW, add_camera, use_camera
 from ..errors import ResultError
 from ..gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record, special_fault
@@ -102,7 +102,7 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     suns = _read(paths.light, _LIGHT).get("sun_lamps", [])
     mesh = read_glb(paths.asset)
     needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
-    missing = next((file for file in needed if not file.is_file()), None)
+    missing = next((file for file in needed if not are_there(file)), None)
     if missing is not None:
         raise ResultError("{file} is missing; export the result again", file=missing)
     name = paths.root.name
@@ -142,7 +142,7 @@ def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> N
         raise ResultError(fault)
     table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
     for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):
-        if not file.is_file():
+        if not are_there(file):
             raise ResultError("{file} is missing; export the result again", file=file)
     bpy.data.batch_remove(lamps_of(mark))
     world = world_of(mark)

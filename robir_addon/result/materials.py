@@ -8,8 +8,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..blocks import MARK, enable_nodes, load_image, reload_image, with_mark
-from ..gateway import JobPaths
+from ..blocks import MARK, are_there, enable_nodes, load_image, reload_image, with_mark
+from ..gateway import UDIM, JobPaths, of_tile, tiles_there
 from .glb import GlbMesh
 from .placing import fit_again
 
@@ -26,15 +26,20 @@ _LEVEL = "Specular IOR Level"
 
 
 def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
-    """Texture files of the material with the socket they feed and their colour space."""
+    """Texture files of the material with the socket they feed and their colour space.
+
+    Of a mesh with UDIM tiles a path names the files of all tiles at once.
+    """
+    albedo = paths.textures / "albedo.png"
+    tile = UDIM if tiles_there(albedo) and not albedo.is_file() else None
     files = {
-        "Base Color": (paths.textures / "albedo.png", "sRGB"),
-        "Roughness": (paths.textures / "roughness.png", "Non-Color"),
-        "Metallic": (paths.textures / "metallic.png", "Non-Color"),
-        "Normal": (paths.textures / "normal.png", "Non-Color"),
+        "Base Color": (of_tile(albedo, tile), "sRGB"),
+        "Roughness": (of_tile(paths.textures / "roughness.png", tile), "Non-Color"),
+        "Metallic": (of_tile(paths.textures / "metallic.png", tile), "Non-Color"),
+        "Normal": (of_tile(paths.textures / "normal.png", tile), "Non-Color"),
     }
     # written only where something is metal, and where the user's own mesh brought one
-    absent = [s for s in ("Metallic", "Normal") if not files[s][0].is_file()]
+    absent = [s for s in ("Metallic", "Normal") if not are_there(files[s][0])]
     return [(f, socket, space) for socket, (f, space) in files.items() if socket not in absent]
 
 
@@ -156,13 +161,15 @@ def _refresh_material(material: bpy.types.Material, specular: float, paths: JobP
     nodes = material.node_tree.nodes
     sockets = texture_sockets(paths)
     images = {_file(i): i for i in with_mark(bpy.data.images, material[MARK])}
+    gone = [i for f, i in images.items() if f.parent == paths.textures and not are_there(f)]
+    lost = [n for n in nodes if n.type == "TEX_IMAGE" and n.image in gone]
+    fed = set(material[_FED].split()) - {n.label for n in lost}
+    for node in lost:
+        nodes.remove(node)
     for row, (file, socket, _) in enumerate(sockets):
-        if socket not in material[_FED]:  # where it was, another or none is the user's choice
+        if socket not in fed:  # where it was, another or none is the user's choice
             _feed(material, images[file], socket, row)
     material[_FED] = " ".join(socket for _, socket, _ in sockets)
-    gone = [i for f, i in images.items() if f.parent == paths.textures and not f.is_file()]
-    for node in [n for n in nodes if n.type == "TEX_IMAGE" and n.image in gone]:
-        nodes.remove(node)
 
 
 def _file(image: bpy.types.Image) -> Path:

@@ -65,8 +65,17 @@ def _smaller_textures(
             if image not in copies:
                 share = side / max(image.size)
                 copies[image] = image.copy()
-                copies[image].scale(*(max(1, round(share * pixels)) for pixels in image.size))
+                _shrink(copies[image], [max(1, round(share * pixels)) for pixels in image.size])
                 copies[image].pack()
             node.image = copies[image]
             swapped.append((node, image))
     return swapped
+
+
+def _shrink(image: bpy.types.Image, size: list[int]) -> None:
+    """Scale an image, every tile of it; Blender 4.2 can scale the first only, so none."""
+    if image.source != "TILED":
+        image.scale(*size)
+    elif "tile_index" in image.bl_rna.functions["scale"].parameters:
+        for index in range(len(image.tiles)):
+            image.scale(*size, tile_index=index)

@@ -91,8 +91,13 @@ def _facts(report: dict[str, Any]) -> list[str]:
     facts += filter(None, [_brightness(report)])
     share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
     facts.append(words("{share:.0f} % of the surface was seen", share=share))
-    text = "{faces} triangles, textures of {side} x {side}"
-    facts.append(words(text, faces=faces, side=report["texture_size"]))
+    side = report["texture_size"]
+    if tiles := report.get("tiles"):
+        text = "{faces} triangles, textures of {count} tiles of {side} x {side}"
+        facts.append(words(text, faces=faces, count=len(tiles), side=side))
+    else:
+        text = "{faces} triangles, textures of {side} x {side}"
+        facts.append(words(text, faces=faces, side=side))
     minutes = sum(stage["wall"] for stage in report["seconds"].values()) / 60.0
     preset = _PRESETS.get(report["preset"]) or report["preset"].capitalize()
     device = _DEVICES.get(report["device"]) or report["device"]

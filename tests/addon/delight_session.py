@@ -56,6 +56,26 @@ def spot_on(target):
     return answer
 
 
+def delight_tiles(capture, ball, box):
+    """The same object with its faces over three UDIM tiles."""
+    bpy.ops.robir.choose_capture(directory=capture)
+    target = figure(ball, box)
+    layer = target.data.uv_layers[0].uv
+    for face in target.data.polygons:
+        column, row = ((0, 0), (2, 0), (1, 1))[face.index % 3]
+        for corner in face.loop_indices:
+            u, v = layer[corner].vector
+            layer[corner].vector = (u + column, v + row)
+    before = [tuple(one.vector) for one in layer]
+    answer = {"done": attempt(bpy.ops.robir.delight)}
+    answer["told"] = told()
+    answer["after"] = state_of(target)
+    answer["uvs kept"] = before == [tuple(one.vector) for one in target.data.uv_layers[0].uv]
+    images = [n.image for n in target.data.materials[1].node_tree.nodes if n.type == "TEX_IMAGE"]
+    answer["tiles"] = [[i.source, [(t.number, *t.size) for t in i.tiles]] for i in images]
+    return answer
+
+
 def state_of(target):
     indices = {polygon.material_index for polygon in target.data.polygons}
     return [[m and m.name for m in target.data.materials], sorted(indices), len(bpy.data.worlds)]

@@ -317,7 +317,7 @@ def test_tiles_and_lost_pictures_change_no_texture_coordinates(tmp_path, suffix)
 def test_a_normal_map_goes_along(tmp_path, suffix):
     made_by(BUMPY, tmp_path)
     given = read_mesh(converted(tmp_path / f"bumpy.{suffix}", tmp_path))
-    assert given.normal_map is not None and given.normal_map.shape == (4, 8, 3)
+    assert given.detail is not None and given.detail.maps[0].shape == (4, 8, 3)
 
 
 def test_in_blender_an_imported_object_can_be_de_lit(scans, tmp_path):

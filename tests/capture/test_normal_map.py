@@ -52,7 +52,9 @@ def rewrite(path: Path, change) -> Path:
 def test_a_map_comes_back_with_the_normals_it_is_made_for(glb):
     given, mesh = read_mesh(glb), sphere_run.world_mesh()
     assert given.notes == ()
-    assert (given.normal_map == BUMPS).all()
+    (bumps,) = given.detail.maps
+    assert (bumps == BUMPS).all()
+    assert not given.detail.of_face.any()
     expected = mesh.normals[mesh.faces]
     assert given.normals[given.faces] == pytest.approx(expected, abs=1e-5)
 
@@ -79,26 +81,43 @@ def test_its_strength_is_applied(glb):
     normal = BUMPS / 127.5 - 1
     normal[..., :2] /= 2
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    assert given.normal_map / 127.5 - 1 == pytest.approx(normal, abs=0.005)
+    assert given.detail.maps[0] / 127.5 - 1 == pytest.approx(normal, abs=0.005)
 
 
 def test_a_mesh_without_a_map_has_none(glb):
     given = read_mesh(rewrite(glb, lambda d: d["materials"][0].pop("normalTexture")))
-    assert given.normal_map is None
+    assert given.detail is None
     assert given.normals is None
     assert given.notes == ()
 
 
-def second_material(document):
-    document["materials"].append({"name": "another"})
-    primitive = document["meshes"][0]["primitives"][0]
-    document["meshes"][0]["primitives"].append(primitive | {"material": 1})
+def more_materials(document):
+    """One more with the same map, one with another strength of it, one without, and none at all."""
+    first = document["materials"][0]
+    steep = first["normalTexture"] | {"scale": 2.0}
+    others = [first | {"name": "same"}, first | {"normalTexture": steep}, {"name": "plain"}]
+    document["materials"] += others
+    (primitive,) = document["meshes"][0]["primitives"]
+    bare = {key: value for key, value in primitive.items() if key != "material"}
+    named = [primitive | {"material": index} for index in (3, 2, 1)]
+    document["meshes"][0]["primitives"] += [*named, bare]
+
+
+def test_every_face_has_the_map_of_its_material(glb):
+    given = read_mesh(rewrite(glb, more_materials))
+    faces = len(sphere_run.world_mesh().faces)
+    first, second = given.detail.maps
+    assert (first == BUMPS).all()
+    assert not (second == BUMPS).all()
+    of_part = given.detail.of_face.reshape(5, faces)
+    assert (of_part == of_part[:, :1]).all()
+    assert of_part[:, 0].tolist() == [0, -1, 1, 0, -1]
+    assert given.notes == ()
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (second_material, "different ones"),
         (lambda d: d["materials"][0]["normalTexture"].update(texCoord=1), "coordinates of its own"),
         (lambda d: d["images"][2].update(bufferView=0), "cannot identify image"),
         (lambda d: d["materials"][0]["normalTexture"].update(index=99), "list index"),
@@ -107,7 +126,7 @@ def second_material(document):
 )
 def test_what_cannot_be_passed_on_is_told_and_the_mesh_taken(glb, change, reason):
     given = read_mesh(rewrite(glb, change))
-    assert given.normal_map is None
+    assert given.detail is None
     (note,) = given.notes
     assert "normal map is not passed on" in note
     assert reason in note
@@ -136,6 +155,6 @@ def test_gltf_brings_it_beside_itself_or_within(tmp_path, kind):
         for primitive in mesh["primitives"]:
             primitive["material"] = 0
     path.write_text(json.dumps(document))
-    assert (read_mesh(path).normal_map == BUMPS).all()
+    assert (read_mesh(path).detail.maps[0] == BUMPS).all()
     assert ("bumps.png" in mesh_parts(path)) == (kind == "file")
     assert "paint.png" not in mesh_parts(path)

@@ -30,7 +30,8 @@ class AppearanceConfig:
         num_materials: Patches of like albedo and place that share one roughness.
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.
         texture_size: Largest side of the textures, texels: they are as fine as the photographs
-            resolve, a multiple of `shading_size` by a power of two.
+            resolve, a multiple of `shading_size` by a power of two. Of a mesh with UDIM tiles it is
+            that of each tile, as far as all of them together have no more than 8192 squared.
         white_point: What the user knows of one spot's paint: its u and v on the texture, v upwards,
             then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
             which hue light and albedo are, which photographs leave open.

@@ -41,6 +41,7 @@ class AtlasLookup:
             inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
         """
         self._mesh = mesh
+        self._side = len(inside) // mesh.cells  # of a tile; neighbours are looked for in it only
         self._number = np.full(inside.shape, -1, np.int64)
         self._number[inside] = np.arange(inside.sum())
         # Points on a chart's rim may fall just outside it: the nearest texel within takes over.
@@ -57,10 +58,17 @@ class AtlasLookup:
         found = self._number[row, column]
         for shift_row, shift_column in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1)):
             missing = found < 0
-            near_row = np.clip(row[missing] + shift_row, 0, size - 1)
-            near_column = np.clip(column[missing] + shift_column, 0, size - 1)
-            found[missing] = self._number[near_row, near_column]
+            near = (
+                self._beside(row[missing], shift_row),
+                self._beside(column[missing], shift_column),
+            )
+            found[missing] = self._number[near]
         return found
+
+    def _beside(self, texel: NDArray[np.int64], shift: int) -> NDArray[np.int64]:
+        """Rows or columns beside some, in the same tile."""
+        first = texel // self._side * self._side
+        return np.clip(texel + shift, first, first + self._side - 1)
 
 
 class Painted(NamedTuple):

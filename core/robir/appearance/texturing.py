@@ -18,7 +18,12 @@ from robir.appearance.render import AtlasLookup, Painted, view_errors
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.detail import finer
 from robir.appearance.texture.shading_normals import shading_normals
-from robir.appearance.texture.texel_size import pixel_width, solved_side, texture_side
+from robir.appearance.texture.texel_size import (
+    most_side,
+    pixel_width,
+    solved_side,
+    texture_side,
+)
 from robir.appearance.texture.texels import TexelAlbedo, Texels
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_view
@@ -92,7 +97,7 @@ def textured(
         course: Of the stage's steps.
     """
     (problem, light, gloss), (mesh, tracer) = solved, surface
-    side = solved_side(config)
+    side = solved_side(config, mesh.cells)
     face, barycentric = rasterise_atlas(mesh, side)
     inside = face >= 0
     atlas = (face[inside], barycentric[inside].astype(np.float32))
@@ -143,7 +148,8 @@ def _ask_photographs(state: Texture) -> Texture:
 def _refine_detail(state: Texture) -> Texture:
     cameras = {view.name: view.camera for view in state.capture.views}
     width = pixel_width(state.problem.scene.transport, cameras)
-    side = texture_side(state.mesh, width, (len(state.inside), state.config.texture_size))
+    most = most_side(state.config, state.mesh.cells)
+    side = texture_side(state.mesh, width, (len(state.inside), most))
     photographs = (spread_views(state.capture.train, DETAIL_VIEWS), state.problem.curve)
     surface = (state.mesh, state.tracer)
     inside, values = finer(state.values, state.inside, surface, photographs, side)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shlex
 import struct
 import sys
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture.images.normal_map import normal_image, normal_map
+from robir.capture.images.normal_map import normal_images, normal_maps
 from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.names import checked_name, leads_out
@@ -34,7 +35,32 @@ FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
 MAX_BYTES = 1 << 31
 """Largest file; ten million triangles have a tenth of it."""
 
+_Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]
+"""Normal maps, and which of them each material has; see `normal_maps`."""
+
+_NO_MAPS: _Maps = ((), {})
+
+_TILE = re.compile(r"\.(1(?:00[1-9]|0[1-9][0-9]|[1-9][0-9]{2})|2000)$")
+"""End of the name of a material that stands for a UDIM tile; "Material.001" is none."""
+
+_OUTSIDE = 1e-3
+"""Of a texture's side: as far as texture coordinates may leave it by rounding."""
+
 _JSON, _BINARY = b"JSON", b"BIN\0"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detail:
+    """Normal maps of tangent space, over a mesh's own normals and texture coordinates.
+
+    Attributes:
+        maps: (H, W, 3) codes each, row 0 at v = 1, green towards larger v; they repeat outside
+            0..1.
+        of_face: (Nf,) int32, which map a face has; -1 for none.
+    """
+
+    maps: tuple[NDArray[np.uint8], ...]
+    of_face: NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +72,7 @@ class Given:
         faces: (Nf, 3) int32, in the file's order.
         uvs: (Nv, 2) float64, v upwards; NaN for vertices without any.
         normals: (Nv, 3) float64, unit; None where there is no normal map.
-        normal_map: (H, W, 3) codes of a map of tangent space over these normals and texture
-            coordinates, row 0 at v = 1, green towards larger v; None if the file has none.
+        detail: Normal maps over these normals; None if the file has none.
         notes: Sentences for the user.
     """
 
@@ -55,7 +80,7 @@ class Given:
     faces: NDArray[np.int32]
     uvs: NDArray[np.float64]
     normals: NDArray[np.float64] | None = None
-    normal_map: NDArray[np.uint8] | None = None
+    detail: Detail | None = None
     notes: tuple[str, ...] = ()
 
     def noted(self, *notes: str) -> Given:
@@ -107,10 +132,10 @@ def read_mesh(path: Path) -> Given:
     suffix = path.suffix.lower().removeprefix(".")
     content = parts.pop("")
     try:
-        detail, notes = None, ()
+        maps, notes, document = _NO_MAPS, (), {}
         if suffix in ("gltf", "glb"):
             document, rest = _opened(content, is_binary=suffix == "glb")
-            detail, notes = _detail(document, rest, parts)
+            maps, notes = _normal_maps(document, rest, parts)
             content = _without_pictures(document, rest, is_binary=suffix == "glb")
         words: dict[str, Any] = {"skip_materials": True} if suffix in ("obj", "ply") else {}
         scene = trimesh.load_scene(
@@ -118,7 +143,7 @@ def read_mesh(path: Path) -> Given:
         )
         pieces = [scene.graph[node] for node in scene.graph.nodes_geometry]
         found = [(matrix, scene.geometry[name]) for matrix, name in pieces]
-        given = replace(_merged(found, detail is not None), normal_map=detail, notes=notes)
+        given = replace(_merged(found, maps, _named_tiles(document, found)), notes=notes)
     except Exception as fault:  # a foreign parser on foreign bytes may raise anything
         raise CaptureError(
             f"the mesh {path} cannot be read ({fault or type(fault).__name__}); check the file"
@@ -148,9 +173,11 @@ def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
 
 
-def _merged(pieces: list[tuple[Any, Any]], has_normals: bool) -> Given:
-    """One soup of all pieces that have faces, each at its place."""
-    vertices, faces, uvs, normals, count = [], [], [], [], 0
+def _merged(
+    pieces: list[tuple[Any, Any]], maps: _Maps, corners_of: dict[int, tuple[int, int]]
+) -> Given:
+    """One soup of all pieces that have faces, each at its place and in its material's tile."""
+    vertices, faces, uvs, normals, of_face, count = [], [], [], [], [], 0
     for matrix, piece in pieces:
         if len(getattr(piece, "faces", ())) == 0:
             continue
@@ -164,7 +191,10 @@ def _merged(pieces: list[tuple[Any, Any]], has_normals: bool) -> Given:
         uv = getattr(piece.visual, "uv", None)
         fits = uv is not None and np.shape(uv) == (len(own), 2)
         uvs.append(np.asarray(uv, np.float64) if fits else np.full((len(own), 2), np.nan))
-        if has_normals:
+        if corners_of:
+            uvs[-1] += corners_of[_material(piece)]
+        if maps[0]:
+            of_face.append(np.full(len(corners), maps[1].get(_material(piece), -1), np.int32))
             normal = np.asarray(piece.vertex_normals, np.float64) @ np.linalg.inv(matrix[:3, :3])
             normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-30))
         count += len(own)
@@ -176,8 +206,36 @@ def _merged(pieces: list[tuple[Any, Any]], has_normals: bool) -> Given:
         vertices=np.concatenate(vertices),
         faces=np.concatenate(faces).astype(np.int32),
         uvs=np.concatenate(uvs),
-        normals=np.concatenate(normals) if has_normals else None,
+        normals=np.concatenate(normals) if maps[0] else None,
+        detail=Detail(maps=maps[0], of_face=np.concatenate(of_face)) if maps[0] else None,
     )
+
+
+def _material(piece: Any) -> int:
+    """Number of the material of a part of a glTF file, which `_bare` has made its name."""
+    name = getattr(getattr(piece.visual, "material", None), "name", None)
+    return int(name) if name is not None else -1
+
+
+def _named_tiles(
+    document: dict[str, Any], pieces: list[tuple[Any, Any]]
+) -> dict[int, tuple[int, int]]:
+    """Where the UDIM tile begins that each material of a glTF file stands for, by its number.
+
+    glTF has no such tiles: Blender and we write a material for each, its name ending in the tile's
+    number, and move texture coordinates to 0..1. Empty unless all materials are of that kind.
+    """
+    solid = [piece for _, piece in pieces if len(getattr(piece, "faces", ()))]
+    names = document.get("materials", ())
+    corners_of: dict[int, tuple[int, int]] = {}
+    for piece in solid if names else ():
+        uv, material = getattr(piece.visual, "uv", None), _material(piece)
+        found = _TILE.search(str(names[material].get("name", ""))) if material >= 0 else None
+        if found is None or uv is None or np.min(uv) < -_OUTSIDE or np.max(uv) > 1 + _OUTSIDE:
+            return {}
+        row, column = divmod(int(found[1]) - 1001, 10)
+        corners_of[material] = (column, row)
+    return corners_of if len(set(corners_of.values())) > 1 else {}
 
 
 def _sound(given: Given, path: Path) -> Given:
@@ -195,8 +253,12 @@ def _sound(given: Given, path: Path) -> Given:
         raise CaptureError(f"no face of the mesh {path} has an area; export it again")
     if usable.all():
         return given
+    detail = given.detail
     given = replace(
-        given, faces=given.faces[usable], vertices=np.where(finite[:, None], given.vertices, 0.0)
+        given,
+        faces=given.faces[usable],
+        vertices=np.where(finite[:, None], given.vertices, 0.0),
+        detail=detail and replace(detail, of_face=detail.of_face[usable]),
     )
     return given.noted(
         f"{(~usable).sum()} of {len(usable)} faces of the mesh have corners that are no numbers; "
@@ -205,24 +267,23 @@ def _sound(given: Given, path: Path) -> Given:
 
 
 def _normal_pictures(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The picture beside a glTF file that is needed, if there is one."""
+    """The pictures beside a glTF file that are needed, if there are any."""
     try:
-        image = normal_image(document)
+        images = normal_images(document)
     except (ValueError, LookupError, TypeError, AttributeError):
         return  # told when the mesh is read
-    if isinstance(image, dict):
-        yield image
+    yield from (image for image in images if isinstance(image, dict))
 
 
-def _detail(
+def _normal_maps(
     document: dict[str, Any], rest: bytes, parts: dict[str, bytes]
-) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
-    """The normal map of a glTF file, or a sentence about why it cannot be taken."""
+) -> tuple[_Maps, tuple[str, ...]]:
+    """The normal maps of a glTF file, or a sentence about why they cannot be taken."""
     try:
-        return normal_map(document, rest[8:], parts), ()
-    except Exception as fault:  # whatever is wrong with it, the mesh may still be good
+        return normal_maps(document, rest[8:], parts), ()
+    except Exception as fault:  # whatever is wrong with them, the mesh may still be good
         reason = fault or type(fault).__name__
-        return None, (f"The mesh's normal map is not passed on to the result ({reason}).",)
+        return _NO_MAPS, (f"The mesh's normal map is not passed on to the result ({reason}).",)
 
 
 def _opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
@@ -246,8 +307,9 @@ def _without_pictures(document: dict[str, Any], rest: bytes, *, is_binary: bool)
 def _bare(document: dict[str, Any]) -> dict[str, Any]:
     kept = {k: v for k, v in document.items() if k not in ("images", "textures", "samplers")}
     # texture coordinates are read for primitives with a material only
-    kept["materials"] = [{}] * max(1, len(document.get("materials", ())))
+    count = len(document.get("materials", ()))
+    kept["materials"] = [*({"name": str(index)} for index in range(count)), {}]
     for mesh in kept.get("meshes", ()):
         for primitive in mesh["primitives"]:
-            primitive.setdefault("material", 0)
+            primitive.setdefault("material", count)
     return kept

@@ -151,7 +151,7 @@ def view_layers(
         size = (sub_pixels * camera.width, sub_pixels * camera.height)
         seen = caster.cast(camera.resized(*size))
         material = np.zeros((*seen.hit.shape, stack.shape[-1]))
-        material[seen.hit] = sample_texture(stack, seen.uv[seen.hit], inside)
+        material[seen.hit] = sample_texture(stack, seen.uv[seen.hit], inside, mesh.cells)
         centre = (slice(sub_pixels // 2, None, sub_pixels),) * 2
         hit = seen.hit[centre]
         share = np.maximum(_pixel_means(seen.hit[..., None].astype(float), sub_pixels), 1e-9)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from PIL import Image
 from robir import __version__
 from robir.evaluation.metrics import srgb_from_linear
 from robir.export.textures import Codes, Textures, codes
+from robir.export.tiles import Part
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import replacing
 
@@ -71,7 +73,53 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
             viewers that lack it pass over.
         name: Name of node, mesh and material.
     """
+    write_parts(path, [Part(tile=None, mesh=mesh, textures=textures)], name)
+
+
+def write_parts(path: Path, parts: Iterable[Part], name: str) -> None:
+    """Write a mesh whose parts each have a material of their own.
+
+    glTF knows no UDIM tiles: every tile is a primitive of the one mesh, with texture coordinates in
+    0..1 and a material that is named after it and bears its number as "udim" in its extras.
+
+    Args:
+        path: File to replace.
+        parts: One or more; see `write_glb` for what becomes of their textures.
+        name: Name of node, mesh and material.
+    """
     buffer = _Buffer()
+    primitives: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
+    images: list[dict[str, Any]] = []
+    for part in parts:
+        primitives.append(_primitive(buffer, part.mesh) | {"material": len(materials)})
+        materials.append(_material(part, name, len(images)))
+        for kind, picture in _pictures(part.textures).items():
+            label = kind if part.tile is None else f"{kind}.{part.tile}"
+            view = buffer.add_view(_png(picture))
+            images.append({"bufferView": view, "mimeType": "image/png", "name": label})
+    document = {
+        "asset": {"version": "2.0", "generator": f"RobIR {__version__}"},
+        "extras": {"robir_version": __version__},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": name}],
+        "meshes": [{"name": name, "primitives": primitives}],
+        "materials": materials,
+        "textures": [{"sampler": 0, "source": index} for index in range(len(images))],
+        "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        "images": images,
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": len(buffer.data) + -len(buffer.data) % 4}],
+    }
+    if any("extensions" in material for material in materials):
+        document["extensionsUsed"] = [_SPECULAR]
+    _write_chunks(path, document, bytes(buffer.data))
+
+
+def _primitive(buffer: _Buffer, mesh: Mesh) -> dict[str, Any]:
+    """Triangles with what their corners carry."""
     corners, vertex, uv = _welded(mesh)
     attributes = {
         "POSITION": buffer.add_array(_y_up(mesh.vertices[vertex]), "VEC3", is_position=True),
@@ -79,52 +127,38 @@ def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
         "TEXCOORD_0": buffer.add_array(_from_top(mesh.uvs[uv]), "VEC2"),
     }
     indices = buffer.add_array(corners.astype(np.uint32).ravel(), "SCALAR")
-    albedo = buffer.add_view(_png(codes(srgb_from_linear(textures.albedo_linear))))
-    surface = buffer.add_view(_png(_surface_codes(textures)))
-    primitive = {"attributes": attributes, "indices": indices, "material": 0}
-    document = {
-        "asset": {"version": "2.0", "generator": f"RobIR {__version__}"},
-        "extras": {"robir_version": __version__},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name}],
-        "meshes": [{"name": name, "primitives": [primitive]}],
-        "materials": [_material(name, textures.specular)],
-        "textures": [{"sampler": 0, "source": 0}, {"sampler": 0, "source": 1}],
-        "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
-        "images": [
-            {"bufferView": albedo, "mimeType": "image/png", "name": "albedo"},
-            {"bufferView": surface, "mimeType": "image/png", "name": "metallic_roughness"},
-        ],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data) + -len(buffer.data) % 4}],
+    return {"attributes": attributes, "indices": indices}
+
+
+def _pictures(textures: Textures) -> dict[str, Codes]:
+    """What a material embeds, in this order."""
+    shown = {
+        "albedo": codes(srgb_from_linear(textures.albedo_linear)),
+        "metallic_roughness": _surface_codes(textures),
     }
-    if textures.normal_map is not None:
-        view = buffer.add_view(_png(textures.normal_map))
-        document["images"].append({"bufferView": view, "mimeType": "image/png", "name": "normal"})
-        document["textures"].append({"sampler": 0, "source": 2})
-        document["materials"][0]["normalTexture"] = {"index": 2}
-        document["buffers"][0]["byteLength"] = len(buffer.data) + -len(buffer.data) % 4
-    if textures.specular != 1.0:
-        document["extensionsUsed"] = [_SPECULAR]
-    _write_chunks(path, document, bytes(buffer.data))
+    return shown if textures.normal_map is None else shown | {"normal": textures.normal_map}
 
 
-def _material(name: str, specular: float) -> dict[str, Any]:
+def _material(part: Part, name: str, first: int) -> dict[str, Any]:
+    """The material of a part whose pictures come from some index on."""
+    textures = part.textures
     material: dict[str, Any] = {
-        "name": name,
+        "name": name if part.tile is None else f"{name}.{part.tile}",
         # open surfaces (an object without its underside) show from both sides
         "doubleSided": True,
         "pbrMetallicRoughness": {
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 1},
+            "baseColorTexture": {"index": first},
+            "metallicRoughnessTexture": {"index": first + 1},
             "metallicFactor": 1.0,
             "roughnessFactor": 1.0,
         },
     }
-    if specular != 1.0:
-        material["extensions"] = {_SPECULAR: {"specularFactor": specular}}
+    if textures.specular != 1.0:
+        material["extensions"] = {_SPECULAR: {"specularFactor": textures.specular}}
+    if textures.normal_map is not None:
+        material["normalTexture"] = {"index": first + 2}
+    if part.tile is not None:
+        material["extras"] = {"udim": part.tile}
     return material
 
 

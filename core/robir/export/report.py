@@ -29,11 +29,11 @@ from robir.evaluation.sheet import (
     display_codes,
     layer_pictures,
     over_grey,
-    thumbnail,
     window,
 )
 from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
+from robir.export.tiles import shown_texture
 from robir.export.trust import quality
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
@@ -125,10 +125,11 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
         tone_plot=_inline(paths.tone_plot.read_bytes()),
         environment=_inline_picture(_environment_picture(products.light)),
         textures=[
-            (name, _inline_picture(thumbnail(read_picture(paths.textures / f"{name}.png"))))
+            (name, _inline_picture(picture))
             for name in ("albedo", "roughness", "metallic", "coverage", "uncertainty")
-            if (paths.textures / f"{name}.png").is_file()
+            if (picture := shown_texture(paths, name)) is not None
         ],
+        tiles=products.mesh.tiles.tolist(),
         relit_with=products.rendering.relit_with,
     )
     with replacing(paths.report) as temporary:
@@ -277,7 +278,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "exposure": exposure_summary(products.exposure),
         "light": _light_summary(products.light),
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
-        "texture_size": int(products.arrays["inside"].shape[0]),
+        **_texture_sizes(products),
         "seen_share": _seen_share(products.arrays),
         "metal_share": float(products.arrays["metallic"][products.arrays["inside"] > 0].mean()),
         "uncertainty": _uncertainty(products.arrays),
@@ -358,6 +359,13 @@ def _light_summary(light: RecoveredLight) -> dict[str, Any]:
         )
     suns.sort(key=lambda sun: -sun["power_share"])
     return {"lobes": len(power), "sharp": suns}
+
+
+def _texture_sizes(products: Products) -> dict[str, Any]:
+    """Texels along a side of a texture, and the numbers of the tiles where there are such."""
+    side = products.arrays["inside"].shape[0] // products.mesh.cells
+    tiles = products.mesh.tiles.tolist()
+    return {"texture_size": side} | ({"tiles": tiles} if tiles else {})
 
 
 def _seen_share(arrays: dict[str, Array]) -> float:

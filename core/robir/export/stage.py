@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from robir.evaluation.layers import load_textures, result_mesh, stored_exposure,
 from robir.export.blender import Outcome, run_headless
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
-from robir.export.gltf import write_glb
+from robir.export.gltf import write_parts
 from robir.export.report import Products, Rendering, write_report
-from robir.export.textures import finished_textures, stored_normal_map, write_textures
+from robir.export.tiles import parts_of, tile_textures, write_tiles
 from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
@@ -66,10 +66,9 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     mesh = result_mesh(paths, capture.bounds)
     arrays = load_textures(paths, "metallic", "coverage", "uncertainty", "disagreement")
     report.progress(0.05, "writing textures and the asset")
-    textures = finished_textures(arrays, len(judged.train))
-    textures = replace(textures, normal_map=stored_normal_map(paths.normal_map))
-    write_textures(textures, paths.textures)
-    write_glb(paths.asset, mesh, textures, asset_name(capture))
+    textures = tile_textures(arrays, mesh.tiles, len(judged.train), paths.normal_map)
+    write_tiles(textures, mesh.tiles, paths.textures)
+    write_parts(paths.asset, parts_of(mesh, textures), asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")
     light = export_light(paths)
     tone_curve = export_tone_curve(paths)

@@ -15,13 +15,19 @@ from scipy.ndimage import distance_transform_edt
 
 from robir.errors import StorageError
 from robir.evaluation.metrics import srgb_from_linear
-from robir.jobs.paths import replacing
+from robir.jobs.paths import of_tile, replacing
 
 Array = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint8]
 
 _MARGIN_AT_2K = 8
 _METAL = 0.02
+
+TEXTURES = (
+    "albedo.png", "albedo.exr", "roughness.png", "metallic.png", "normal.png", "coverage.png",
+    "uncertainty.png",
+)  # fmt: skip
+"""All files that export/textures may hold where there are no tiles."""
 
 UNCERTAINTY_AT_255 = 1.0
 """Standard error of log albedo that the brightest code of uncertainty.png stands for."""
@@ -116,24 +122,30 @@ def stored_normal_map(path: Path) -> Codes | None:
         ) from fault
 
 
-def write_textures(textures: Textures, folder: Path) -> None:
-    """Write the images of export/textures.
+def write_textures(textures: Textures, folder: Path, tile: int | None = None) -> None:
+    """Write the images of export/textures, of one tile where there are such.
 
     albedo.png is sRGB, albedo.exr linear half; roughness.png, metallic.png and normal.png are plain
     numbers ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error
     of log albedo, UNCERTAINTY_AT_255 at code 255.
     """
-    write_png(folder / "albedo.png", codes(srgb_from_linear(textures.albedo_linear)))
-    write_exr(folder / "albedo.exr", textures.albedo_linear.astype(np.float16))
-    write_png(folder / "roughness.png", codes(textures.roughness))
     metallic = None if textures.metallic is None else codes(textures.metallic)
-    for name, image in (("metallic.png", metallic), ("normal.png", textures.normal_map)):
+    images = {
+        "albedo.png": codes(srgb_from_linear(textures.albedo_linear)),
+        "roughness.png": codes(textures.roughness),
+        "metallic.png": metallic,
+        "normal.png": textures.normal_map,
+        "coverage.png": codes(textures.coverage),
+        "uncertainty.png": codes(textures.uncertainty / UNCERTAINTY_AT_255),
+    }
+    for name, image in images.items():
+        path = of_tile(folder / name, tile)
         if image is None:
-            (folder / name).unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
         else:
-            write_png(folder / name, image)
-    write_png(folder / "coverage.png", codes(textures.coverage))
-    write_png(folder / "uncertainty.png", codes(textures.uncertainty / UNCERTAINTY_AT_255))
+            write_png(path, image)
+    exr = of_tile(folder / "albedo.exr", tile)
+    write_exr(exr, textures.albedo_linear.astype(np.float16))
 
 
 def codes(values: Array) -> Codes:

@@ -2,7 +2,8 @@
 """Writes a finished result as USD: one text file beside the textures that it names.
 
 The material is UsdPreviewSurface, which every reader of USD knows. Up is z and the origin is the
-object's foot, the middle of its bounds' lower side, as in the asset for Blender.
+object's foot, the middle of its bounds' lower side, as in the asset for Blender. Texture
+coordinates over UDIM tiles are as they were handed in; a texture's path names all tiles at once.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.evaluation.layers import load_textures, stored_mesh
-from robir.jobs.paths import JobPaths, replacing
+from robir.jobs.paths import UDIM, JobPaths, of_tile, replacing
 
 _IOR = {True: 1.5, False: 1.0}
 """Index of refraction where the surface reflects as any paint, F0 = 0.04, and where it does not."""
@@ -108,10 +109,12 @@ def write_usd(paths: JobPaths, facts: Mapping[str, str]) -> None:
     foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     points = (mesh.vertices - foot).astype(np.float32)
     name = re.sub(r"^(?=\d)|\W", "_", paths.root.name, flags=re.ASCII)
+    tiles = mesh.tiles.tolist()
+    first, every = (tiles[0], UDIM) if tiles else (None, None)
     images = [
-        image | {"name": name, "path": f"./{os.path.relpath(file, paths.export)}"}
+        image | {"name": name, "path": f"./{os.path.relpath(of_tile(file, every), paths.export)}"}
         for image in _IMAGES
-        if (file := paths.textures / f"{image['file']}.png").is_file()
+        if of_tile(file := paths.textures / f"{image['file']}.png", first).is_file()
     ]
     text = _FILE.format(
         name=name,
@@ -121,7 +124,7 @@ def write_usd(paths: JobPaths, facts: Mapping[str, str]) -> None:
         faces=_numbers(mesh.faces),
         points=_tuples(points),
         normals=_tuples(mesh.normals),
-        uvs=_tuples(mesh.uvs),
+        uvs=_tuples(mesh.own_uvs()),
         uv_faces=_numbers(mesh.uv_faces),
         ior=_IOR[bool(load_textures(paths).get("specular", 1.0) != 0.0)],
         inputs="\n".join(_INPUT.format(**image) for image in images),

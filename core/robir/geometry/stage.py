@@ -31,7 +31,7 @@ from robir.geometry.rival import FIELD, refined, smooth_surface
 from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
-from robir.jobs.paths import replacing, write_json
+from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Course, Step, check_left_out
 
 REVISION = 39
@@ -119,9 +119,10 @@ def _take(
     handed.mesh.save(folder / "mesh.npz")
     if handed.light is not None:
         handed.light.save(folder / LIGHT)
-    if handed.normal_map is not None:
-        with replacing(context.paths.normal_map) as temporary:
-            Image.fromarray(handed.normal_map).save(temporary, format="PNG", compress_level=1)
+    tiles = handed.mesh.tiles.tolist() or [None]
+    for tile, normals in zip(tiles, handed.normal_maps, strict=bool(handed.normal_maps)):
+        with replacing(of_tile(context.paths.normal_map, tile)) as temporary:
+            Image.fromarray(normals).save(temporary, format="PNG", compress_level=1)
     context.reporter.progress(1.0, "mesh taken")
     return handed.metrics
 

@@ -127,7 +127,10 @@ class JobPaths:
 
     @property
     def normal_map(self) -> Path:
-        """Normal map of a handed-in mesh that keeps its texture coordinates; else absent."""
+        """Normal map of a handed-in mesh that keeps its texture coordinates; else absent.
+
+        A mesh of UDIM tiles has one for each, see `of_tile`.
+        """
         return self.stage("geometry") / "normal_map.png"
 
     @property
@@ -256,6 +259,39 @@ class JobPaths:
     def truth_sheet(self) -> Path:
         """Pictures of the result beside the truth."""
         return self.root / "report" / "truth.png"
+
+
+UDIM = "<UDIM>"
+"""What stands in a path for the number of any tile, to Blender and to USD."""
+
+
+def of_tile(path: Path, tile: int | str | None) -> Path:
+    """The file of one UDIM tile: albedo.png of tile 1002 is albedo.1002.png.
+
+    Args:
+        path: As it is called where there are no tiles.
+        tile: Its number, or `UDIM` for the name of all, or None where there are none.
+    """
+    return path if tile is None else path.with_name(f"{path.stem}.{tile}{path.suffix}")
+
+
+def tiles_there(path: Path) -> list[int]:
+    """Rising numbers of the tiles that have a file; see `of_tile`."""
+    found = (file.name.split(".") for file in path.parent.glob(of_tile(path, "[1-9]*").name))
+    return sorted(int(parts[-2]) for parts in found if parts[-2].isdecimal())
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files that a path stands for: itself, or those of its tiles where it names all of them.
+
+    Args:
+        path: As `of_tile` gives it.
+    """
+    mark = f".{UDIM}{path.suffix}"
+    if not path.name.endswith(mark):
+        return [path]
+    alone = path.with_name(path.name.removesuffix(mark) + path.suffix)
+    return [of_tile(alone, tile) for tile in tiles_there(alone)]
 
 
 @contextmanager

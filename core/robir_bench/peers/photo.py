@@ -45,7 +45,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     """
     capture = load_settled(paths).normalised()
     mesh = Mesh.load(paths.stage("geometry") / "mesh.npz")
-    face, barycentric = rasterise_atlas(mesh, solved_side(config.appearance))
+    face, barycentric = rasterise_atlas(mesh, solved_side(config.appearance, mesh.cells))
     inside = face >= 0
     position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
     albedo, coverage = _blended(capture, mesh, position, normal, config.transport.ray_offset)

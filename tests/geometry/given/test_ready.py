@@ -11,7 +11,7 @@ from evaluation.sphere_run import sphere_textures
 from geometry.given.test_surface import Quiet
 from geometry.scenes import ball, capture_of
 
-from robir.capture.mesh_file import Given
+from robir.capture.mesh_file import Detail, Given
 from robir.capture.store import save_capture
 from robir.export.gltf import write_glb
 from robir.export.textures import finished_textures, stored_normal_map
@@ -39,7 +39,7 @@ def given() -> Given:
         faces=np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
         uvs=uvs.reshape(-1, 2),
         normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
-        normal_map=BUMPS,
+        detail=Detail(maps=(BUMPS,), of_face=np.zeros(count, np.int32)),
     )
 
 
@@ -47,7 +47,7 @@ def given() -> Given:
 def test_a_mesh_that_keeps_its_layout_keeps_map_and_normals(face_budget):
     one = given()
     ready = made_ready(one, GeometryConfig(face_budget=face_budget), Quiet().warn)
-    assert ready.normal_map is BUMPS
+    assert ready.normal_maps == (BUMPS,)
     mesh = ready.mesh
     assert mesh.is_whole()
     assert mesh.vertices[mesh.faces] == pytest.approx(one.vertices[one.faces], abs=1e-6)
@@ -58,17 +58,25 @@ def test_a_mesh_that_keeps_its_layout_keeps_map_and_normals(face_budget):
     assert len(ready.light.faces) <= min(len(one.faces), 4 * face_budget)
 
 
+def two_maps(one: Given) -> Detail:
+    """Every other face has another map, and one none."""
+    of_face = np.arange(len(one.faces), dtype=np.int32) % 2
+    of_face[0] = -1
+    return Detail(maps=(BUMPS, BUMPS // 2), of_face=of_face)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"uvs": given().uvs * 2}, "coordinates that are not kept"),
+        ({"uvs": given().uvs * 1.49}, "coordinates that are not kept"),
         ({"normals": -given().normals}, "point to the inside"),
+        ({"detail": two_maps(given())}, "materials have different ones, or"),
     ],
 )
 def test_a_map_that_does_not_fit_the_result_is_left_out_and_told(change, reason):
     one = replace(given(), **change)
     ready = made_ready(one, GeometryConfig(unwrap_seconds=5), Quiet().warn)
-    assert ready.normal_map is None
+    assert not ready.normal_maps
     assert any(reason in note for note in ready.notes)
 
 

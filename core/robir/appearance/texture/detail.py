@@ -99,7 +99,7 @@ def finer(
     held = face >= 0
     rows, columns = np.nonzero(held)
     uv = np.stack([(columns + 0.5) / side, 1.0 - (rows + 0.5) / side], axis=1)
-    fine = _upsampled(values, inside, uv)
+    fine = _upsampled(values, inside, uv, mesh.cells)
     where = (face[held], barycentric[held])
     unit = Bounds(centre=np.zeros(3), radius=1.0, origin="")
     sharp = np.minimum(relative_sharpness(views, unit), 1.0)
@@ -163,15 +163,17 @@ def agreed(weight: Floats, detail: Floats) -> Floats:
     return mean
 
 
-def _upsampled(values: TexelAlbedo, inside: Mask, uv: NDArray[np.float64]) -> TexelAlbedo:
-    """The values at points (N, 2) of the atlas, read between texels."""
+def _upsampled(
+    values: TexelAlbedo, inside: Mask, uv: NDArray[np.float64], cells: int
+) -> TexelAlbedo:
+    """The values at points (N, 2) of the atlas, read between texels of their own cell."""
 
     def at(column: NDArray[np.generic]) -> Floats:
         full = np.zeros((*inside.shape, *column.shape[1:]), np.float32)
         full[inside] = column
         layer = full.reshape(*inside.shape, -1)
         blocks = [
-            sample_texture(layer, uv[start : start + BLOCK], inside).astype(np.float32)
+            sample_texture(layer, uv[start : start + BLOCK], inside, cells).astype(np.float32)
             for start in range(0, len(uv), BLOCK)
         ]
         return np.concatenate(blocks).reshape(len(uv), *column.shape[1:])

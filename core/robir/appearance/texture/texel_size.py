@@ -13,10 +13,34 @@ from robir.capture.camera import Camera
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport
 
+MOST_TOGETHER = 8192
+"""Texels along a side of an atlas of UDIM tiles at most: what memory is planned for."""
 
-def solved_side(config: AppearanceConfig) -> int:
-    """Texels along a side of the atlas that is solved: no more than the textures may have."""
-    return min(config.shading_size, config.texture_size)
+
+def solved_side(config: AppearanceConfig, cells: int = 1) -> int:
+    """Texels along a side of the atlas that is solved: no more than the textures may have.
+
+    Args:
+        config: Sizes.
+        cells: Along a side of an atlas of UDIM tiles, each of which has a power of two; then the
+            atlas is as near to the size asked for as these allow.
+    """
+    if cells == 1:
+        return min(config.shading_size, config.texture_size)
+    wanted = 2 ** round(math.log2(max(1.0, config.shading_size / cells)))
+    return min(cells * wanted, most_side(config, cells))
+
+
+def most_side(config: AppearanceConfig, cells: int = 1) -> int:
+    """Most texels along a side of the atlas: a tile's textures are as large as the only one's.
+
+    Args:
+        config: Sizes.
+        cells: Along a side of an atlas of UDIM tiles; all of these have at most MOST_TOGETHER.
+    """
+    if cells == 1:
+        return config.texture_size
+    return cells * 2 ** int(math.log2(min(config.texture_size, MOST_TOGETHER / cells)))
 
 
 def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tangent-space normal map that a glTF file gives its mesh, where it has one for all of it."""
+"""The tangent-space normal maps that the materials of a glTF file give its mesh."""
 
 from __future__ import annotations
 
@@ -20,44 +20,58 @@ Document = dict[str, Any]
 _FORMATS = ("PNG", "JPEG", "WEBP")
 
 
-def normal_image(document: Document) -> Document | None:
-    """Entry of the image that holds a mesh's normal map; None if its materials name none.
+MOST_PIXELS = 4 * MAX_PIXELS
+"""Of all normal maps of a file together."""
+
+
+def normal_images(document: Document) -> list[Document]:
+    """Entries of the images that hold a mesh's normal maps; none if its materials name none.
 
     Args:
         document: JSON of a glTF file.
 
     Raises:
-        ValueError: If there are several, or one that does not lie on the mesh's first texture
-            coordinates as they are; says which.
+        ValueError: If one does not lie on the mesh's first texture coordinates as they are.
     """
-    named = _named(document)
-    if named is None:
-        return None
-    texture = document["textures"][named["index"]]
-    webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
-    return document["images"][texture.get("source", webp.get("source"))]
+    return [_image(document, named) for named in _named(document)[0]]
 
 
-def normal_map(document: Document, binary: bytes, parts: Mapping[str, bytes]) -> Codes | None:
-    """The map itself, (H, W, 3), green towards larger v, its strength applied.
+def normal_maps(
+    document: Document, binary: bytes, parts: Mapping[str, bytes]
+) -> tuple[tuple[Codes, ...], dict[int, int]]:
+    """The maps themselves, (H, W, 3) each, green towards larger v, their strength applied.
 
     Args:
         document: JSON of a glTF file.
         binary: Binary chunk of a GLB file, or nothing.
         parts: Contents of files beside it by the names that it uses.
 
+    Returns:
+        The maps, no two of the same texture and strength, and which of them each material has, by
+        its number; materials without one are missing.
+
     Raises:
-        ValueError: As `normal_image`; or if the picture is missing or too large.
-        OSError: If it cannot be decoded.
+        ValueError: As `normal_images`; or if a picture is missing or too large.
+        OSError: If one cannot be decoded.
     """
-    image, named = normal_image(document), _named(document)
-    if image is None or named is None:
-        return None
-    with Image.open(io.BytesIO(_content(image, document, binary, parts)), formats=_FORMATS) as file:
-        if file.width * file.height > MAX_PIXELS:
-            raise ValueError(f"it has {file.width} by {file.height} pixels")
-        codes = np.array(file.convert("RGB"))
-    strength = float(named.get("scale", 1.0))
+    distinct, of_material = _named(document)
+    maps, pixels = [], 0
+    for named in distinct:
+        content = _content(_image(document, named), document, binary, parts)
+        with Image.open(io.BytesIO(content), formats=_FORMATS) as file:
+            size = file.width * file.height
+            if size > MAX_PIXELS:
+                raise ValueError(f"it has {file.width} by {file.height} pixels")
+            pixels += size
+            if pixels > MOST_PIXELS:
+                raise ValueError(f"its parts have more than {MOST_PIXELS} pixels together")
+            codes = np.array(file.convert("RGB"))
+        maps.append(_scaled(codes, float(named.get("scale", 1.0))))
+    return tuple(maps), of_material
+
+
+def _scaled(codes: Codes, strength: float) -> Codes:
+    """A map whose bumps are so many times as steep."""
     if strength == 1.0:
         return codes
     normal = codes / 127.5 - 1
@@ -66,20 +80,29 @@ def normal_map(document: Document, binary: bytes, parts: Mapping[str, bytes]) ->
     return np.rint(127.5 * (normal + 1)).astype(np.uint8)
 
 
-def _named(document: Document) -> Document | None:
-    """What the materials of all triangles say of their normal map, if they say the same."""
+def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
+    """What the materials of triangles say of normal maps, and which of it each material says."""
     primitives = [part for mesh in document.get("meshes", ()) for part in mesh["primitives"]]
-    used = {part.get("material") for part in primitives}
-    materials = document.get("materials", ())
-    named = [None if k is None else materials[k].get("normalTexture") for k in used]
-    first = next((one for one in named if one is not None), None)
-    if first is None:
-        return None
-    if any(one != first for one in named):
-        raise ValueError("its materials have different ones, or some have none")
-    if first.get("texCoord", 0) != 0 or "KHR_texture_transform" in first.get("extensions", {}):
-        raise ValueError("it has texture coordinates of its own")
-    return first
+    used = {part["material"] for part in primitives if part.get("material") is not None}
+    distinct: list[Document] = []
+    of_material: dict[int, int] = {}
+    for material in sorted(used):
+        named = document["materials"][material].get("normalTexture")
+        if named is None:
+            continue
+        if named.get("texCoord", 0) != 0 or "KHR_texture_transform" in named.get("extensions", {}):
+            raise ValueError("it has texture coordinates of its own")
+        if named not in distinct:
+            distinct.append(named)
+        of_material[material] = distinct.index(named)
+    return distinct, of_material
+
+
+def _image(document: Document, named: Document) -> Document:
+    """Entry of the image that a material's normal texture shows."""
+    texture = document["textures"][named["index"]]
+    webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
+    return document["images"][texture.get("source", webp.get("source"))]
 
 
 def _content(

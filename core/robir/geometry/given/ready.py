@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.capture.mesh_file import Given
+from robir.capture.mesh_file import Detail, Given
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given.layout import Layout, own_layout
 from robir.geometry.given.noise import without_noise
 from robir.geometry.mesh.isosurface import compacted, plain_mesh
 from robir.geometry.mesh.simplify import decimate, thinned, with_creases
+from robir.geometry.mesh.tiles import tile_of_faces
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mesh.unwrap import rasterise_atlas, unwrap
+from robir.geometry.mesh.unwrap import unwrap
 
 LIGHT_FACES = 4
 """Faces of the copy on which light is solved, over the face budget of a surface of our own."""
@@ -24,17 +26,11 @@ LIGHT_FACES = 4
 THINNED = 8
 """Faces, over those of that copy, to which a mesh of more is thinned quickly first."""
 
-OUTSIDE = 1e-3
-"""Of the texture's side: as far as texture coordinates may leave it by rounding."""
-
-OVERLAP = 0.03
-"""Share of a layout that may lie on itself: charts' rims do."""
-
-ATLAS = 1024
-"""Texels along a side by which a layout is judged."""
-
 OUTWARD = 0.99
 """Share of the faces whose normals are on the side of their front, in a mesh with a normal map."""
+
+FLAT = np.full((4, 4, 3), (128, 128, 255), np.uint8)
+"""Normal map without bumps, for a tile whose materials have none."""
 
 NORMAL_SCALE = 0.25
 """Distance, unit frame, that counts as much as two normals one unit apart."""
@@ -47,7 +43,8 @@ class Ready:
     Attributes:
         mesh: Unwrapped; the user's own vertices and faces unless it was decimated.
         light: A copy with few faces and without noise, or None where the mesh itself is that.
-        normal_map: The user's, where the mesh keeps its texture coordinates.
+        normal_maps: The user's, where the mesh keeps its texture coordinates: one, or one for each
+            of its tiles; else empty.
         noise: Standard deviation of the vertices along their normals, unit frame.
         is_unwrapped_anew: Whether its texture coordinates are not the user's.
         notes: Sentences for the user.
@@ -55,7 +52,7 @@ class Ready:
 
     mesh: Mesh
     light: Mesh | None
-    normal_map: NDArray[np.uint8] | None
+    normal_maps: tuple[NDArray[np.uint8], ...]
     noise: float
     is_unwrapped_anew: bool
     notes: tuple[str, ...]
@@ -79,13 +76,13 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
     )
     notes = (_told(noise),) if noise else ()
     few = plain_mesh(calm, few.faces)
-    layout, fault = _layout(given)
-    detail, lost = _detail(given, fault is None)
+    layout = own_layout(given)
+    detail, lost = _detail(given, layout)
     notes = (*notes, *lost)
     if is_dense:
         few = with_creases(decimate(few, budget))
-    if fault is not None:
-        note = f"The mesh gets new texture coordinates: {fault}."
+    if isinstance(layout, str):
+        note = f"The mesh gets new texture coordinates: {layout}."
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
@@ -93,40 +90,69 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
         is_copy = is_dense or len(made.faces) != len(faces)
         mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
     else:
-        made = few if is_dense else with_creases(replace(few, uvs=layout, uv_faces=given.faces))
-        if detail is not None:
+        notes = (*notes, *layout.notes)
+        made = few if is_dense else with_creases(_laid_out(few, layout))
+        if detail:
             mesh = _with_own_normals(given, layout)
         elif is_dense:
-            mesh = replace(plain_mesh(vertices, faces), uvs=layout, uv_faces=given.faces)
+            mesh = _laid_out(plain_mesh(vertices, faces), layout)
             mesh = replace(mesh, normals=_normals_of(made, mesh))
         else:
             mesh = _moved_back(made, vertices[faces]) if noise else made
     return Ready(
         mesh=mesh,
         light=None if mesh is made else made,
-        normal_map=detail,
+        normal_maps=detail,
         noise=noise,
-        is_unwrapped_anew=fault is not None,
+        is_unwrapped_anew=isinstance(layout, str),
         notes=notes,
     )
 
 
-def _detail(given: Given, keeps_layout: bool) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
-    """The normal map that the result can have, and a sentence where it loses the mesh's."""
-    if given.normal_map is None or given.normals is None:
-        return None, ()
+def _detail(
+    given: Given, layout: Layout | str
+) -> tuple[tuple[NDArray[np.uint8], ...], tuple[str, ...]]:
+    """The normal maps that the result can have, and a sentence where it loses the mesh's."""
+    if given.detail is None or given.normals is None:
+        return (), ()
     why = "it belongs to texture coordinates that are not kept"
-    if keeps_layout:
+    if not isinstance(layout, str):
         a, b, c = (given.vertices[given.faces[:, k]] for k in range(3))
         outward = np.cross(b - a, c - a)
         own = given.normals[given.faces].sum(1)
         if ((own * outward).sum(1) >= 0).mean() > OUTWARD:
-            return given.normal_map, ()
-        why = "the mesh's normals point to the inside"
-    return None, (f"The mesh's normal map is not passed on to the result ({why}).",)
+            maps = _of_tiles(given.detail, layout)
+            if not isinstance(maps, str):
+                return maps, ()
+            why = maps
+        else:
+            why = "the mesh's normals point to the inside"
+    return (), (f"The mesh's normal map is not passed on to the result ({why}).",)
 
 
-def _with_own_normals(given: Given, layout: NDArray[np.float32]) -> Mesh:
+def _of_tiles(detail: Detail, layout: Layout) -> tuple[NDArray[np.uint8], ...] | str:
+    """The one normal map of each tile, or of the one texture; or why there is none.
+
+    A tile whose faces have none gets a flat one. A map repeats from tile to tile, so one for all
+    faces is each tile's.
+    """
+    count = len(layout.tiles)
+    tile = tile_of_faces(layout.uvs, layout.uv_faces, count)
+    pairs = np.unique(np.stack([tile, detail.of_face], axis=1), axis=0)
+    if len(pairs) > len(np.unique(pairs[:, 0])):
+        place = " in one tile" if count else ""
+        return f"its materials have different ones{place}, or some have none"
+    of_tile = np.full(max(1, count), -1)
+    of_tile[pairs[:, 0]] = pairs[:, 1]
+    return tuple(FLAT if index < 0 else detail.maps[index] for index in of_tile)
+
+
+def _laid_out(mesh: Mesh, layout: Layout) -> Mesh:
+    """A mesh, whose faces are the user's, with the user's layout."""
+    return replace(mesh, uvs=layout.uvs, uv_faces=layout.uv_faces, tiles=layout.tiles)
+
+
+def _with_own_normals(given: Given, layout: Layout) -> Mesh:
     """The user's mesh with the normals that its normal map is made for, shared where they agree."""
     assert given.normals is not None
     both = np.concatenate([given.vertices, given.normals], axis=1).astype(np.float32)
@@ -134,7 +160,7 @@ def _with_own_normals(given: Given, layout: NDArray[np.float32]) -> Mesh:
     faces = index.reshape(-1)[given.faces].astype(np.int32)
     mesh = plain_mesh(given.vertices[first], faces)
     normals = given.normals[first].astype(np.float32)
-    return replace(mesh, normals=normals, uvs=layout, uv_faces=given.faces)
+    return replace(_laid_out(mesh, layout), normals=normals)
 
 
 def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -169,33 +195,6 @@ def _rewelded(mesh: Mesh) -> Mesh:
     """A mesh whose vertices are shared again that creases have split."""
     vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     return plain_mesh(vertices, index.reshape(-1)[mesh.faces])
-
-
-def _layout(given: Given) -> tuple[NDArray[np.float32], str | None]:
-    """The mesh's own texture coordinates (Nv, 2), or why they cannot be used."""
-    uvs = given.uvs.astype(np.float32)
-    used = uvs[np.unique(given.faces)]
-    known = np.isfinite(used).all(1)
-    if not known.any():
-        return uvs, "it has none"
-    if not known.all():
-        return uvs, f"{(~known).mean():.0%} of its corners have none"
-    if used.min() < -OUTSIDE or used.max() > 1 + OUTSIDE:
-        return uvs, (
-            f"its own lie outside 0..1 (from {used.min():.2f} to {used.max():.2f}), so that places "
-            "share texels or tiles would be needed"
-        )
-    uvs = np.nan_to_num(uvs).clip(0, 1)
-    a, b, c = (uvs[given.faces[:, k]].astype(np.float64) for k in range(3))
-    (ax, ay), (bx, by) = (b - a).T, (c - a).T
-    area = 0.5 * np.abs(ax * by - ay * bx).sum()
-    if area < 1e-3:
-        return uvs, "its own cover next to nothing of a texture"
-    mesh = replace(plain_mesh(given.vertices, given.faces), uvs=uvs, uv_faces=given.faces)
-    covered = float((rasterise_atlas(mesh, ATLAS)[0] >= 0).mean())
-    if covered < (1 - OVERLAP) * area:
-        return uvs, f"{1 - covered / area:.0%} of its own overlap, so that places share texels"
-    return uvs, None
 
 
 def _normals_of(light: Mesh, mesh: Mesh) -> NDArray[np.float32]:

@@ -63,7 +63,7 @@ class Handed:
     Attributes:
         mesh: Unwrapped; textures belong to it.
         light: A copy on which light is solved, or None where the mesh itself serves.
-        normal_map: As `Given` has it, where the result can have it too.
+        normal_maps: The user's where the result can have them, one or one a tile; else empty.
         views: All views of the capture where their masks had been guessed; the outlines of the mesh
             take their place, without what stands before it in a photograph. Else None.
         metrics: For the stage's manifest.
@@ -72,7 +72,7 @@ class Handed:
 
     mesh: Mesh
     light: Mesh | None
-    normal_map: NDArray[np.uint8] | None
+    normal_maps: tuple[NDArray[np.uint8], ...]
     views: tuple[View, ...] | None
     metrics: dict[str, float | str]
     notes: tuple[str, ...]
@@ -120,7 +120,7 @@ def hand_in(
     return Handed(
         mesh=ready.mesh,
         light=ready.light,
-        normal_map=ready.normal_map,
+        normal_maps=ready.normal_maps,
         views=views,
         metrics={
             "faces": len(ready.mesh.faces),
@@ -130,6 +130,7 @@ def hand_in(
             "outline_agreement": round(agreement.share, 4),
             "surface": "given",
             "layout": "new" if ready.is_unwrapped_anew else "own",
+            **({"tiles": len(ready.mesh.tiles)} if len(ready.mesh.tiles) else {}),
         },
         notes=(*given.notes, *ready.notes, *before),
     )

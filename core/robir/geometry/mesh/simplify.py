@@ -108,6 +108,7 @@ def with_creases(mesh: Mesh, degrees: float = CREASE_DEGREES) -> Mesh:
         normals=total.astype(np.float32),
         uvs=mesh.uvs,
         uv_faces=mesh.uv_faces,
+        tiles=mesh.tiles,
     )
 
 

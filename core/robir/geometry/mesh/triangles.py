@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,15 @@ from numpy.typing import NDArray
 
 from robir.capture.arrays import stored_arrays
 from robir.errors import StorageError
+from robir.geometry.mesh.tiles import (
+    ACROSS,
+    FIRST,
+    ROWS,
+    cells_along,
+    corners_of,
+    tile_of_faces,
+    within,
+)
 from robir.jobs.paths import replacing
 
 LIGHT = "light.npz"
@@ -18,6 +27,7 @@ LIGHT = "light.npz"
 
 _FORM = {
     "vertices": "f V 3", "faces": "i F 3", "normals": "f V 3", "uvs": "f + 2", "uv_faces": "i F 3",
+    "tiles?": "i +",
 }  # fmt: skip
 
 
@@ -31,6 +41,8 @@ class Mesh:
         normals: (Nv, 3) float32, unit, outward.
         uvs: (Nu, 2) float32 in [0, 1], v upwards; empty before unwrapping.
         uv_faces: (Nf, 3) int32, indices into uvs; empty before unwrapping.
+        tiles: (Nt,) int32, rising numbers of the UDIM tiles that are the atlas' cells; empty where
+            the atlas is one texture.
     """
 
     vertices: NDArray[np.float32]
@@ -38,14 +50,30 @@ class Mesh:
     normals: NDArray[np.float32]
     uvs: NDArray[np.float32]
     uv_faces: NDArray[np.int32]
+    tiles: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+
+    @property
+    def cells(self) -> int:
+        """Cells along a side of the atlas."""
+        return cells_along(len(self.tiles))
 
     @property
     def is_unwrapped(self) -> bool:
         """Whether every face has texture coordinates."""
         return len(self.uv_faces) == len(self.faces)
 
+    def own_uvs(self) -> NDArray[np.float32]:
+        """Texture coordinates (Nu, 2) over the tiles; those of the atlas where there are none."""
+        count = len(self.tiles)
+        if not count:
+            return self.uvs
+        tile = np.zeros(len(self.uvs), np.int64)
+        tile[self.uv_faces] = tile_of_faces(self.uvs, self.uv_faces, count)[:, None]
+        return within(self.uvs, tile, count) + corners_of(self.tiles)[tile].astype(np.float32)
+
     def save(self, path: Path) -> None:
         """Write as .npz, atomically."""
+        tiles = {"tiles": self.tiles} if len(self.tiles) else {}
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(
                 file,
@@ -54,6 +82,7 @@ class Mesh:
                 normals=self.normals,
                 uvs=self.uvs,
                 uv_faces=self.uv_faces,
+                **tiles,
             )
 
     @classmethod
@@ -69,13 +98,23 @@ class Mesh:
         return mesh
 
     def is_whole(self) -> bool:
-        """Whether every vertex has a normal and every face its corners."""
+        """Whether every vertex has a normal and every face its corners and its tile."""
         pairs = ((self.faces, self.vertices), (self.uv_faces, self.uvs))
         are_there = all(
             not len(corners) or (corners.min() >= 0 and corners.max() < len(points))
             for corners, points in pairs
         )
-        return are_there and len(self.normals) == len(self.vertices)
+        return are_there and len(self.normals) == len(self.vertices) and self._has_its_tiles()
+
+    def _has_its_tiles(self) -> bool:
+        """Whether the tiles are such, and every face lies in one of them."""
+        if not len(self.tiles):
+            return True
+        are_tiles = self.tiles.min() >= FIRST and self.tiles.max() < FIRST + ACROSS * ROWS
+        if not are_tiles or (np.diff(self.tiles) <= 0).any():
+            return False
+        tile = tile_of_faces(self.uvs, self.uv_faces, len(self.tiles))
+        return bool((tile < len(self.tiles)).all())
 
 
 def mesh_for_light(folder: Path) -> Mesh:
