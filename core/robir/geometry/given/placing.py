@@ -20,6 +20,7 @@ from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.tracing import Hits
+from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
@@ -45,50 +46,6 @@ of ours has 0.97."""
 
 BETTER = 0.05
 """Of that share: by how much another place has to be better to be believed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Similarity:
-    """x -> scale * turn @ x + shift.
-
-    Attributes:
-        turn: (3, 3) rotation; with a determinant of -1 it mirrors as well.
-        scale: Above 0.
-        shift: (3,).
-    """
-
-    turn: Array
-    scale: float
-    shift: Array
-
-    def __call__(self, points: Array) -> Array:
-        """Points (N, 3) where it brings them."""
-        return self.scale * points @ self.turn.T + self.shift
-
-    def first_hits(self, tracer: EmbreeTracer, origins: Array, directions: Array) -> Hits:
-        """Where rays (N, 3) meet a mesh that stands at its place; distances are the mesh's own."""
-        origins = (origins - self.shift) @ self.turn / self.scale
-        directions = directions @ self.turn
-        return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
-
-    def outside(self, centre: Array, radius: float) -> Similarity:
-        """The same in the frame in which the unit sphere has a centre (3,) and a radius."""
-        shift = centre + radius * self.shift - self.scale * self.turn @ centre
-        return Similarity(turn=self.turn, scale=self.scale, shift=shift)
-
-    def described(self) -> str:
-        """In words, for the user."""
-        axis = Rotation.from_matrix(self.turn).as_rotvec(degrees=True)
-        angle = float(np.linalg.norm(axis))
-        about = ", ".join(f"{x:.3f}" for x in axis / max(angle, 1e-9))
-        by = ", ".join(f"{x:.5g}" for x in self.shift)
-        return (
-            f"turned by {angle:.2f} degrees about ({about}), scaled by {self.scale:.6g} and "
-            f"shifted by ({by})"
-        )
-
-
-AS_IT_IS = Similarity(turn=np.eye(3), scale=1.0, shift=np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +87,7 @@ class Outlines:
 
     def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
         """Agreement of the masks with a mesh that a similarity brings to its place."""
-        hits = place.first_hits(tracer, self.origins, self.directions)
+        hits = first_hits(tracer, place, (self.origins, self.directions))
         shown = hits.face >= 0
         both = np.bincount(self._owner, shown & self.mask)
         either = np.bincount(self._owner, shown | self.mask)
@@ -140,6 +97,23 @@ class Outlines:
             missing=float(1 - both.sum() / max(masked.sum(), 1)),
             beyond=float(1 - both.sum() / max(seen.sum(), 1)) if seen.sum() else 0.0,
         )
+
+
+def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> Hits:
+    """Where rays meet a mesh that a similarity brings to its place.
+
+    Args:
+        tracer: Of the mesh where it is.
+        place: What brings it there.
+        rays: Origins (N, 3) and directions (N, 3).
+
+    Returns:
+        Hits whose distances are the mesh's own.
+    """
+    origins, directions = rays
+    origins = (origins - place.shift) @ place.turn / place.scale
+    directions = directions @ place.turn
+    return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
 
 
 def better_place(
@@ -169,12 +143,46 @@ def better_place(
             for scale in [1 / (MARGIN * radius)]
         ]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
-        followed = [_downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
+        followed = [downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
         start = max(followed, key=lambda pair: pair[1])[0]
         place, agreement = _finished(start, tracer, fine)
         if agreement.share > best.share + BETTER:
             found, best = place, agreement
     return found, best
+
+
+def downhill(
+    start: Similarity, tracer: EmbreeTracer, outlines: Outlines, reach: float = 1.0
+) -> tuple[Similarity, float]:
+    """The best place near another, and the share there (Nelder and Mead 1965).
+
+    Args:
+        start: The other.
+        tracer: Of the mesh.
+        outlines: The masks.
+        reach: Share of the first steps, of 9 degrees, a tenth of its size and .08 of the unit
+            sphere's radius, that are made; with less there are fewer steps as well.
+    """
+
+    def moved(x: Array) -> Similarity:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
+        return Similarity(
+            turn=turn,
+            scale=start.scale * float(np.exp(x[3])),
+            # about the middle of the unit sphere, so that turn and shift hardly disturb each other
+            shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
+        )
+
+    steps = reach * np.diag([0.15] * 3 + [0.1] + [0.08] * 3)
+    simplex = np.concatenate([np.zeros((1, 7)), steps])
+    most = int(250 * reach**0.5)
+    found = minimize(
+        lambda x: -outlines.of(tracer, moved(x)).share,
+        np.zeros(7),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": most, "xatol": 1e-4, "fatol": 1e-4},
+    )
+    return moved(found.x), -float(found.fun)
 
 
 def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:
@@ -204,29 +212,5 @@ def _turns() -> Array:
 def _finished(
     start: Similarity, tracer: EmbreeTracer, fine: Outlines
 ) -> tuple[Similarity, Agreement]:
-    place, _ = _downhill(start, tracer, fine)
+    place, _ = downhill(start, tracer, fine)
     return place, fine.of(tracer, place)
-
-
-def _downhill(
-    start: Similarity, tracer: EmbreeTracer, outlines: Outlines
-) -> tuple[Similarity, float]:
-    """The best place near another, and the share there (Nelder and Mead 1965)."""
-
-    def moved(x: Array) -> Similarity:
-        turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
-        return Similarity(
-            turn=turn,
-            scale=start.scale * float(np.exp(x[3])),
-            # about the middle of the unit sphere, so that turn and shift hardly disturb each other
-            shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
-        )
-
-    simplex = np.concatenate([np.zeros((1, 7)), np.diag([0.15] * 3 + [0.1] + [0.08] * 3)])
-    found = minimize(
-        lambda x: -outlines.of(tracer, moved(x)).share,
-        np.zeros(7),
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 250, "xatol": 1e-4, "fatol": 1e-4},
-    )
-    return moved(found.x), -float(found.fun)
