@@ -24,16 +24,18 @@ from robir.maths.similarity import Similarity
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
 """What reading a damaged file of the stage raises."""
 
+_BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
+
 _CAPTURE = {
     "format": str,
     "source": str,
-    "bounds": {"centre": NUMBERS, "radius": float, "origin": str},
+    "bounds": _BOUNDS,
     "views": [CAMERA],
     "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
     "table": [{"normal": NUMBERS, "offset": float, "tolerance": float}],
 }
 
-_FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS}
+_FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS, "bounds": _BOUNDS}
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
@@ -48,17 +50,12 @@ def save_capture(folder: Path, capture: Capture) -> None:
         picture = Image.fromarray(np.dstack([view.image_display, view.mask]), "RGBA")
         with replacing(view_path(folder, view.name)) as temporary:
             picture.save(temporary, format="PNG", compress_level=1)
-    bounds = capture.bounds
     write_json(
         folder / "capture.json",
         {
             "format": capture.format,
             "source": str(capture.source),
-            "bounds": {
-                "centre": bounds.centre.tolist(),
-                "radius": bounds.radius,
-                "origin": bounds.origin,
-            },
+            "bounds": _plain_bounds(capture.bounds),
             "views": [plain_view(view) for view in capture.views],
             "findings": [asdict(finding) for finding in capture.findings],
             "table": [] if capture.table is None else [_plain_plane(capture.table)],
@@ -107,8 +104,8 @@ def load_bounds(paths: JobPaths) -> Bounds:
         bounds = _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
     except _DAMAGE as fault:
         raise _damaged(folder, fault) from fault
-    frame = _load_frame(paths)
-    return bounds if frame is None else bounds.moved(frame)
+    moved = _load_frame(paths)
+    return bounds if moved is None else moved[1]
 
 
 def _damaged(folder: Path, fault: Exception) -> StorageError:
@@ -116,6 +113,14 @@ def _damaged(folder: Path, fault: Exception) -> StorageError:
         f"The capture stage's files in {folder} cannot be read ({fault}). "
         "Run the capture stage again."
     )
+
+
+def _plain_bounds(bounds: Bounds) -> dict[str, Any]:
+    return {
+        "centre": bounds.centre.tolist(),
+        "radius": bounds.radius,
+        "origin": bounds.origin,
+    }
 
 
 def _bounds(plain: dict[str, Any]) -> Bounds:
@@ -137,18 +142,19 @@ def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
     write_json(paths.turned_cameras, turned)
 
 
-def save_frame(paths: JobPaths, frame: Similarity) -> None:
-    """Write where later stages shall have the stored capture, with its cameras and bounds.
+def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
+    """Write where later stages shall have the stored capture.
 
     Args:
         paths: The result folder.
         frame: Brings the frame of the stored capture to theirs, and does not mirror.
+        bounds: Of the object, in their frame.
     """
     plain = {"turn": frame.turn.tolist(), "scale": frame.scale, "shift": frame.shift.tolist()}
-    write_json(paths.frame, plain)
+    write_json(paths.frame, plain | {"bounds": _plain_bounds(bounds)})
 
 
-def _load_frame(paths: JobPaths) -> Similarity | None:
+def _load_frame(paths: JobPaths) -> tuple[Similarity, Bounds] | None:
     """What `save_frame` wrote, if anything."""
     if not paths.frame.exists():
         return None
@@ -159,9 +165,10 @@ def _load_frame(paths: JobPaths) -> Similarity | None:
             raise ValueError("it is no similarity")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise ValueError("its turn is none")
+        bounds = _bounds(plain["bounds"])
     except _DAMAGE as fault:
         raise _unsettled(paths.frame, fault) from fault
-    return Similarity(turn=turn, scale=float(plain["scale"]), shift=shift)
+    return Similarity(turn=turn, scale=float(plain["scale"]), shift=shift), bounds
 
 
 def _unsettled(path: Path, fault: Exception) -> StorageError:
@@ -211,9 +218,9 @@ def load_settled(paths: JobPaths) -> Capture:
     if paths.cut_masks.exists():
         views = tuple(replace(view, mask=_cut_mask(paths, view)) for view in capture.views)
         capture = replace(capture, views=views)
-    frame = _load_frame(paths)
-    if frame is not None:
-        capture = capture.moved(frame)
+    moved = _load_frame(paths)
+    if moved is not None:
+        capture = replace(capture.moved(moved[0]), bounds=moved[1])
     if not paths.turned_cameras.exists():
         return capture
     try:

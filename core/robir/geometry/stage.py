@@ -117,7 +117,7 @@ def _take(
     if handed.views is not None:
         save_masks(context.paths, handed.views)
     if handed.frame is not None:
-        save_frame(context.paths, handed.frame)
+        save_frame(context.paths, *handed.frame)
     handed.mesh.save(folder / "mesh.npz")
     if handed.light is not None:
         handed.light.save(folder / LIGHT)

@@ -7,13 +7,14 @@ the capture moves: what comes of it stands, light and cameras with it, in the me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robir.capture.bounds import enclosing_sphere
-from robir.capture.capture import Capture
+from robir.capture.bounds import MARGIN, enclosing_sphere
+from robir.capture.capture import Bounds, Capture
 from robir.capture.mesh_file import Given
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
@@ -23,6 +24,8 @@ from robir.geometry.given.symmetry import best_turned
 from robir.geometry.given.verdict import poor_fit
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity
+
+Array = NDArray[np.float64]
 
 ALIGNS = 0.85
 """Share of outline and mask that both have, from which cameras are believed to be where they were
@@ -34,7 +37,7 @@ class Aligned:
     """A capture that was brought to a mesh.
 
     Attributes:
-        capture: In the mesh's frame and unit.
+        capture: In the mesh's frame and unit; if it was moved, its bounds are the mesh's.
         frame: What brings the capture as it was to there, or None where it stood there already.
         agreement: Of the mesh's outlines with the masks.
         notes: Sentences for the user.
@@ -58,18 +61,20 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
     Raises:
         CaptureError: If outlines and masks agree nowhere, or with the mesh's mirror image only.
     """
-    views, bounds = capture.normalised().train, capture.bounds
-    centre, radius = enclosing_sphere(given.vertices[np.unique(given.faces)])
+    used = given.vertices[np.unique(given.faces)]
+    centre, radius = enclosing_sphere(used)
     # about the middle of the unit sphere, for a scan may be far from its origin
-    from_unit = Similarity(turn=np.eye(3), scale=radius, shift=centre)
+    from_unit = _from_unit(centre, radius)
     vertices = from_unit.inverse(given.vertices)
     tracer = EmbreeTracer(vertices.astype(np.float32), given.faces)
-    to_capture = Similarity(turn=np.eye(3), scale=bounds.radius, shift=bounds.centre)
+    if not config.fit_mesh:
+        now = Outlines(capture.train, FINE).of(tracer, from_unit)
+        if now.share >= FITS:
+            return Aligned(capture=capture, frame=None, agreement=now, notes=())
+    to_capture = _from_unit(*Outlines(capture.train, COARSE).sphere())
+    views = capture.moved(to_capture.inverse).train
     outlines = {side: Outlines(views, side) for side in (COARSE, FINE)}
-    now = outlines[FINE].of(tracer, to_capture.inverse.after(from_unit))
-    if now.share >= FITS and not config.fit_mesh:
-        return Aligned(capture=capture, frame=None, agreement=now, notes=())
-    place, then = better_place(vertices[np.unique(given.faces)], tracer, views)
+    place, then = better_place(from_unit.inverse(used), tracer, views, is_lost=True)
     if then.share < ALIGNS or np.linalg.det(place.turn) < 0:
         show_fit(tracer, (place,), views, picture)
         raise CaptureError(_why_not(place, then, picture))
@@ -80,12 +85,18 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
         "The photographs' cameras were found and brought to the mesh, which stays where it is: its "
         f"outlines and the masks share {standing.agreement.share:.1%}, see {picture}."
     )
+    bounds = Bounds(centre=centre, radius=MARGIN * radius, origin="the mesh")
     return Aligned(
-        capture=capture.moved(frame),
+        capture=replace(capture.moved(frame), bounds=bounds),
         frame=frame,
         agreement=standing.agreement,
         notes=(told, *poor_fit(standing.agreement), *standing.notes()),
     )
+
+
+def _from_unit(centre: Array, radius: float) -> Similarity:
+    """What brings the unit sphere onto another."""
+    return Similarity(turn=np.eye(3), scale=radius, shift=centre)
 
 
 def _why_not(place: Similarity, then: Agreement, picture: Path) -> str:

@@ -40,6 +40,9 @@ TURNS = 500
 FOLLOWED = 5
 """Of them, those that are followed downhill."""
 
+ROUNDS = 2
+"""How often each of them is scaled and shifted to suit the masks where its size is not known."""
+
 FITS = 0.9
 """Share of outline and mask that both have, from which a mesh stands right; of its own masks a mesh
 of ours has 0.97."""
@@ -84,6 +87,48 @@ class Outlines:
             owners.append(np.full(len(mask), number))
         self.origins, self.directions = np.concatenate(origins), np.concatenate(directions)
         self.mask, self._owner = np.concatenate(masks), np.concatenate(owners)
+        self._eyes = np.stack([views[index].camera.position for index in chosen])
+        self._count = len(chosen)
+
+    def sphere(self) -> tuple[Array, float]:
+        """Where the masks say that the object is: a centre (3,), and a radius that suits a ball.
+
+        Other than a visual hull this is not led astray where all photographs are from one side.
+        """
+        eyes, middle, width = self._seen(self.mask)
+        centre = _nearest(eyes, middle)
+        away = np.linalg.norm(centre - eyes, axis=1)
+        return centre, float(np.median(away * width)) * 2**0.5
+
+    def balanced(self, tracer: EmbreeTracer, place: Similarity) -> Similarity:
+        """A place scaled and shifted so that outlines are as wide as masks, and lie as these do."""
+        hits = first_hits(tracer, place, (self.origins, self.directions))
+        (eyes, there, width), (_, here, wide) = self._seen(self.mask), self._seen(hits.face >= 0)
+        shown = (width > 0) & (wide > 0)
+        if shown.sum() < 2:
+            return place
+        was = _nearest(eyes[shown], here[shown])
+        now = _nearest(eyes[shown], there[shown])
+        grown = float(np.median(width[shown] / wide[shown]))
+        shift = now + grown * (place.shift - was)
+        return Similarity(turn=place.turn, scale=grown * place.scale, shift=shift)
+
+    def _seen(self, pixels: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Of some pixels (N,): eyes (V, 3), mean directions (V, 3), and spread (V,) about them.
+
+        The spread is the root of the mean square of the directions' distance; 0 where a photograph
+        has none of the pixels.
+        """
+        owners = self._owner[pixels]
+        count = np.maximum(np.bincount(owners, minlength=self._count), 1)
+
+        def mean(values: Array) -> Array:
+            return np.bincount(owners, values, minlength=self._count) / count
+
+        own = self.directions[pixels]
+        middle = np.stack([mean(own[:, k]) for k in range(3)], axis=1)
+        spread = np.sqrt(mean(((own - middle[owners]) ** 2).sum(axis=1)))
+        return self._eyes, middle, spread
 
     def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
         """Agreement of the masks with a mesh that a similarity brings to its place."""
@@ -117,7 +162,7 @@ def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array
 
 
 def better_place(
-    vertices: Array, tracer: EmbreeTracer, views: Sequence[View]
+    vertices: Array, tracer: EmbreeTracer, views: Sequence[View], *, is_lost: bool = False
 ) -> tuple[Similarity, Agreement]:
     """The similarity that brings a mesh where its outline fits the masks best.
 
@@ -125,6 +170,8 @@ def better_place(
         vertices: (N, 3) of the mesh, unit frame.
         tracer: Of the mesh where it is.
         views: Training views, unit frame.
+        is_lost: Whether the unit sphere is only roughly the mesh's own, and the mesh's own place
+            tells nothing.
 
     Returns:
         What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
@@ -132,7 +179,9 @@ def better_place(
     coarse, fine = Outlines(views, COARSE), Outlines(views, FINE)
     centre, radius = enclosing_sphere(vertices)
     found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
-    if best.share > 0.5:  # nearly right: what is off by a little is not searched for far away
+    if (
+        best.share > 0.5 and not is_lost
+    ):  # nearly right: what is off by a little is not searched for far away
         found, best = _finished(found, tracer, fine)
     for handed in (1.0, -1.0):
         if best.share >= FITS:
@@ -142,6 +191,8 @@ def better_place(
             for turn in handed * _turns()
             for scale in [1 / (MARGIN * radius)]
         ]
+        for _ in range(ROUNDS if is_lost else 0):
+            tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
         followed = [downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
         start = max(followed, key=lambda pair: pair[1])[0]
@@ -183,6 +234,14 @@ def downhill(
         options={"initial_simplex": simplex, "maxfev": most, "xatol": 1e-4, "fatol": 1e-4},
     )
     return moved(found.x), -float(found.fun)
+
+
+def _nearest(origins: Array, directions: Array) -> Array:
+    """The point (3,) nearest to lines (N, 3), by least squares."""
+    along = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    across = np.eye(3) - along[:, :, None] * along[:, None, :]
+    right = np.einsum("nij,nj->i", across, origins)
+    return np.linalg.lstsq(across.sum(axis=0), right, rcond=None)[0]
 
 
 def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:

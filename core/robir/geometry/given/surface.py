@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
+from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Bounds, Capture, View
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
@@ -49,7 +49,8 @@ class Handed:
         normal_map: As `Given` has it, where the result can have it too.
         views: All views of the capture where their masks had been guessed; the outlines of the mesh
             take their place, without what stands before it in a photograph. Else None.
-        frame: What brings the capture to the mesh, where it is the one that had to move. Else None.
+        frame: What brings the capture to the mesh, and its bounds there, where it is the one that
+            had to move. Else None.
         metrics: For the stage's manifest.
         notes: Sentences for the user.
     """
@@ -58,7 +59,7 @@ class Handed:
     light: Mesh | None
     normal_map: NDArray[np.uint8] | None
     views: tuple[View, ...] | None
-    frame: Similarity | None
+    frame: tuple[Similarity, Bounds] | None
     metrics: dict[str, float | str]
     notes: tuple[str, ...]
 
@@ -89,7 +90,8 @@ def hand_in(
     frame = None
     if captures[0].has_frame_of_ours:
         found = aligned(given, captures[0], config, picture)
-        captures, frame = (found.capture, found.capture.normalised()), found.frame
+        captures = (found.capture, found.capture.normalised())
+        frame = None if found.frame is None else (found.frame, found.capture.bounds)
         given, agreement = _in_unit_frame(given, found.capture).noted(*found.notes), found.agreement
     else:
         given, agreement = _placed(_in_unit_frame(given, captures[0]), captures, config, picture)
