@@ -59,11 +59,13 @@ class Agreement:
         share: Of what either has, what both have, mean over the photographs, in [0, 1].
         missing: Share of the masks that the outline leaves free.
         beyond: Share of the outline that lies outside the masks.
+        shares: (V,) what `share` is the mean of.
     """
 
     share: float
     missing: float
     beyond: float
+    shares: Array
 
 
 class Outlines:
@@ -137,10 +139,12 @@ class Outlines:
         both = np.bincount(self._owner, shown & self.mask)
         either = np.bincount(self._owner, shown | self.mask)
         masked, seen = np.bincount(self._owner, self.mask), np.bincount(self._owner, shown)
+        shares = both / np.maximum(either, 1)
         return Agreement(
-            share=float((both / np.maximum(either, 1)).mean()),
+            share=float(shares.mean()),
             missing=float(1 - both.sum() / max(masked.sum(), 1)),
             beyond=float(1 - both.sum() / max(seen.sum(), 1)) if seen.sum() else 0.0,
+            shares=shares,
         )
 
 

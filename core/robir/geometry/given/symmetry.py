@@ -28,7 +28,10 @@ ALIKE = 0.04
 masks hardly tell: those that are guessed are wrong by about as much."""
 
 TOLD = 0.02
-"""The same after that, from which outlines tell."""
+"""The same after that, from which outlines tell; and if it costs less, that is"""
+
+SURE = 3.0
+"""so by this many standard errors over the photographs."""
 
 FOLLOWED = 4
 """Turns that are followed."""
@@ -116,7 +119,7 @@ def best_turned(
     for k in sorted(range(len(found)), key=lambda k: -agreements[k].share):
         near = [found[best], *(one for one, _ in others)]
         is_new = all(_is_another(found[k], one, axes.T[about]) for one in near)
-        if is_new and agreements[k].share > agreements[best].share - TOLD:
+        if is_new and _is_as_good(agreements[k], agreements[best]):
             others.append((found[k], agreements[k].share))
     return Standing(
         place=found[best],
@@ -148,6 +151,13 @@ def _turns(axes: Array) -> Array:
         if turn.diagonal().max() < 0.5  # neither about one of the axes nor none
     ]
     return np.array([*about, *between])
+
+
+def _is_as_good(one: Agreement, best: Agreement) -> bool:
+    """Whether the best place is not surely better than another, photograph by photograph."""
+    lead = best.shares - one.shares
+    error = lead.std(ddof=1) / len(lead) ** 0.5 if len(lead) > 1 else np.inf
+    return bool(lead.mean() < min(TOLD, SURE * error + 1e-9))
 
 
 def _is_another(one: Similarity, other: Similarity, round_about: Array) -> bool:
