@@ -19,7 +19,7 @@ from robir.geometry.config import GeometryConfig
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, read_json
 
-pytestmark = pytest.mark.pycolmap
+pytestmark = [pytest.mark.pycolmap, pytest.mark.slow]
 
 
 class Listener(Quiet):

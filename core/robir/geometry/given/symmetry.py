@@ -109,8 +109,12 @@ def best_turned(
     tried = [place.after(turn_about(turn, middle)) for turn in turns]
     shares = np.array([fine.of(tracer, one).share for one in tried])
     alike = shares >= share - ALIKE
-    about = alike[: 3 * (360 // STEP - 1)].reshape(3, -1).all(axis=1)
-    order = [k for k in np.argsort(-shares) if alike[k]][:FOLLOWED]
+    per_axis = 360 // STEP - 1
+    about = alike[: 3 * per_axis].reshape(3, -1).all(axis=1)
+    order = [k for k in np.argsort(-shares) if alike[k]]
+    # about an axis of something round all are the same, and the best of them is enough
+    same = [k for k in order if k < 3 * per_axis and about[k // per_axis]]
+    order = [k for k in order if k not in same[1:]][:FOLLOWED]
     found = [place, *(downhill(tried[k], tracer, outlines[COARSE])[0] for k in order)]
     found = [downhill(one, tracer, fine, REACH)[0] for one in found]
     agreements = [fine.of(tracer, one) for one in found]
