@@ -21,7 +21,7 @@ from robir.errors import CaptureError, StorageError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.aligning import ALIGNS, Aligned, aligned
 from robir.geometry.given.surface import hand_in
-from robir.jobs.paths import JobPaths
+from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.similarity import AS_IT_IS, Similarity
 
 SIDE = 72
@@ -185,8 +185,6 @@ def test_the_mesh_stays_and_later_stages_have_the_cameras_there(capture, tmp_pat
     ],
 )
 def test_a_damaged_frame_is_said(capture, tmp_path, changed):
-    from robir.jobs.paths import read_json, write_json
-
     paths = JobPaths(tmp_path)
     save_capture(paths.stage("capture"), capture)
     save_frame(paths, AS_IT_IS, capture.bounds)
