@@ -28,10 +28,10 @@ ALIKE = 0.04
 masks hardly tell: those that are guessed are wrong by about as much."""
 
 TOLD = 0.02
-"""The same after that, from which outlines tell; and if it costs less, that is"""
+"""The same after that, from which outlines tell in any case."""
 
 SURE = 3.0
-"""so by this many standard errors over the photographs."""
+"""Standard errors over the photographs from which outlines tell by less than that as well."""
 
 FOLLOWED = 4
 """Turns that are followed."""
