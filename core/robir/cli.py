@@ -111,8 +111,9 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "--mesh",
         type=path_argument,
         metavar="FILE",
-        help="take this mesh, in the capture's frame, instead of reconstructing one: .glb, .gltf, "
-        ".obj, .ply, .stl or .off (of .fbx and USD, Blender makes a .glb first)",
+        help="take this mesh, in the capture's frame, or in any for photographs alone, instead of "
+        "reconstructing one: .glb, .gltf, .obj, .ply, .stl or .off (of .fbx and USD, Blender makes "
+        "a .glb first)",
     )
     parser.add_argument(
         "--fit-mesh",

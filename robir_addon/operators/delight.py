@@ -21,7 +21,8 @@ class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
     bl_label = "De-light Object"
     bl_description = (
         "Make a material without shadows and highlights for the selected object, which stands "
-        "where the capture's photographs show it; its own material stays in its slot"
+        "where the capture's photographs show it, or anywhere if these have no cameras; its own "
+        "material stays in its slot"
     )
     bl_options = {"REGISTER", "UNDO"}
 

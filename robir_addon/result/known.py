@@ -18,6 +18,9 @@ from .importer import asset_of
 FAR = 0.05
 """Farthest that a point may lie from the surface, shares of the object's longest side."""
 
+_MOST = 10.0, 100.0
+"""What u and v may be over UDIM tiles."""
+
 _OUTSIDE = 1e-4
 """How far rounding may lead out of the texture."""
 
@@ -48,7 +51,7 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
         place: World.
 
     Returns:
-        u and v, 0 to 1, v upwards.
+        u and v, over UDIM tiles if there are such, else 0 to 1; v upwards.
 
     Raises:
         RequestError: If the place is far from the object, or the object has no texture there.
@@ -75,12 +78,12 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
         uv = None if layer is None else _interpolated(mesh, layer, face, nearest)
     finally:
         seen.to_mesh_clear()
-    if uv is None or not all(-_OUTSIDE <= x <= 1.0 + _OUTSIDE for x in uv):
+    if uv is None or not all(-_OUTSIDE <= x <= most + _OUTSIDE for x, most in zip(uv, _MOST, strict=True)):
         raise RequestError(
             "{name} lacks the texture coordinates of the result there; undo what removed them",
             name=shown.name,
         )
-    return min(max(uv.x, 0.0), 1.0), min(max(uv.y, 0.0), 1.0)
+    return min(max(uv.x, 0.0), _MOST[0]), min(max(uv.y, 0.0), _MOST[1])
 
 
 def _without_surface(shown: bpy.types.Object) -> RequestError:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robir.errors import ConfigError
+from robir.geometry.mesh.tiles import ACROSS, ROWS
 
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
 """Candidates, simplest first."""
@@ -78,7 +79,7 @@ class AppearanceConfig:
         if self.white_point and not _is_white_point(self.white_point):
             raise ConfigError(
                 f"appearance.white_point is {list(self.white_point)}; it must be u and v of a "
-                "texel, 0 to 1, and its albedo red, green and blue, above 0 and at most 1"
+                "texel, not negative, and its albedo red, green and blue, above 0 and at most 1"
             )
         if self.sun and (len(self.sun) != 3 or not any(self.sun) or self.num_sharp_lobes < 1):
             raise ConfigError(
@@ -93,5 +94,6 @@ class AppearanceConfig:
 
 def _is_white_point(values: tuple[float, ...]) -> bool:
     """Whether these are a texel and an albedo."""
-    texel, albedo = values[:2], values[2:]
-    return len(albedo) == 3 and all(0 <= v <= 1 for v in texel) and all(0 < v <= 1 for v in albedo)
+    albedo = values[2:]
+    is_texel = len(values) == 5 and 0 <= values[0] <= ACROSS and 0 <= values[1] <= ROWS
+    return is_texel and all(0 < value <= 1 for value in albedo)

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.maths.similarity import Similarity
+
 Array = NDArray[np.float64]
 
 Box = tuple[int, int, int, int]
@@ -189,4 +191,11 @@ class Camera:
         """The camera in the frame where the bounding sphere is the unit sphere at the origin."""
         pose = self.camera_to_world.copy()
         pose[:3, 3] = (pose[:3, 3] - centre) / radius
+        return replace(self, camera_to_world=pose)
+
+    def moved(self, place: Similarity) -> Camera:
+        """The camera where a similarity that does not mirror brings it."""
+        pose = self.camera_to_world.copy()
+        pose[:3, :3] = place.turn @ pose[:3, :3]
+        pose[:3, 3] = place(pose[None, :3, 3])[0]
         return replace(self, camera_to_world=pose)

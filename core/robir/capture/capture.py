@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.support import Plane
+from robir.maths.similarity import Similarity
 
 Split = Literal["train", "held_out"]
 
@@ -50,6 +51,11 @@ class Bounds:
     radius: float
     origin: str
 
+    def moved(self, place: Similarity) -> Bounds:
+        """The sphere where a similarity brings it."""
+        centre = place(self.centre[None])[0]
+        return replace(self, centre=centre, radius=place.scale * self.radius)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
@@ -77,6 +83,9 @@ class Finding:
         """The finding of which `dataclasses.asdict` made plain values."""
         return cls(**{**plain, "files": tuple(plain["files"])})
 
+
+PHOTOGRAPHS_ALONE = "photos"
+"""Format of photographs, or a video, whose cameras we find."""
 
 GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
 BACKDROP_MASKS, MESH_MASKS = "backdrop-masks", "mesh-masks"
@@ -117,6 +126,11 @@ class Capture:
         return tuple(view for view in self.views if view.split == "held_out")
 
     @property
+    def has_frame_of_ours(self) -> bool:
+        """Whether poses were found from the photographs, so that its frame means nothing."""
+        return self.format == PHOTOGRAPHS_ALONE
+
+    @property
     def has_guessed_masks(self) -> bool:
         """Whether the object was cut out by us, and without any of the ground it stands on."""
         codes = {finding.code for finding in self.findings}
@@ -136,3 +150,9 @@ class Capture:
         unit = Bounds(centre=np.zeros(3), radius=1.0, origin=bounds.origin)
         table = None if self.table is None else self.table.normalised(bounds.centre, bounds.radius)
         return replace(self, views=views, bounds=unit, table=table)
+
+    def moved(self, place: Similarity) -> Capture:
+        """The capture in another frame, to which a similarity that does not mirror brings it."""
+        views = tuple(replace(view, camera=view.camera.moved(place)) for view in self.views)
+        table = None if self.table is None else self.table.moved(place)
+        return replace(self, views=views, bounds=self.bounds.moved(place), table=table)

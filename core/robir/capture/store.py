@@ -19,18 +19,23 @@ from robir.errors import StorageError
 from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
+from robir.maths.similarity import Similarity
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
 """What reading a damaged file of the stage raises."""
 
+_BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
+
 _CAPTURE = {
     "format": str,
     "source": str,
-    "bounds": {"centre": NUMBERS, "radius": float, "origin": str},
+    "bounds": _BOUNDS,
     "views": [CAMERA],
     "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
     "table": [{"normal": NUMBERS, "offset": float, "tolerance": float}],
 }
+
+_FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS, "bounds": _BOUNDS}
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
@@ -45,17 +50,12 @@ def save_capture(folder: Path, capture: Capture) -> None:
         picture = Image.fromarray(np.dstack([view.image_display, view.mask]), "RGBA")
         with replacing(view_path(folder, view.name)) as temporary:
             picture.save(temporary, format="PNG", compress_level=1)
-    bounds = capture.bounds
     write_json(
         folder / "capture.json",
         {
             "format": capture.format,
             "source": str(capture.source),
-            "bounds": {
-                "centre": bounds.centre.tolist(),
-                "radius": bounds.radius,
-                "origin": bounds.origin,
-            },
+            "bounds": _plain_bounds(capture.bounds),
             "views": [plain_view(view) for view in capture.views],
             "findings": [asdict(finding) for finding in capture.findings],
             "table": [] if capture.table is None else [_plain_plane(capture.table)],
@@ -90,19 +90,22 @@ def load_capture(folder: Path) -> Capture:
         raise _damaged(folder, fault) from fault
 
 
-def load_bounds(folder: Path) -> Bounds:
-    """The object's sphere alone, without the photographs.
+def load_bounds(paths: JobPaths) -> Bounds:
+    """The object's sphere alone, without the photographs, in the frame of `load_settled`.
 
     Args:
-        folder: Folder of the capture stage.
+        paths: The result folder.
 
     Raises:
         StorageError: If a file is missing or damaged.
     """
+    folder = paths.stage("capture")
     try:
-        return _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
+        bounds = _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
     except _DAMAGE as fault:
         raise _damaged(folder, fault) from fault
+    moved = _load_frame(paths)
+    return bounds if moved is None else moved[1]
 
 
 def _damaged(folder: Path, fault: Exception) -> StorageError:
@@ -110,6 +113,14 @@ def _damaged(folder: Path, fault: Exception) -> StorageError:
         f"The capture stage's files in {folder} cannot be read ({fault}). "
         "Run the capture stage again."
     )
+
+
+def _plain_bounds(bounds: Bounds) -> dict[str, Any]:
+    return {
+        "centre": bounds.centre.tolist(),
+        "radius": bounds.radius,
+        "origin": bounds.origin,
+    }
 
 
 def _bounds(plain: dict[str, Any]) -> Bounds:
@@ -129,6 +140,39 @@ def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
     """
     turned = {name: camera.camera_to_world[:3, :3].tolist() for name, camera in cameras.items()}
     write_json(paths.turned_cameras, turned)
+
+
+def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
+    """Write where later stages shall have the stored capture.
+
+    Args:
+        paths: The result folder.
+        frame: Brings the frame of the stored capture to theirs, and does not mirror.
+        bounds: Of the object, in their frame.
+    """
+    plain = {"turn": frame.turn.tolist(), "scale": frame.scale, "shift": frame.shift.tolist()}
+    write_json(paths.frame, plain | {"bounds": _plain_bounds(bounds)})
+
+
+def _load_frame(paths: JobPaths) -> tuple[Similarity, Bounds] | None:
+    """What `save_frame` wrote, if anything."""
+    if not paths.frame.exists():
+        return None
+    try:
+        plain = read_record(paths.frame, _FRAME)
+        turn, shift = np.array(plain["turn"]), np.array(plain["shift"])
+        if turn.shape != (3, 3) or shift.shape != (3,) or plain["scale"] <= 0:
+            raise ValueError("it is no similarity")
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+            raise ValueError("its turn is none")
+        bounds = _bounds(plain["bounds"])
+    except _DAMAGE as fault:
+        raise _unsettled(paths.frame, fault) from fault
+    return Similarity(turn=turn, scale=float(plain["scale"]), shift=shift), bounds
+
+
+def _unsettled(path: Path, fault: Exception) -> StorageError:
+    return StorageError(f"{path} cannot be read ({fault}). Run the geometry stage again.")
 
 
 def _plain_plane(plane: Plane) -> dict[str, Any]:
@@ -165,7 +209,7 @@ def load_settled(paths: JobPaths) -> Capture:
         paths: The result folder.
 
     Returns:
-        The capture in its own frame.
+        The capture in its own frame, or in the one that the geometry stage brought it to.
 
     Raises:
         StorageError: If a file is missing or damaged.
@@ -174,15 +218,16 @@ def load_settled(paths: JobPaths) -> Capture:
     if paths.cut_masks.exists():
         views = tuple(replace(view, mask=_cut_mask(paths, view)) for view in capture.views)
         capture = replace(capture, views=views)
+    moved = _load_frame(paths)
+    if moved is not None:
+        capture = replace(capture.moved(moved[0]), bounds=moved[1])
     if not paths.turned_cameras.exists():
         return capture
     try:
         turned = read_record(paths.turned_cameras, {...: MATRIX})
         views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
     except _DAMAGE as fault:
-        raise StorageError(
-            f"{paths.turned_cameras} cannot be read ({fault}). Run the geometry stage again."
-        ) from fault
+        raise _unsettled(paths.turned_cameras, fault) from fault
     return replace(capture, views=views)
 
 
@@ -195,9 +240,7 @@ def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
                 raise ValueError(f"it is {picture.mode} of size {picture.size}")
             return np.array(picture)
     except _DAMAGE as fault:
-        raise StorageError(
-            f"{path} cannot be read ({fault}). Run the geometry stage again."
-        ) from fault
+        raise _unsettled(path, fault) from fault
 
 
 def _oriented(view: View, rotation: list[list[float]]) -> View:

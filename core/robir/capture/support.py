@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
+from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,15 @@ class Plane:
         """The plane in the frame where a sphere is the unit sphere at the origin."""
         offset = float(self.offset - self.normal @ centre) / radius
         return Plane(normal=self.normal, offset=offset, tolerance=self.tolerance / radius)
+
+    def moved(self, place: Similarity) -> Plane:
+        """The plane where a similarity that does not mirror brings it."""
+        normal = place.turn @ self.normal
+        return Plane(
+            normal=normal,
+            offset=float(place.scale * self.offset + normal @ place.shift),
+            tolerance=place.scale * self.tolerance,
+        )
 
 
 def across(normal: Array) -> Array:

@@ -84,8 +84,8 @@ def result_mesh(paths: JobPaths, bounds: Bounds) -> Mesh:
 
 
 def stored_mesh(paths: JobPaths) -> Mesh:
-    """The same, by the bounds that the capture stage stored."""
-    return result_mesh(paths, load_bounds(paths.stage("capture")))
+    """The same, by the bounds alone."""
+    return result_mesh(paths, load_bounds(paths))
 
 
 def stored_facts(path: Path, form: Any) -> Any:

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture, save_masks, save_turned
+from robir.capture.store import load_capture, save_frame, save_masks, save_turned
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import FINISHING, Dense, finished
@@ -116,6 +116,8 @@ def _take(
         context.reporter.warn(note)
     if handed.views is not None:
         save_masks(context.paths, handed.views)
+    if handed.frame is not None:
+        save_frame(context.paths, *handed.frame)
     handed.mesh.save(folder / "mesh.npz")
     if handed.light is not None:
         handed.light.save(folder / LIGHT)

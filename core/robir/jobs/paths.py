@@ -70,7 +70,7 @@ class JobPaths:
 
     @property
     def mesh_fit(self) -> Path:
-        """Photographs with a handed-in mesh that does not fit, as it is and as it would."""
+        """Photographs with a handed-in mesh over them where it, or their cameras, had to move."""
         return self.root / "mesh_fit.png"
 
     @property
@@ -124,6 +124,11 @@ class JobPaths:
     def turned_cameras(self) -> Path:
         """Poses of the views where the geometry stage found the given ones wrong; else absent."""
         return self.stage("geometry") / "cameras.json"
+
+    @property
+    def frame(self) -> Path:
+        """Where the capture was brought to stand as a handed-in mesh does; else absent."""
+        return self.stage("geometry") / "frame.json"
 
     @property
     def normal_map(self) -> Path:

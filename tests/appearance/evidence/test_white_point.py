@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -40,6 +42,20 @@ def test_a_texel_is_found_on_the_mesh(quad, texel):
     assert known.position == pytest.approx([2 * texel[0], 2 * texel[1], 3.0], abs=1e-5)
     assert known.normal == pytest.approx([0, 0, 1])
     assert known.albedo == pytest.approx([0.5, 0.4, 0.3])
+
+
+def test_a_texel_of_a_tile_is_found_in_the_cell_of_the_atlas(quad):
+    # tiles 1001 and 1012: two by two cells, the second cell's lower left corner at u = .5
+    tiled = replace(
+        quad,
+        uvs=np.float32([[0.5, 0], [1, 0], [1, 0.25], [0.5, 0.25]]),
+        tiles=np.int32([1001, 1012]),
+    )
+    known = KnownPaint.of(tiled, (1.25, 1.125, 0.5, 0.4, 0.3))
+    assert known.position == pytest.approx([0.5, 0.25, 3.0], abs=1e-5)
+    assert known.texel == pytest.approx([0.625, 0.0625])
+    with pytest.raises(ConfigError, match=r"coordinates 0\.25, 0\.125"):
+        KnownPaint.of(tiled, (0.25, 0.125, 0.5, 0.4, 0.3))
 
 
 def test_a_texel_beside_the_object_is_refused(quad):
@@ -91,7 +107,7 @@ def test_a_texture_is_as_bright_as_the_paint_at_the_spot():
 
 
 @pytest.mark.parametrize(
-    "wrong", [(0.5, 0.5, 0.5, 0.5), (1.2, 0, 0.5, 0.5, 0.5), (0, 0, 0.5, 0, 0.5), (0, 0, 1, 1, 1.5)]
+    "wrong", [(0.5, 0.5, 0.5, 0.5), (-0.2, 0, 0.5, 0.5, 0.5), (10.5, 0, 0.5, 0.5, 0.5), (0, 0, 0.5, 0, 0.5), (0, 0, 1, 1, 1.5)]
 )
 def test_what_is_no_texel_with_an_albedo_is_refused(wrong):
     with pytest.raises(ConfigError, match=r"appearance\.white_point is"):

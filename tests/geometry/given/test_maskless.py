@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import trimesh
 from capture.masks import scene
 from geometry.given.test_surface import Quiet
 
+from robir.capture import recognise
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import read_capture
+from robir.capture.refusal import CaptureRefusedError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.surface import hand_in
 
@@ -40,3 +45,17 @@ def test_outlines_come_from_the_mesh_where_object_and_background_look_alike(tmp_
         whole[y : y + height, x : x + width] = view.mask > 127
         assert scene.overlap(whole, shot.truth) > 0.96
         assert (rough.mask > 127).sum() > (view.mask > 127).sum()
+
+
+def test_a_mesh_cannot_say_where_the_object_is_if_the_cameras_have_a_frame_of_ours(
+    tmp_path, monkeypatch
+):
+    shots = scene.photographs(12, has_camouflage=True)
+    source = scene.save_nerfstudio(tmp_path / "capture", shots)
+    frames = replace(recognise.read_frames(source), format="photos")
+    monkeypatch.setattr(recognise, "read_frames", lambda *_: frames)
+    path = tmp_path / "scan.ply"
+    path.write_bytes(trimesh.exchange.ply.export_ply(trimesh.creation.icosphere(2, scene.RADIUS)))
+    config = CaptureConfig(max_side=160)
+    with pytest.raises(CaptureRefusedError, match="the mesh cannot say, for masks tell where"):
+        recognise.read_capture(source, None, config, mesh=path)

@@ -20,7 +20,7 @@ class KnownPaint:
     """A spot whose albedo the user tells.
 
     Attributes:
-        texel: u and v on the texture, 0..1, v upwards.
+        texel: u and v on the atlas, 0..1, v upwards.
         position: (3,) of the spot, unit frame.
         normal: (3,) unit.
         albedo: (3,) linear Rec.709, above 0.
@@ -37,7 +37,7 @@ class KnownPaint:
 
         Args:
             mesh: Unit frame.
-            white_point: u, v, red, green, blue; or empty.
+            white_point: u and v, over the tiles if the mesh has such, red, green, blue; or empty.
 
         Raises:
             ConfigError: If no face lies there.
@@ -45,7 +45,7 @@ class KnownPaint:
         if not white_point:
             return None
         texel = np.asarray(white_point[:2], np.float64)
-        a, b, c = np.moveaxis(mesh.uvs[mesh.uv_faces].astype(np.float64), 1, 0)
+        a, b, c = np.moveaxis(mesh.own_uvs()[mesh.uv_faces].astype(np.float64), 1, 0)
         whole = _cross(b - a, c - a)
         shares = np.stack([_cross(b - texel, c - texel), _cross(c - texel, a - texel)], axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -59,8 +59,9 @@ class KnownPaint:
             )
         face = found[:1].astype(np.int32)
         position, normal = interpolate(mesh, face, shares[face].astype(np.float32))
+        u, v = shares[found[0]] @ mesh.uvs[mesh.uv_faces[found[0]]]
         return cls(
-            texel=(float(texel[0]), float(texel[1])),
+            texel=(float(u), float(v)),
             position=position[0],
             normal=normal[0],
             albedo=np.asarray(white_point[2:], np.float32),

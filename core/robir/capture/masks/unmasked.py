@@ -16,6 +16,7 @@ from robir.capture.capture import (
     GUESSED_MASKS,
     KEPT_GROUND,
     MESH_MASKS,
+    PHOTOGRAPHS_ALONE,
     Finding,
     Split,
     View,
@@ -75,6 +76,9 @@ def with_guessed_masks(
         again = _read_again(chosen, (loaded.views, beliefs, None), (config, folder), progress)
         return again, [_about_backdrop(beliefs, folder)]
     seen, guess, fault = _guess(frames, loaded.views, config, progress)
+    if mesh is not None and frames.format == PHOTOGRAPHS_ALONE:
+        # it stands in a frame of its own, and masks are what brings the cameras there
+        mesh, fault = None, f"{fault}; the mesh cannot say, for masks tell where it stands"
     if guess is None and mesh is not None:
         cuts = about_mesh(read_mesh(mesh).vertices, chosen, loaded.views)
         if 2 * len(cuts) > len(chosen):

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robir.capture.capture import Finding
+from robir.capture.capture import PHOTOGRAPHS_ALONE, Finding
 from robir.capture.frames import FrameSet
 from robir.capture.images.decode import MAX_FILE_BYTES
 from robir.capture.images.regular import regular
@@ -31,7 +31,6 @@ from robir.jobs.paths import read_json, write_json
 if TYPE_CHECKING:
     import pycolmap
 
-FORMAT = "photos"
 REVISION = 3
 """Raised by hand when the results of this room change."""
 
@@ -212,7 +211,7 @@ class _Registration:
             for frame in read.frames
         )
         return replace(
-            read, root=self._root, format=FORMAT, frames=frames, findings=tuple(findings)
+            read, root=self._root, format=PHOTOGRAPHS_ALONE, frames=frames, findings=tuple(findings)
         )
 
     def _step(self, name: str, verb: str) -> Progress:

@@ -20,6 +20,7 @@ from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.tracing import Hits
+from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
@@ -39,56 +40,15 @@ TURNS = 500
 FOLLOWED = 5
 """Of them, those that are followed downhill."""
 
+ROUNDS = 2
+"""How often each of them is scaled and shifted to suit the masks where its size is not known."""
+
 FITS = 0.9
 """Share of outline and mask that both have, from which a mesh stands right; of its own masks a mesh
 of ours has 0.97."""
 
 BETTER = 0.05
 """Of that share: by how much another place has to be better to be believed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Similarity:
-    """x -> scale * turn @ x + shift.
-
-    Attributes:
-        turn: (3, 3) rotation; with a determinant of -1 it mirrors as well.
-        scale: Above 0.
-        shift: (3,).
-    """
-
-    turn: Array
-    scale: float
-    shift: Array
-
-    def __call__(self, points: Array) -> Array:
-        """Points (N, 3) where it brings them."""
-        return self.scale * points @ self.turn.T + self.shift
-
-    def first_hits(self, tracer: EmbreeTracer, origins: Array, directions: Array) -> Hits:
-        """Where rays (N, 3) meet a mesh that stands at its place; distances are the mesh's own."""
-        origins = (origins - self.shift) @ self.turn / self.scale
-        directions = directions @ self.turn
-        return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
-
-    def outside(self, centre: Array, radius: float) -> Similarity:
-        """The same in the frame in which the unit sphere has a centre (3,) and a radius."""
-        shift = centre + radius * self.shift - self.scale * self.turn @ centre
-        return Similarity(turn=self.turn, scale=self.scale, shift=shift)
-
-    def described(self) -> str:
-        """In words, for the user."""
-        axis = Rotation.from_matrix(self.turn).as_rotvec(degrees=True)
-        angle = float(np.linalg.norm(axis))
-        about = ", ".join(f"{x:.3f}" for x in axis / max(angle, 1e-9))
-        by = ", ".join(f"{x:.5g}" for x in self.shift)
-        return (
-            f"turned by {angle:.2f} degrees about ({about}), scaled by {self.scale:.6g} and "
-            f"shifted by ({by})"
-        )
-
-
-AS_IT_IS = Similarity(turn=np.eye(3), scale=1.0, shift=np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,11 +59,13 @@ class Agreement:
         share: Of what either has, what both have, mean over the photographs, in [0, 1].
         missing: Share of the masks that the outline leaves free.
         beyond: Share of the outline that lies outside the masks.
+        shares: (V,) what `share` is the mean of.
     """
 
     share: float
     missing: float
     beyond: float
+    shares: Array
 
 
 class Outlines:
@@ -127,23 +89,84 @@ class Outlines:
             owners.append(np.full(len(mask), number))
         self.origins, self.directions = np.concatenate(origins), np.concatenate(directions)
         self.mask, self._owner = np.concatenate(masks), np.concatenate(owners)
+        self._eyes = np.stack([views[index].camera.position for index in chosen])
+        self._count = len(chosen)
+
+    def sphere(self) -> tuple[Array, float]:
+        """Where the masks say that the object is: a centre (3,), and a radius that suits a ball.
+
+        Other than a visual hull this is not led astray where all photographs are from one side.
+        """
+        eyes, middle, width = self._seen(self.mask)
+        centre = _nearest(eyes, middle)
+        away = np.linalg.norm(centre - eyes, axis=1)
+        return centre, float(np.median(away * width)) * 2**0.5
+
+    def balanced(self, tracer: EmbreeTracer, place: Similarity) -> Similarity:
+        """A place scaled and shifted so that outlines are as wide as masks, and lie as these do."""
+        hits = first_hits(tracer, place, (self.origins, self.directions))
+        (eyes, there, width), (_, here, wide) = self._seen(self.mask), self._seen(hits.face >= 0)
+        shown = (width > 0) & (wide > 0)
+        if shown.sum() < 2:
+            return place
+        was = _nearest(eyes[shown], here[shown])
+        now = _nearest(eyes[shown], there[shown])
+        grown = float(np.median(width[shown] / wide[shown]))
+        shift = now + grown * (place.shift - was)
+        return Similarity(turn=place.turn, scale=grown * place.scale, shift=shift)
+
+    def _seen(self, pixels: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Of some pixels (N,): eyes (V, 3), mean directions (V, 3), and spread (V,) about them.
+
+        The spread is the root of the mean square of the directions' distance; 0 where a photograph
+        has none of the pixels.
+        """
+        owners = self._owner[pixels]
+        count = np.maximum(np.bincount(owners, minlength=self._count), 1)
+
+        def mean(values: Array) -> Array:
+            return np.bincount(owners, values, minlength=self._count) / count
+
+        own = self.directions[pixels]
+        middle = np.stack([mean(own[:, k]) for k in range(3)], axis=1)
+        spread = np.sqrt(mean(((own - middle[owners]) ** 2).sum(axis=1)))
+        return self._eyes, middle, spread
 
     def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
         """Agreement of the masks with a mesh that a similarity brings to its place."""
-        hits = place.first_hits(tracer, self.origins, self.directions)
+        hits = first_hits(tracer, place, (self.origins, self.directions))
         shown = hits.face >= 0
         both = np.bincount(self._owner, shown & self.mask)
         either = np.bincount(self._owner, shown | self.mask)
         masked, seen = np.bincount(self._owner, self.mask), np.bincount(self._owner, shown)
+        shares = both / np.maximum(either, 1)
         return Agreement(
-            share=float((both / np.maximum(either, 1)).mean()),
+            share=float(shares.mean()),
             missing=float(1 - both.sum() / max(masked.sum(), 1)),
             beyond=float(1 - both.sum() / max(seen.sum(), 1)) if seen.sum() else 0.0,
+            shares=shares,
         )
 
 
+def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> Hits:
+    """Where rays meet a mesh that a similarity brings to its place.
+
+    Args:
+        tracer: Of the mesh where it is.
+        place: What brings it there.
+        rays: Origins (N, 3) and directions (N, 3).
+
+    Returns:
+        Hits whose distances are the mesh's own.
+    """
+    origins, directions = rays
+    origins = (origins - place.shift) @ place.turn / place.scale
+    directions = directions @ place.turn
+    return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+
+
 def better_place(
-    vertices: Array, tracer: EmbreeTracer, views: Sequence[View]
+    vertices: Array, tracer: EmbreeTracer, views: Sequence[View], *, is_lost: bool = False
 ) -> tuple[Similarity, Agreement]:
     """The similarity that brings a mesh where its outline fits the masks best.
 
@@ -151,6 +174,8 @@ def better_place(
         vertices: (N, 3) of the mesh, unit frame.
         tracer: Of the mesh where it is.
         views: Training views, unit frame.
+        is_lost: Whether the unit sphere is only roughly the mesh's own, and the mesh's own place
+            tells nothing.
 
     Returns:
         What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
@@ -158,7 +183,9 @@ def better_place(
     coarse, fine = Outlines(views, COARSE), Outlines(views, FINE)
     centre, radius = enclosing_sphere(vertices)
     found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
-    if best.share > 0.5:  # nearly right: what is off by a little is not searched for far away
+    if (
+        best.share > 0.5 and not is_lost
+    ):  # nearly right: what is off by a little is not searched for far away
         found, best = _finished(found, tracer, fine)
     for handed in (1.0, -1.0):
         if best.share >= FITS:
@@ -168,13 +195,57 @@ def better_place(
             for turn in handed * _turns()
             for scale in [1 / (MARGIN * radius)]
         ]
+        for _ in range(ROUNDS if is_lost else 0):
+            tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
-        followed = [_downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
+        followed = [downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
         start = max(followed, key=lambda pair: pair[1])[0]
         place, agreement = _finished(start, tracer, fine)
         if agreement.share > best.share + BETTER:
             found, best = place, agreement
     return found, best
+
+
+def downhill(
+    start: Similarity, tracer: EmbreeTracer, outlines: Outlines, reach: float = 1.0
+) -> tuple[Similarity, float]:
+    """The best place near another, and the share there (Nelder and Mead 1965).
+
+    Args:
+        start: The other.
+        tracer: Of the mesh.
+        outlines: The masks.
+        reach: Share of the first steps, of 9 degrees, a tenth of its size and .08 of the unit
+            sphere's radius, that are made; with less there are fewer steps as well.
+    """
+
+    def moved(x: Array) -> Similarity:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
+        return Similarity(
+            turn=turn,
+            scale=start.scale * float(np.exp(x[3])),
+            # about the middle of the unit sphere, so that turn and shift hardly disturb each other
+            shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
+        )
+
+    steps = reach * np.diag([0.15] * 3 + [0.1] + [0.08] * 3)
+    simplex = np.concatenate([np.zeros((1, 7)), steps])
+    most = int(250 * reach**0.5)
+    found = minimize(
+        lambda x: -outlines.of(tracer, moved(x)).share,
+        np.zeros(7),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": most, "xatol": 1e-4, "fatol": 1e-4},
+    )
+    return moved(found.x), -float(found.fun)
+
+
+def _nearest(origins: Array, directions: Array) -> Array:
+    """The point (3,) nearest to lines (N, 3), by least squares."""
+    along = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    across = np.eye(3) - along[:, :, None] * along[:, None, :]
+    right = np.einsum("nij,nj->i", across, origins)
+    return np.linalg.lstsq(across.sum(axis=0), right, rcond=None)[0]
 
 
 def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:
@@ -204,29 +275,5 @@ def _turns() -> Array:
 def _finished(
     start: Similarity, tracer: EmbreeTracer, fine: Outlines
 ) -> tuple[Similarity, Agreement]:
-    place, _ = _downhill(start, tracer, fine)
+    place, _ = downhill(start, tracer, fine)
     return place, fine.of(tracer, place)
-
-
-def _downhill(
-    start: Similarity, tracer: EmbreeTracer, outlines: Outlines
-) -> tuple[Similarity, float]:
-    """The best place near another, and the share there (Nelder and Mead 1965)."""
-
-    def moved(x: Array) -> Similarity:
-        turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
-        return Similarity(
-            turn=turn,
-            scale=start.scale * float(np.exp(x[3])),
-            # about the middle of the unit sphere, so that turn and shift hardly disturb each other
-            shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
-        )
-
-    simplex = np.concatenate([np.zeros((1, 7)), np.diag([0.15] * 3 + [0.1] + [0.08] * 3)])
-    found = minimize(
-        lambda x: -outlines.of(tracer, moved(x)).share,
-        np.zeros(7),
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 250, "xatol": 1e-4, "fatol": 1e-4},
-    )
-    return moved(found.x), -float(found.fun)

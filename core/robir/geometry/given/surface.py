@@ -13,47 +13,30 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.ndimage import uniform_filter
 
-from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Capture, View
-from robir.capture.images.loading import size_within
+from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Bounds, Capture, View
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given.aligning import aligned
+from robir.geometry.given.fit_picture import show_fit
 from robir.geometry.given.occluders import cleared
 from robir.geometry.given.placing import (
-    AS_IT_IS,
     BETTER,
     FINE,
     FITS,
     Agreement,
     Outlines,
-    Similarity,
     better_place,
 )
 from robir.geometry.given.ready import made_ready, welded
 from robir.geometry.given.sides import inside_out
+from robir.geometry.given.verdict import LIKELY, is_related, poor_fit
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import Reporter
-from robir.jobs.paths import replacing
-from robir.maths.vectors import farthest_points
-
-UNRELATED = 0.5
-"""Share of outline and mask that both have, below which a mesh shows something else."""
-
-MOST_APART = 0.8
-"""Share of the masks that a mesh within them may lack, or of it that may lie beyond them all."""
-
-LIKELY = 0.75
-"""Share that a place has at least which is proposed."""
-
-SHOWN = 4
-"""Photographs in the picture of a mesh that does not fit."""
-
-TILE = 240
-"""Longer side of each of them, pixels."""
+from robir.maths.similarity import AS_IT_IS, Similarity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +49,8 @@ class Handed:
         normal_maps: The user's where the result can have them, one or one a tile; else empty.
         views: All views of the capture where their masks had been guessed; the outlines of the mesh
             take their place, without what stands before it in a photograph. Else None.
+        frame: What brings the capture to the mesh, and its bounds there, where it is the one that
+            had to move. Else None.
         metrics: For the stage's manifest.
         notes: Sentences for the user.
     """
@@ -74,6 +59,7 @@ class Handed:
     light: Mesh | None
     normal_maps: tuple[NDArray[np.uint8], ...]
     views: tuple[View, ...] | None
+    frame: tuple[Similarity, Bounds] | None
     metrics: dict[str, float | str]
     notes: tuple[str, ...]
 
@@ -97,13 +83,19 @@ def hand_in(
     Raises:
         CaptureError: If it cannot be read or does not fit the photographs; says how it would.
     """
-    bounds, capture = captures[0].bounds, captures[1]
     reporter.progress(0.0, "reading the mesh")
     given = read_mesh(path)
     faces = len(given.faces)
-    given = replace(given, vertices=(given.vertices - bounds.centre) / bounds.radius)
     reporter.progress(0.2, "holding the mesh against the photographs")
-    given, agreement = _placed(given, captures, config, picture)
+    frame = None
+    if captures[0].has_frame_of_ours:
+        found = aligned(given, captures[0], config, picture)
+        captures = (found.capture, found.capture.normalised())
+        frame = None if found.frame is None else (found.frame, found.capture.bounds)
+        given, agreement = _in_unit_frame(given, found.capture).noted(*found.notes), found.agreement
+    else:
+        given, agreement = _placed(_in_unit_frame(given, captures[0]), captures, config, picture)
+    capture = captures[1]
     given = _turned(given, capture)
     reporter.progress(0.4, "making the mesh ready for textures")
     ready = made_ready(given, config, reporter.warn)
@@ -115,13 +107,14 @@ def hand_in(
         tracer = EmbreeTracer(solid.vertices, solid.faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
         reporter.progress(0.9, "looking for what stands before the object")
-        found = cleared(solid, views)
-        views, before = found.views, found.notes()
+        rest = cleared(solid, views)
+        views, before = rest.views, rest.notes()
     return Handed(
         mesh=ready.mesh,
         light=ready.light,
         normal_maps=ready.normal_maps,
         views=views,
+        frame=frame,
         metrics={
             "faces": len(ready.mesh.faces),
             "faces_given": faces,
@@ -134,6 +127,12 @@ def hand_in(
         },
         notes=(*given.notes, *ready.notes, *before),
     )
+
+
+def _in_unit_frame(given: Given, capture: Capture) -> Given:
+    """The mesh where the bounding sphere of a capture in its frame is the unit sphere."""
+    bounds = capture.bounds
+    return replace(given, vertices=(given.vertices - bounds.centre) / bounds.radius)
 
 
 def outline(tracer: EmbreeTracer, view: View) -> NDArray[np.uint8]:
@@ -162,16 +161,16 @@ def _placed(
     how = f"its outline and the masks share {now.share:.0%} of what either has"
     gain = 0.0 if config.fit_mesh else BETTER
     if then.share < LIKELY or then.share <= now.share + gain:
-        if _is_related(now):
-            return given.noted(*_poor_fit(now)), now
-        _show(tracer, (AS_IT_IS, place), views, picture)
+        if is_related(now):
+            return given.noted(*poor_fit(now)), now
+        show_fit(tracer, (AS_IT_IS, place), views, picture)
         raise CaptureError(
             f"the mesh does not belong to these photographs: {how}, and no turn, scale and shift "
             f"makes it more than {then.share:.0%}; give the mesh of this object, and look at "
             f"{picture} and at the masks"
         )
     if np.linalg.det(place.turn) < 0:
-        _show(tracer, (AS_IT_IS, place), views, picture)
+        show_fit(tracer, (AS_IT_IS, place), views, picture)
         raise CaptureError(
             f"the mesh is mirrored: {how}, its mirror image {then.share:.0%}; export it with the "
             f"axes of the capture, without a negative scale; {picture} shows both"
@@ -179,58 +178,13 @@ def _placed(
     if config.fit_mesh:
         normals = None if given.normals is None else given.normals @ place.turn.T
         moved = replace(given, vertices=place(vertices), normals=normals)
-        return moved.noted(f"The mesh was {own.described()}.", *_poor_fit(then)), then
-    _show(tracer, (AS_IT_IS, place), views, picture)
+        return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then)), then
+    show_fit(tracer, (AS_IT_IS, place), views, picture)
     raise CaptureError(
         f"the mesh does not fit the photographs: {how}. {own.described().capitalize()} it shares "
         f"{then.share:.0%}; have that done with --fit-mesh and --resume, or export the mesh in the "
         f"cameras' frame. {picture} shows both"
     )
-
-
-def _is_related(agreement: Agreement) -> bool:
-    """Whether a mesh shows the object, or a part of it, or it and more, at the right place."""
-    wrong = sorted((agreement.missing, agreement.beyond))
-    return agreement.share >= UNRELATED or (wrong[0] <= 1 - FITS and wrong[1] < MOST_APART)
-
-
-def _poor_fit(agreement: Agreement) -> tuple[str, ...]:
-    """What is to be said of a mesh that stands right and yet is not what the masks show."""
-    if agreement.share >= FITS:
-        return ()
-    parts = []
-    if agreement.missing > 1 - FITS:
-        parts.append(
-            f"it lacks {agreement.missing:.0%} of what the masks show, of which nothing is made"
-        )
-    if agreement.beyond > 1 - FITS:
-        parts.append(
-            f"{agreement.beyond:.0%} of its outline lies beyond the masks; that part only shades"
-        )
-    return (f"The mesh fits the masks by {agreement.share:.0%} only: {' and '.join(parts)}.",)
-
-
-def _show(
-    tracer: EmbreeTracer,
-    places: tuple[Similarity, Similarity],
-    views: tuple[View, ...],
-    picture: Path,
-) -> None:
-    """Write photographs with the mesh over them, red: as it is, and below as it would fit."""
-    chosen = farthest_points(np.stack([view.camera.position for view in views]), SHOWN)
-    sheet = Image.new("RGB", (TILE * len(chosen), TILE * len(places)))
-    for column, view in enumerate(views[k] for k in chosen):
-        size = size_within((view.camera.width, view.camera.height), TILE)
-        small = view.camera.resized(*size)
-        photo = np.array(Image.fromarray(view.image_display).resize(size))
-        rays = small.rays(small.pixel_centres())
-        for row, place in enumerate(places):
-            shown = place.first_hits(tracer, *rays).face.reshape(photo.shape[:2]) >= 0
-            over = photo.copy()
-            over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
-            sheet.paste(Image.fromarray(over), (TILE * column, TILE * row))
-    with replacing(picture) as temporary:
-        sheet.save(temporary, format="PNG")
 
 
 def _turned(given: Given, capture: Capture) -> Given:

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A picture of photographs with the user's mesh over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from robir.capture.capture import View
+from robir.capture.images.loading import size_within
+from robir.geometry.given.placing import first_hits
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.jobs.paths import replacing
+from robir.maths.similarity import Similarity
+from robir.maths.vectors import farthest_points
+
+SHOWN = 4
+"""Photographs in the picture of a mesh that does not fit."""
+
+TILE = 240
+"""Longer side of each of them, pixels."""
+
+
+def show_fit(
+    tracer: EmbreeTracer,
+    places: Sequence[Similarity],
+    views: Sequence[View],
+    picture: Path,
+) -> None:
+    """Write photographs with the mesh over them, red.
+
+    Args:
+        tracer: Of the mesh.
+        places: Where it is shown, a row of pictures each.
+        views: Photographs to choose from.
+        picture: The PNG.
+    """
+    chosen = farthest_points(np.stack([view.camera.position for view in views]), SHOWN)
+    sheet = Image.new("RGB", (TILE * len(chosen), TILE * len(places)))
+    for column, view in enumerate(views[k] for k in chosen):
+        size = size_within((view.camera.width, view.camera.height), TILE)
+        small = view.camera.resized(*size)
+        photo = np.array(Image.fromarray(view.image_display).resize(size))
+        rays = small.rays(small.pixel_centres())
+        for row, place in enumerate(places):
+            shown = first_hits(tracer, place, rays).face.reshape(photo.shape[:2]) >= 0
+            over = photo.copy()
+            over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
+            sheet.paste(Image.fromarray(over), (TILE * column, TILE * row))
+    with replacing(picture) as temporary:
+        sheet.save(temporary, format="PNG")

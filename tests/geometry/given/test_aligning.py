@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras in a frame of ours, brought to a mesh that stays: found from all turns, or refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from geometry.given.test_surface import Quiet, paint, statue
+from geometry.scenes import capture_of
+from scipy.spatial.transform import Rotation
+
+from robir.capture.capture import Bounds, Capture
+from robir.capture.mesh_file import Given
+from robir.capture.store import load_bounds, load_settled, save_capture, save_frame
+from robir.errors import CaptureError, StorageError
+from robir.geometry.config import GeometryConfig
+from robir.geometry.given.aligning import ALIGNS, Aligned, aligned
+from robir.geometry.given.surface import hand_in
+from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.maths.similarity import AS_IT_IS, Similarity
+
+SIDE = 72
+"""Pixels of the photographs: the unit sphere covers about 60 of them."""
+
+
+@pytest.fixture(scope="module")
+def capture() -> Capture:
+    """Photographs alone of the statue, the frame of their cameras the unit frame."""
+    return of(statue())
+
+
+def of(solid: trimesh.Trimesh) -> Capture:
+    seen = capture_of(solid, views=12, side=SIDE, low=-0.6, paint=paint)
+    return replace(seen, format="photos")
+
+
+def known(seed: int) -> Similarity:
+    """Any turn, from a twentieth of the size to four hundred times it, and far away."""
+    rng = np.random.default_rng(seed)
+    scale = float(np.exp(rng.uniform(-3.0, 6.0)))
+    turn = Rotation.random(random_state=seed).as_matrix()
+    return Similarity(turn=turn, scale=scale, shift=30.0 * scale * rng.normal(size=3))
+
+
+def given(solid: trimesh.Trimesh, place: Similarity) -> Given:
+    """The mesh as a file has it: the cameras' frame brought to the user's."""
+    vertices = place(np.asarray(solid.vertices, np.float64))
+    uvs = np.full((len(vertices), 2), np.nan)
+    return Given(vertices=vertices, faces=np.asarray(solid.faces, np.int32), uvs=uvs)
+
+
+def bring(capture: Capture, solid: trimesh.Trimesh, place: Similarity, folder: Path) -> Aligned:
+    return aligned(given(solid, place), capture, GeometryConfig(), folder / "fit.png")
+
+
+def apart(found: Aligned, place: Similarity) -> tuple[float, float, float]:
+    """Degrees, share of the scale, and share of the radius by which a place was missed."""
+    assert found.frame is not None
+    turn = Rotation.from_matrix(found.frame.turn.T @ place.turn).magnitude()
+    middle = found.frame(np.zeros((1, 3))) - place(np.zeros((1, 3)))
+    return (
+        float(np.degrees(turn)),
+        abs(found.frame.scale / place.scale - 1.0),
+        float(np.linalg.norm(middle)) / place.scale,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_cameras_come_to_the_mesh_from_anywhere(capture, tmp_path, seed):
+    place = known(seed)
+    # the sphere of a hull may be far too large, as where all photographs are from one side
+    bounds = Bounds(centre=np.array([1.5, -2.0, 1.0]), radius=4.0, origin="an open hull")
+    found = bring(replace(capture, bounds=bounds), statue(), place, tmp_path)
+    degrees, scale, middle = apart(found, place)
+    assert degrees < 0.6
+    assert scale < 0.006
+    assert middle < 0.006
+    assert found.agreement.share > 0.97
+    (told,) = found.notes
+    assert "brought to the mesh" in told
+    assert (tmp_path / "fit.png").exists()
+    assert np.linalg.norm(found.capture.bounds.centre - place.shift) < 0.3 * place.scale
+    assert found.capture.bounds.radius == pytest.approx(0.68 * place.scale, rel=0.1)
+    # cameras see the mesh where they saw the statue
+    corner = np.asarray(statue().vertices[:4])
+    for view, was in zip(found.capture.views, capture.views, strict=True):
+        pixels, _ = view.camera.project(place(corner))
+        assert pixels == pytest.approx(was.camera.project(corner)[0], abs=0.6)
+
+
+def test_a_mesh_that_stands_right_is_left_there(capture, tmp_path):
+    found = bring(capture, statue(), AS_IT_IS, tmp_path)
+    assert found.frame is None
+    assert found.capture is capture
+    assert not found.notes
+
+
+@pytest.mark.slow
+def test_a_mirrored_mesh_is_refused(capture, tmp_path):
+    mirror = Similarity(turn=np.diag([-1.0, 1.0, 1.0]), scale=2.0, shift=np.ones(3))
+    with pytest.raises(CaptureError, match="the mesh is mirrored"):
+        bring(capture, statue(), mirror, tmp_path)
+    assert (tmp_path / "fit.png").exists()
+
+
+@pytest.mark.slow
+def test_another_object_is_refused_and_the_figure_told(capture, tmp_path):
+    with pytest.raises(CaptureError, match="cannot be brought to the mesh") as refusal:
+        bring(capture, trimesh.creation.torus(0.8, 0.2), known(0), tmp_path)
+    assert f"of {ALIGNS:.0%} that it takes" in str(refusal.value)
+    assert (tmp_path / "fit.png").exists()
+
+
+def vase() -> trimesh.Trimesh:
+    """Round about an axis, with another foot than mouth."""
+    profile = [(0.0, -0.7), (0.25, -0.7), (0.5, -0.2), (0.15, 0.3), (0.35, 0.6), (0.0, 0.6)]
+    return trimesh.creation.revolve(profile, sections=48)
+
+
+@pytest.mark.slow
+def test_the_turn_about_the_axis_of_a_vase_is_said_to_be_unknown(tmp_path):
+    place = known(3)
+    found = bring(of(vase()), vase(), place, tmp_path)
+    assert found.frame is not None
+    axis = found.frame.turn.T @ place.turn @ np.array([0.0, 0.0, 1.0])
+    assert axis[2] > np.cos(np.radians(1.0))
+    about = place.turn @ np.array([0.0, 0.0, 1.0])
+    (note,) = [text for text in found.notes if "do not tell the turn about" in text]
+    said = np.array([float(x) for x in note[note.index("(") + 1 : note.index(")")].split(", ")])
+    assert abs(said @ about) > 0.999
+
+
+@pytest.mark.slow
+def test_both_ways_round_of_a_box_are_told(tmp_path):
+    box = trimesh.creation.box((1.0, 0.7, 0.3))
+    found = bring(of(box), box, known(5), tmp_path)
+    (note,) = [text for text in found.notes if "hardly tell how the mesh stands" in text]
+    assert len(re.findall(r"(180\.\d|179\.9)\d degrees about", note)) == 3
+
+
+@pytest.mark.slow
+def test_a_ball_is_said_to_be_one(tmp_path):
+    ball = trimesh.creation.icosphere(3, 0.7)
+    found = bring(of(ball), ball, known(6), tmp_path)
+    assert any("as good as a ball" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_the_mesh_stays_and_later_stages_have_the_cameras_there(capture, tmp_path):
+    place = known(1)
+    solid = statue()
+    solid.vertices = place(solid.vertices)
+    path = tmp_path / "scan.ply"
+    path.write_bytes(trimesh.exchange.ply.export_ply(solid))
+    pair = (capture, capture.normalised())
+    handed = hand_in(path, pair, GeometryConfig(), tmp_path / "fit.png", Quiet())
+    assert handed.frame is not None
+    paths = JobPaths(tmp_path / "out")
+    save_capture(paths.stage("capture"), capture)
+    save_frame(paths, *handed.frame)
+    settled, bounds = load_settled(paths), load_bounds(paths)
+    assert settled.bounds.radius == bounds.radius
+    corners = handed.mesh.vertices[handed.mesh.faces] * bounds.radius + bounds.centre
+    assert corners == pytest.approx(solid.triangles, abs=1e-5 * bounds.radius)
+    view, was = settled.views[3].camera, capture.views[3].camera
+    at = np.array([[0.1, 0.2, 0.3]])
+    assert view.project(place(at))[0] == pytest.approx(was.project(at)[0], abs=0.6)
+    turned = view.camera_to_world[:3, :3] @ was.camera_to_world[:3, :3].T
+    assert Rotation.from_matrix(turned.T @ place.turn).magnitude() < np.radians(0.6)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"turn": np.diag([-1.0, 1, 1]).tolist()},
+        {"turn": (2 * np.eye(3)).tolist()},
+        {"scale": 0.0},
+        {"shift": [1.0, 2.0]},
+    ],
+)
+def test_a_damaged_frame_is_said(capture, tmp_path, changed):
+    paths = JobPaths(tmp_path)
+    save_capture(paths.stage("capture"), capture)
+    save_frame(paths, AS_IT_IS, capture.bounds)
+    assert load_settled(paths).bounds.radius == capture.bounds.radius
+    write_json(paths.frame, read_json(paths.frame) | changed)
+    with pytest.raises(StorageError, match="Run the geometry stage again"):
+        load_settled(paths)
