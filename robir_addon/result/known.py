@@ -78,7 +78,9 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
         uv = None if layer is None else _interpolated(mesh, layer, face, nearest)
     finally:
         seen.to_mesh_clear()
-    if uv is None or not all(-_OUTSIDE <= x <= most + _OUTSIDE for x, most in zip(uv, _MOST, strict=True)):
+    if uv is None or not all(
+        -_OUTSIDE <= x <= most + _OUTSIDE for x, most in zip(uv, _MOST, strict=True)
+    ):
         raise RequestError(
             "{name} lacks the texture coordinates of the result there; undo what removed them",
             name=shown.name,

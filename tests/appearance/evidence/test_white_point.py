@@ -107,7 +107,14 @@ def test_a_texture_is_as_bright_as_the_paint_at_the_spot():
 
 
 @pytest.mark.parametrize(
-    "wrong", [(0.5, 0.5, 0.5, 0.5), (-0.2, 0, 0.5, 0.5, 0.5), (10.5, 0, 0.5, 0.5, 0.5), (0, 0, 0.5, 0, 0.5), (0, 0, 1, 1, 1.5)]
+    "wrong",
+    [
+        (0.5, 0.5, 0.5, 0.5),
+        (-0.2, 0, 0.5, 0.5, 0.5),
+        (10.5, 0, 0.5, 0.5, 0.5),
+        (0, 0, 0.5, 0, 0.5),
+        (0, 0, 1, 1, 1.5),
+    ],
 )
 def test_what_is_no_texel_with_an_albedo_is_refused(wrong):
     with pytest.raises(ConfigError, match=r"appearance\.white_point is"):
