@@ -10,7 +10,7 @@ import torch
 from evaluation import sphere_run
 
 from robir.evaluation.light_scores import load_light
-from robir.export.environment import MAX_LAMP_DIAMETER, export_light, sun_lamps
+from robir.export.environment import MAX_LAMP_DIAMETER, export_light, light_level, sun_lamps
 from robir.jobs.paths import read_json, write_json
 from robir.maths import spherical_gaussian as sg
 from robir.maths.vectors import equirect_solid_angles
@@ -118,3 +118,22 @@ def test_the_environment_without_suns_lacks_the_suns_alone(tmp_path):
     export_light(paths)
     assert read_json(paths.light)["sun_lamps"] == []
     assert not paths.environment_without_sun.exists()
+
+
+def test_what_tells_the_level_is_given_as_factors():
+    told = [
+        ("common paints", 1.0 + math.log(2), 0.65),
+        ("exposure", 1.0 - math.log(4), math.log(3)),
+    ]
+    rows = [*told, ("all", 1.0, math.log(1.5))]
+    evidence = [
+        {"of": "level", "by": by, "value": value, "deviation": deviation}
+        for by, value, deviation in rows
+    ]
+    evidence.insert(0, {"of": "hue", "by": "highlights", "value": 5.0, "deviation": 9.0})
+    assert light_level(evidence) == [
+        {"by": "common paints", "times": 2.0, "within": round(math.exp(0.65), 3)},
+        {"by": "exposure", "times": 0.25, "within": 3.0},
+        {"by": "all", "times": 1.0, "within": 1.5},
+    ]
+    assert light_level([]) == []

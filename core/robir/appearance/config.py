@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robir.errors import ConfigError
-from robir.geometry.mesh.tiles import ACROSS, ROWS
 
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
 """Candidates, simplest first."""
@@ -94,6 +93,5 @@ class AppearanceConfig:
 
 def _is_white_point(values: tuple[float, ...]) -> bool:
     """Whether these are a texel and an albedo."""
-    albedo = values[2:]
-    is_texel = len(values) == 5 and 0 <= values[0] <= ACROSS and 0 <= values[1] <= ROWS
-    return is_texel and all(0 < value <= 1 for value in albedo)
+    texel, albedo = values[:2], values[2:]
+    return len(albedo) == 3 and min(texel) >= 0 and all(0 < value <= 1 for value in albedo)

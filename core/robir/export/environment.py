@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recovered light as environment images, as lobes, and as Sun lamps.
+"""The recovered light as environment images, as lobes, as Sun lamps, and what tells its level.
 
 A Sun lamp is a disc of even radiance, a lobe fades away from its axis. Two figures make them light
 a surface alike: the irradiance on a surface that faces the lamp, and the mean of the cosine about
@@ -88,3 +88,24 @@ def _chosen(light: RecoveredLight, which: NDArray[np.bool_]) -> RecoveredLight:
         amplitude=light.lobes.amplitude[mask],
     )
     return RecoveredLight(lobes=lobes, is_sharp=light.is_sharp[which])
+
+
+def light_level(evidence: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What tells how bright the light is, for report.json.
+
+    Args:
+        evidence: Contents of the appearance stage's evidence.json.
+
+    Returns:
+        A row a witness, all together last, or none where nothing is told: "by"; "times", the light
+        that it tells over that of all together; "within", the factor of one standard deviation.
+    """
+    rows = [row for row in evidence if row["of"] == "level"]
+    return [
+        {
+            "by": row["by"],
+            "times": round(float(np.exp(row["value"] - rows[-1]["value"])), 3),
+            "within": round(float(np.exp(row["deviation"])), 3),
+        }
+        for row in rows
+    ]

@@ -31,6 +31,7 @@ from robir.evaluation.sheet import (
     over_grey,
     window,
 )
+from robir.export.environment import light_level
 from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.tiles import shown_texture
@@ -320,27 +321,6 @@ def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
         "corner_steps": round(exposure["corner_steps"], 3),
         "views": views,
     }
-
-
-def light_level(evidence: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What tells how bright the light is, for report.json.
-
-    Args:
-        evidence: Contents of the appearance stage's evidence.json.
-
-    Returns:
-        A row a witness, all together last, or none where nothing is told: "by"; "times", the light
-        that it tells over that of all together; "within", the factor of one standard deviation.
-    """
-    rows = [row for row in evidence if row["of"] == "level"]
-    return [
-        {
-            "by": row["by"],
-            "times": round(float(np.exp(row["value"] - rows[-1]["value"])), 3),
-            "within": round(float(np.exp(row["deviation"])), 3),
-        }
-        for row in rows
-    ]
 
 
 def _light_summary(light: RecoveredLight) -> dict[str, Any]:
