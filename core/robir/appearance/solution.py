@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.hue import hue_by_highlights
@@ -27,10 +26,6 @@ from robir.appearance.model_size import with_even_sky, with_reflected_sky, witho
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
-MOST_PAINT = 0.95
-"""Share of paint above which sides turned from a sun are compared. Where there is more metal some
-passes for paint, and what it mirrors, taken for shade, asks for a wrong light."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
@@ -41,7 +36,6 @@ class Solution:
         matte: The same without the highlights that are known.
         light: The light so far.
         gloss: Specular material so far; None before it was looked for.
-        paint: (S,) samples known for no metal; None where sides turned from a sun are not compared.
         config: Sizes.
         seed: Of sub-samples and clusters.
         choices: What was chosen, for the report.
@@ -54,7 +48,6 @@ class Solution:
     config: AppearanceConfig
     seed: int
     gloss: Gloss | None = None
-    paint: NDArray[np.bool_] | None = None
     choices: tuple[Choice, ...] = field(default=(), compare=False)
     witnesses: tuple[Witness, ...] = field(default=(), compare=False)
 
@@ -150,19 +143,8 @@ def _white_point(state: Solution) -> Solution:
     return replace(state, light=replace(state.light, told=sent - level, level=level))
 
 
-def _turned_sides(state: Solution) -> Solution:
-    is_paint = state.material.is_paint
-    return replace(state, paint=is_paint if is_paint.mean() > MOST_PAINT else None)
-
-
 def _refit(state: Solution) -> Solution:
-    light = refit(state.matte, state.light, state.thorough, state.paint)
-    return replace(state, light=light)
-
-
-def _refit_turned_sides(state: Solution) -> Solution:
-    """Pairs that look alike are other ones once most of the missing light is there."""
-    return state if state.paint is None else _refit(state)
+    return replace(state, light=refit(state.matte, state.light, state.thorough))
 
 
 def _mirrored_sky(state: Solution) -> Solution:
@@ -235,22 +217,10 @@ SOLUTION: tuple[Step[Solution], ...] = (
         is_on_trial=False,
     ),
     Step(
-        name="turned-sides",
-        purpose="lets sides turned from a sun tell the light that comes in low",
-        source="ours",
-        run=_turned_sides,
-    ),
-    Step(
         name="refit",
         purpose="solves the strengths without the highlights, at the level and hue told",
         source="ours",
         run=_refit,
-    ),
-    Step(
-        name="refit-turned-sides",
-        purpose="the same once more with the pairs that are then alike",
-        source="ours",
-        run=_refit_turned_sides,
     ),
     Step(
         name="gloss",

@@ -68,37 +68,6 @@ def test_shadows_give_the_sky_its_strength_back(problem, factor):
     assert float(share * SUN * synthetic.WARM.mean()) == pytest.approx(1, abs=0.06)
 
 
-def test_sides_turned_from_the_sun_tell_light_that_comes_in_low_from_behind(stage):
-    even = synthetic.true_light(SUN, SKY)
-    axes, _ = soft_lobes(synthetic.NUM_SOFT)
-    behind = (axes @ torch.from_numpy(synthetic.SUN) < 0.2) & (axes[:, 2].abs() < 0.5)
-    soft = torch.where(behind[:, None], 5.0, 1.0) * even.amplitudes.soft
-    true = replace(even, amplitudes=Amplitudes(soft=soft, sharp=even.amplitudes.sharp))
-    surfels, curve = stage.surfels, curve_from_name("filmic")
-    everything = np.arange(len(surfels))
-    sky = soft_transfer(stage.visibility, surfels.normal, everything, synthetic.NUM_SOFT) @ soft
-    sun = synthetic.sun_transfer(stage)[:, None] * true.amplitudes.sharp.numpy()
-    scene = synthetic.lit(stage, sky.numpy() + sun, curve)
-    # neighbours that face alike tell nothing of it
-    alike = scene.pairs.facing_alike(surfels.normal[scene.rows], 0.8)
-    problem = make_problem(replace(scene, pairs=alike), curve)
-    cosine = surfels.normal[scene.rows] @ synthetic.SUN
-    lit = scene.sharp_transfer(true.axes, true.sharpness, scene.rows)[:, 0] > 0.3
-
-    def turned_over_lit(light):
-        both = (one.irradiance(problem, scene.rows).log().mean(1) for one in (light, true))
-        ratio = next(both) - next(both)
-        return float((ratio[cosine < -0.2].mean() - ratio[lit].mean()).exp())
-
-    assert turned_over_lit(even) < 0.75
-    config = replace(CONFIG, iterations=240)
-    mended = refit(problem, even, config, np.ones(len(surfels), bool))
-    assert turned_over_lit(mended) == pytest.approx(1, abs=0.06)
-    # as long as any of them may be metal they are not compared, nor those that are
-    for none in (None, np.zeros(len(surfels), bool)):
-        assert turned_over_lit(refit(problem, even, config, none)) < 0.9
-
-
 def test_log_ratio_is_exact_in_the_light_and_finite_in_the_dark():
     irradiance = torch.rand(200, 3, dtype=torch.float64) + 0.5
     albedo = torch.rand(200, 3, dtype=torch.float64) * 0.8 + 0.05

@@ -35,21 +35,6 @@ def test_what_grazes_a_sun_or_lies_at_its_shadows_edge_is_not_sure(problem):
     assert sure[cosine < -GRAZING_COSINE].all()
 
 
-def test_sides_turned_from_a_sun_are_paired_with_lit_ones(problem):
-    axis = synthetic.SUN[None] / np.linalg.norm(synthetic.SUN)
-    surfels, rows = problem.scene.transport.surfels, problem.scene.rows
-    chosen = np.arange(len(rows)) % 5 > 0
-    (pairs,) = Sunlight.of(problem, axis).turned_away(chosen)
-    cosine = (surfels.normal[rows] @ axis.T)[:, 0]
-    assert len(pairs.first) > 500
-    assert chosen[pairs.first].all() and chosen[pairs.second].all()
-    assert (cosine[pairs.first] < -GRAZING_COSINE).all()
-    assert (cosine[pairs.second] > GRAZING_COSINE).all()
-    # the sun's own rays reach the second ones, whole
-    narrow = problem.scene.sharp_transfer(axis, np.float32([2000.0]), rows)[:, 0].numpy()
-    np.testing.assert_allclose(narrow[pairs.second], cosine[pairs.second], rtol=0.05)
-
-
 def test_where_hardly_anything_is_sure_all_counts(problem):
     axes = np.float32([[0.0, 0.1, 0.995], [0.995, 0.1, 0.0], [0.995, -0.1, 0.0]])
     sunlight = Sunlight.of(problem, axes)
@@ -59,6 +44,5 @@ def test_where_hardly_anything_is_sure_all_counts(problem):
 
 def test_without_suns_all_is_sure_and_no_shadow_has_sides(problem):
     sunlight = Sunlight.of(problem, np.zeros((0, 3), np.float32))
-    every = np.ones(len(problem.scene.rows), bool)
-    assert sunlight.across_shadows() == sunlight.turned_away(every) == []
+    assert sunlight.across_shadows() == []
     assert torch.equal(sunlight.is_sure(), torch.ones(len(problem.scene.rows), dtype=torch.bool))

@@ -189,8 +189,6 @@ class Priors:
         spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
             could else be as bright as it takes to shade what is painted.
         shadow: Weight of equal albedo on both sides of a shadow.
-        turned: Weight of equal albedo on sides turned from a sun and lit ones. Fewer of these are
-            of one material: at 1 an avocado's flesh took its lit skin's brightness for its own.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
         width: Width of an albedo cluster in log units, at the end of the annealing.
     """
@@ -206,7 +204,6 @@ class Priors:
     smooth: float = 0.01
     spread: float = 0.1
     shadow: float = 0.25
-    turned: float = 0.25
     parsimony: float = 0.0
     width: float = 0.15
 
@@ -214,7 +211,7 @@ class Priors:
 def solve_amplitudes(
     radiance: Radiance,
     transfer: Transfer,
-    pairs: tuple[Pairs, ...],
+    pairs: tuple[Pairs, Pairs],
     priors: Priors,
     iterations: int,
     start: Amplitudes | None = None,
@@ -224,8 +221,7 @@ def solve_amplitudes(
     Args:
         radiance: Of the samples that take part (U,).
         transfer: Of the same samples.
-        pairs: Neighbours among the same samples, pairs across shadows and, where they are
-            compared, sides turned from a sun with lit ones.
+        pairs: Neighbours among the same samples, and pairs across shadows.
         priors: Weights.
         iterations: Adam steps.
         start: Where to begin; a neutral sky with equally strong suns if None.
@@ -244,8 +240,7 @@ def solve_amplitudes(
     axes, _ = soft_lobes(num_soft)
     near = (axes @ axes.T).fill_diagonal_(-1).topk(min(4, num_soft)).indices
     loss_value = 0.0
-    neighbours, *others = (PairWeights.of(part, radiance.clipped) for part in pairs)
-    weighed = list(zip((priors.shadow, priors.turned), others, strict=False))
+    neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
     count = len(radiance.seen)
     sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
@@ -256,7 +251,7 @@ def solve_amplitudes(
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
-        loss = neighbour + sum(weight * part.loss(log_albedo) for weight, part in weighed)
+        loss = neighbour + priors.shadow * across.loss(log_albedo)
         loss = loss + priors.bounds * range_loss(log_albedo, (whole, sure), priors)
         hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
         hues = hues - hues.mean(1, keepdim=True)

@@ -26,8 +26,7 @@ def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
 
     In the gap below an object little light arrives and a mesh that is a trifle off changes it by
     half, while open shade is what is seen: where gaps held as many samples of a chessboard's shade,
-    the sky came out a third too weak for its open ground. Sides turned from a sun are another
-    matter: what little light they get comes from the sky they face, and so they tell of it.
+    the sky came out a third too weak for its open ground.
 
     Args:
         parts: Pairs of the U samples, a list a sun, the shaded end first.

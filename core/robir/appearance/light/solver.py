@@ -121,12 +121,7 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
     return replace(transfer, sure=sunlight.is_sure()), sunlight
 
 
-def refit(
-    problem: Problem,
-    light: Light,
-    config: AppearanceConfig,
-    paint: NDArray[np.bool_] | None = None,
-) -> Light:
+def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
@@ -137,15 +132,10 @@ def refit(
 
     Neighbours of another hue are another paint, and say nothing of its brightness.
 
-    Shadows on the ground tell the sky overhead. Of the light that comes in low from behind, sides
-    turned from the sun tell most, and their lit neighbours of one material what it must add up to.
-    Metal would tell wrongly: what it mirrors passes for shade.
-
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
         config: Sizes.
-        paint: (S,) samples that are known for no metal; until then such sides are not compared.
 
     Returns:
         The light.
@@ -159,13 +149,7 @@ def refit(
     across = well_lit(sunlight.across_shadows(), irradiance)
     neighbours = problem.scene.pairs
     likeness = neighbours.likeness(log_albedo, NEIGHBOUR_HUE, np.inf)
-    parts = [
-        neighbours.weighted(likeness),
-        of_one_material(across, log_albedo, radiance.clipped),
-    ]
-    if paint is not None:
-        turned = sunlight.turned_away(paint[problem.scene.rows])
-        parts.append(of_one_material(turned, log_albedo, radiance.clipped))
+    parts = (neighbours.weighted(likeness), of_one_material(across, log_albedo, radiance.clipped))
     priors = Priors(
         parsimony=config.parsimony_weight,
         smooth=EVEN_SKY,
@@ -174,6 +158,6 @@ def refit(
         level=light.level,
     )
     amplitudes, loss = solve_amplitudes(
-        radiance, transfer, tuple(parts), priors, config.iterations // 2, start=light.amplitudes
+        radiance, transfer, parts, priors, config.iterations // 2, start=light.amplitudes
     )
     return replace(light, amplitudes=amplitudes, loss=loss)

@@ -23,11 +23,6 @@ GRAZING_COSINE = 0.2
 """Cosine to a sun, of either sign, below which an error of the normals gives or takes that sun: 12
 degrees; those of a draft are 7 to 10 off on average."""
 
-TURNED_NORMAL = 0.3
-"""What a difference of one unit of normal counts in the distance between sides turned from a sun
-and lit ones, over what it counts across shadows: by that the sides of a box, at right angles, would
-lie out of reach of each other."""
-
 
 @dataclass(frozen=True, slots=True)
 class Sunlight:
@@ -62,14 +57,6 @@ class Sunlight:
         lit, dark = facing & (self.share > 0.97), facing & (self.share < 0.03)
         columns = zip(lit.T, dark.T, strict=True)
         return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
-
-    def turned_away(self, chosen: NDArray[np.bool_]) -> list[Pairs]:
-        """Pairs of samples turned from each sun with near ones that it lights, of some (U,)."""
-        lit = chosen[:, None] & (self.cosine > GRAZING_COSINE) & (self.share > 0.97)
-        dark = chosen[:, None] & (self.cosine < -GRAZING_COSINE)
-        columns = zip(lit.T, dark.T, strict=True)
-        normal = TURNED_NORMAL * self.normal
-        return [shadow_pairs(self.position, normal, *sides) for sides in columns]
 
     def is_sure(self) -> Tensor:
         """Bool (U,), whether an error of the mesh would neither give nor take a sun.

@@ -31,7 +31,6 @@ from robir.appearance.texture.shadow_edges import (
     settle_clipped,
     settle_edges,
 )
-from robir.appearance.texture.sharpen import sharpened
 from robir.appearance.texture.texels import (
     MAX_ALBEDO,
     MIN_ALBEDO,
@@ -91,11 +90,8 @@ class Painting:
         problem: Scene under the chosen tone curve.
         light: Solved light.
         texels: Points of the atlas.
-        views: Photographs, at the size they are to be read at.
         material: All but the albedo.
         seen: What the photographs show of the texels.
-        linear: (N, V, 3) the same as radiance, linear Rec.709.
-        share: (N, V) what each view counts.
         total: (N, 3) radiance that stands for all views.
         clipped: (N, 3) bool, channels that are clipped.
         soft: (N, 3) irradiance from sky and other surfaces.
@@ -112,11 +108,8 @@ class Painting:
     problem: Problem
     light: Light
     texels: Texels
-    views: tuple[View, ...]
     material: Material
     seen: Observations
-    linear: Tensor
-    share: Tensor
     total: Floats
     clipped: NDArray[np.bool_]
     soft: Floats
@@ -158,11 +151,8 @@ class Painting:
             problem=problem,
             light=light,
             texels=texels,
-            views=views,
             material=Material.of(gloss, blend),
             seen=seen,
-            linear=linear,
-            share=share,
             total=shown.clamp(min=1e-5).numpy(),
             clipped=radiance.clipped.numpy(),
             soft=soft,
@@ -262,12 +252,6 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _back_project(state: Painting) -> Painting:
-    read = (state.linear.numpy(), state.share.numpy(), state.seen.weight)
-    total = sharpened(state.total, read, state.texels.position, state.views)
-    return replace(state, total=total)
-
-
 def _divide(state: Painting) -> Painting:
     irradiance, metallic = state.irradiance, state.material.metallic
     albedo = state.exitant / np.hypot(irradiance, 0.02 * irradiance.mean(0))
@@ -320,12 +304,6 @@ def _even(state: Painting) -> Painting:
 
 
 ALBEDO: tuple[Step[Painting], ...] = (
-    Step(
-        name="back-projection",
-        purpose="makes texels so sharp that photographs' pixels are their means",
-        source="iterative back-projection (Irani and Peleg 1991)",
-        run=_back_project,
-    ),
     Step(
         name="irradiance",
         purpose="divides what paint sends by what arrives, the suns traced per texel",
