@@ -154,14 +154,18 @@ class Worth:
         """Whether it earns its place.
 
         It does if on ENOUGH captures the interval of one headline figure lies above 0, or if it
-        brings a class of captures CLASS_GAIN of albedo and costs no other CLASS_LOSS.
+        brings a class of captures CLASS_GAIN of albedo and costs no other CLASS_LOSS. Where another
+        figure's interval lies below 0 that is open: of eight figures one often leads by chance.
         """
         if len(self.pairs) < ENOUGH:
             return f"open: fewer than {ENOUGH} captures"
-        for score in HEADLINES:
-            found = self.gain(score)
-            if found is not None and found.low is not None and found.low > 0:
-                return f"stays: {score.title}"
+        found = {score.title: self.gain(score) for score in HEADLINES}
+        better = [name for name, gain in found.items() if gain and (gain.low or 0) > 0]
+        worse = [name for name, gain in found.items() if gain and (gain.high or 0) < 0]
+        if better and worse:
+            return f"open: {better[0]} better, {worse[0]} worse"
+        if better:
+            return f"stays: {better[0]}"
         gains = self._by_class()
         best = max(gains, key=lambda name: gains[name], default=None)
         if best is not None and gains[best] >= CLASS_GAIN and min(gains.values()) > -CLASS_LOSS:

@@ -72,6 +72,15 @@ def test_a_step_that_helps_stays_and_one_that_does_not_goes():
     assert worths(*records([0.0] * ENOUGH))[0].verdict == "goes"
 
 
+def test_a_step_that_gives_with_one_hand_and_takes_with_the_other_is_left_open():
+    found, kinds = records([0.5] * ENOUGH)
+    for record in found:
+        raw = 15.0 if record["method"] == "ours" else 16.0
+        record["scores"]["albedo"]["psnr_linear"]["raw"] = raw
+    (worth, *_) = worths(found, kinds)
+    assert worth.verdict == f"open: {ALBEDO.title} better, {RAW_ALBEDO.title} worse"
+
+
 def test_a_step_that_a_class_needs_stays_unless_another_pays():
     def classes(number):
         return CLASSES | {"metal": "metal" if number < 5 else "none"}
