@@ -10,7 +10,7 @@ import torch
 from evaluation import sphere_run
 
 from robir.evaluation.light_scores import load_light
-from robir.export.environment import MAX_LAMP_DIAMETER, export_light, light_level, sun_lamps
+from robir.export.environment import MAX_LAMP_DIAMETER, export_light, light_told, sun_lamps
 from robir.jobs.paths import read_json, write_json
 from robir.maths import spherical_gaussian as sg
 from robir.maths.vectors import equirect_solid_angles
@@ -120,7 +120,7 @@ def test_the_environment_without_suns_lacks_the_suns_alone(tmp_path):
     assert not paths.environment_without_sun.exists()
 
 
-def test_what_tells_the_level_is_given_as_factors():
+def test_what_tells_of_the_light_is_given_as_factors():
     told = [
         ("common paints", 1.0 + math.log(2), 0.65),
         ("exposure", 1.0 - math.log(4), math.log(3)),
@@ -130,10 +130,11 @@ def test_what_tells_the_level_is_given_as_factors():
         {"of": "level", "by": by, "value": value, "deviation": deviation}
         for by, value, deviation in rows
     ]
-    evidence.insert(0, {"of": "hue", "by": "highlights", "value": 5.0, "deviation": 9.0})
-    assert light_level(evidence) == [
+    evidence.insert(0, {"of": "hue", "by": "highlights", "value": math.log(5), "deviation": 0.0})
+    assert light_told(evidence, "level") == [
         {"by": "common paints", "times": 2.0, "within": round(math.exp(0.65), 3)},
         {"by": "exposure", "times": 0.25, "within": 3.0},
         {"by": "all", "times": 1.0, "within": 1.5},
     ]
-    assert light_level([]) == []
+    assert light_told(evidence, "hue") == [{"by": "highlights", "times": 5.0, "within": 1.0}]
+    assert light_told([], "level") == []

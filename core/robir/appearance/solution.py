@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.hue import hue_by_highlights
+from robir.appearance.evidence.hue import told_hue
 from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
@@ -120,7 +120,8 @@ def _with_gloss(state: Solution, step: int, told: float | None = None) -> Soluti
 
 
 def _hue(state: Solution) -> Solution:
-    told = hue_by_highlights(state.problem, state.light, state.material)
+    told, witnesses = told_hue(state.problem, state.light, state.material)
+    state = replace(state, witnesses=(*state.witnesses, *witnesses))
     if told is None:
         return state
     return replace(state, light=replace(state.light, told=told))

@@ -90,21 +90,24 @@ def _chosen(light: RecoveredLight, which: NDArray[np.bool_]) -> RecoveredLight:
     return RecoveredLight(lobes=lobes, is_sharp=light.is_sharp[which])
 
 
-def light_level(evidence: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What tells how bright the light is, for report.json.
+def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:
+    """What tells how bright the light is or of which hue, for report.json.
 
     Args:
         evidence: Contents of the appearance stage's evidence.json.
+        of: "level" or "hue".
 
     Returns:
         A row a witness, all together last, or none where nothing is told: "by"; "times", the light
-        that it tells over that of all together; "within", the factor of one standard deviation.
+        that it tells over that of all together, or its red over its blue; "within", the factor of
+        one standard deviation.
     """
-    rows = [row for row in evidence if row["of"] == "level"]
+    rows = [row for row in evidence if row["of"] == of]
+    base = rows[-1]["value"] if rows and of == "level" else 0.0
     return [
         {
             "by": row["by"],
-            "times": round(float(np.exp(row["value"] - rows[-1]["value"])), 3),
+            "times": round(float(np.exp(row["value"] - base)), 3),
             "within": round(float(np.exp(row["deviation"])), 3),
         }
         for row in rows

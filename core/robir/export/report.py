@@ -31,7 +31,7 @@ from robir.evaluation.sheet import (
     over_grey,
     window,
 )
-from robir.export.environment import light_level
+from robir.export.environment import light_told
 from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.tiles import shown_texture
@@ -275,7 +275,8 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
         "cycles": cycles,
         "tone_curve": curve,
         "choices": {choice["choice"]: choice for choice in products.choices},
-        "light_level": light_level(products.evidence),
+        "light_level": light_told(products.evidence, "level"),
+        "light_hue": light_told(products.evidence, "hue"),
         "exposure": exposure_summary(products.exposure),
         "light": _light_summary(products.light),
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},

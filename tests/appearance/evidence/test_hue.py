@@ -11,7 +11,8 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.hue import hue_by_highlights
+from robir.appearance.evidence.hue import both, told_hue
+from robir.appearance.evidence.witness import Witness
 from robir.appearance.light.lobes import Priors
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
@@ -42,17 +43,35 @@ def test_highlights_tell_the_hue(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.from_numpy(wrong.astype(np.float32)))
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
-    told = hue_by_highlights(problem, supposed, gloss)
+    told, (balance, shine, together) = told_hue(problem, supposed, gloss)
     assert told is not None
     np.testing.assert_allclose(told.numpy(), hue_of(problem, light), atol=0.04)
+    red_over_blue = float(hue_of(problem, light) @ [1, 0, -1])
+    assert shine.value == pytest.approx(red_over_blue, abs=0.06)
+    assert 0 < shine.deviation < 0.06
+    assert min(balance.value, shine.value) <= together.value <= max(balance.value, shine.value)
+    assert together.deviation < shine.deviation
+
+
+def test_two_witnesses_tell_what_their_product_does():
+    at = np.linspace(-8, 8, 20001)
+    pair = [Witness(of="hue", by="a", value=1.0, deviation=0.5)]
+    pair.append(Witness(of="hue", by="b", value=-0.5, deviation=1.2))
+    density = np.exp(sum(-0.5 * ((at - w.value) / w.deviation) ** 2 for w in pair))
+    mean = (density * at).sum() / density.sum()
+    deviation = np.sqrt((density * (at - mean) ** 2).sum() / density.sum())
+    together = both(*pair)
+    assert (together.value, together.deviation) == pytest.approx((mean, deviation), abs=1e-4)
 
 
 def test_without_highlights_nothing_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)
-    assert hue_by_highlights(problem, light, replace(gloss, has_highlights=False)) is None
+    dull = replace(gloss, has_highlights=False)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    assert hue_by_highlights(problem, light, all_metal) is None
+    for nothing in (told_hue(problem, light, other) for other in (dull, all_metal)):
+        assert nothing[0] is None
+        assert [witness.by for witness in nothing[1]] == ["white balance", "all"]
 
 
 def test_the_light_follows_what_is_told(ball):

@@ -12,7 +12,7 @@ let photographs that had no part in reading it be predicted better.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
+from robir.appearance.evidence.witness import Witness
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
@@ -47,8 +48,10 @@ STEP = 2
 """Every so manieth of the samples that take part in the light solve is looked at."""
 
 
-def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | None:
-    """Hue of what sky and suns send together where highlights are the only witness.
+def told_hue(
+    problem: Problem, light: Light, gloss: Gloss
+) -> tuple[Tensor | None, tuple[Witness, ...]]:
+    """Hue of what sky and suns send together, where highlights tell it.
 
     Args:
         problem: Scene under a tone curve, highlights included.
@@ -57,14 +60,17 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
 
     Returns:
         Log (3,) of the mean irradiance of the samples that take part, less its mean over the
-        channels; None where too few highlights show.
+        channels; None where too few highlights show or they prove nothing. And what white balance,
+        highlights and both tell of its red over blue; of highlights only where they prove it.
     """
+    balanced = Witness(of="hue", by="white balance", value=0.0, deviation=USUAL * 2**0.5)
+    nothing = None, (balanced, replace(balanced, by="all"))
     if not gloss.has_highlights or not len(light.axes):
-        return None
+        return nothing
     shown, predicted, below, near = _highlights(problem, light, gloss)
     clear = np.flatnonzero((shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1))
     if len(clear) < LEAST_CLEAR:
-        return None
+        return nothing
     rows = problem.scene.rows
     sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
     grey = (sent.mean() - sent).numpy()
@@ -73,12 +79,14 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
     told = told - told.mean()
     # each fold of the views is predicted with what the others tell
     fold, factors = near.view[clear] % EVERY, np.zeros((2, len(clear), 3), np.float32)
+    without = []
     for index in np.unique(fold):
         others = clear[fold != index]
         if not len(others):
-            return None
+            return nothing
         read = _off(shown[others], predicted[others])
         brightness = (read - grey).mean()
+        without.append(float(sent[0] - sent[2]) + float(read[0] - read[2]))
         factors[:, fold == index] = np.exp([grey + brightness, read])[:, None]
     seen = near.seen.of(torch.from_numpy(clear))
     plain, tinted = (
@@ -88,7 +96,21 @@ def hue_by_highlights(problem: Problem, light: Light, gloss: Gloss) -> Tensor | 
     is_likely = float(told.abs().max()) < WIDEST * USUAL
     # what displaces highlights, the mesh, errs place by place
     proof = Proof.of(plain, tinted, (near.block[clear],))
-    return told if is_likely and proof.is_given else None
+    if not (is_likely and proof.is_given):
+        return nothing
+    # the jackknife's error of what all views tell, from what it is without each fold
+    spread = np.sqrt((len(without) - 1) * np.var(without))
+    shine = Witness(
+        of="hue", by="highlights", value=float(told[0] - told[2]), deviation=float(spread)
+    )
+    return told, (balanced, shine, both(balanced, shine))
+
+
+def both(first: Witness, second: Witness) -> Witness:
+    """What two independent witnesses tell together: the product of their normal distributions."""
+    weights = [max(witness.deviation, 1e-6) ** -2 for witness in (first, second)]
+    value = (weights[0] * first.value + weights[1] * second.value) / sum(weights)
+    return Witness(of=first.of, by="all", value=value, deviation=sum(weights) ** -0.5)
 
 
 def _off(shown: Floats, predicted: Floats) -> Floats:

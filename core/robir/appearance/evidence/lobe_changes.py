@@ -32,6 +32,9 @@ MOST_STEP = 0.7
 
 ROUNDS = 12
 
+SETTLED = 1e-3
+"""Change of every logarithm below which a round is the last."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mirrored:
@@ -107,5 +110,8 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
             system[lobe, lobe] += keeping * apart.T @ apart
             wanted[lobe] -= keeping * apart.T @ (apart - held[c]).sum(1)
         step = torch.linalg.solve(system, wanted).view(3, count + 1)
-        change = change + step * min(1.0, MOST_STEP / float(step.abs().max().clamp(min=1e-9)))
+        most = float(step.abs().max())
+        change = change + step * min(1.0, MOST_STEP / max(most, 1e-9))
+        if most < SETTLED:
+            break
     return (soft * change[:, :-1].exp().T).float()

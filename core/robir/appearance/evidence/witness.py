@@ -12,7 +12,8 @@ class Witness:
     """One row of the report's table of evidence.
 
     Attributes:
-        of: What it tells of: "level", mean over the channels of the log of the mean irradiance.
+        of: What it tells of: "level", mean over the channels of the log of the mean irradiance; or
+            "hue", log of its red over its blue.
         by: What tells it; "all" for all together.
         value: What it tells, log units.
         deviation: One standard deviation of that.
