@@ -190,7 +190,7 @@ TEXTURE: tuple[Step[Texture], ...] = (
     ),
     Step(
         name="known-paint",
-        purpose="makes a spot of known paint exactly that, and the light as much dimmer",
+        purpose="makes a spot of known paint what it is, and the light as much dimmer",
         source="calibration by a known patch, as of a colour checker",
         run=_hold_to_known_paint,
         is_on_trial=False,

@@ -14,6 +14,13 @@ from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
 
+READ, SHEEN = 0.02, 0.01
+"""Errors of a spot's reading: of each channel's logarithm, and what is added to all channels."""
+
+LEVEL, HUE = 2.0, 0.1
+"""Usual logs by which albedo is off at all, and each channel against the others: what white balance
+leaves."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownPaint:
@@ -68,8 +75,17 @@ class KnownPaint:
         )
 
     def off(self, seen: Floats) -> Floats:
-        """Log (3,) by which albedo (N, 3), read at the spot, is too bright."""
-        return np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo).astype(np.float32)
+        """Log (3,) by which all albedo is too bright, if it is read as `seen` (N, 3) at the spot.
+
+        The likeliest, where readings err: each channel by READ, and all together by what a white
+        sheen adds, SHEEN, which is little of a bright channel and much of a dark one. A grey or
+        bright paint therefore tells level and hue as they are, a red one hardly any hue.
+        """
+        read = np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo.astype(np.float64))
+        sheen = SHEEN / self.albedo.astype(np.float64)
+        noise = READ**2 * np.eye(3) + np.outer(sheen, sheen)
+        prior = LEVEL**2 + HUE**2 * np.eye(3)
+        return (prior @ np.linalg.solve(prior + noise, read)).astype(np.float32)
 
     def texels(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Numbers (N,) of the texels about the spot, among those (T, T) inside charts."""
