@@ -181,7 +181,7 @@ def clean_pixels(
     return inside & (jump < DEPTH_JUMP * inverse**2), inverse
 
 
-def pixels_about(
+def _pixels_about(
     camera: Camera, places: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """The four pixels whose centres surround places (N, 2) in a picture.
@@ -202,7 +202,7 @@ def _bilinear(
     view: View, clean: NDArray[np.bool_], pixels: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]:
     """Interpolated colours, where a source was clipped, and where all sources are clean."""
-    rows, columns, shares = pixels_about(view.camera, pixels)
+    rows, columns, shares = _pixels_about(view.camera, pixels)
     colour = np.zeros((len(pixels), 3))
     top = np.zeros((len(pixels), 3), bool)
     whole = np.ones(len(pixels), bool)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from robir.errors import ConfigError
 from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import plane_cross
 from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
@@ -53,8 +54,10 @@ class KnownPaint:
             return None
         texel = np.asarray(white_point[:2], np.float64)
         a, b, c = np.moveaxis(mesh.own_uvs()[mesh.uv_faces].astype(np.float64), 1, 0)
-        whole = _cross(b - a, c - a)
-        shares = np.stack([_cross(b - texel, c - texel), _cross(c - texel, a - texel)], axis=1)
+        whole = plane_cross(b - a, c - a)
+        shares = np.stack(
+            [plane_cross(b - texel, c - texel), plane_cross(c - texel, a - texel)], axis=1
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = shares / whole[:, None]
         shares = np.concatenate([shares, 1 - shares.sum(1, keepdims=True)], axis=1)
@@ -94,8 +97,3 @@ class KnownPaint:
         rows, columns = np.nonzero(inside)
         distance = np.hypot(rows + 0.5 - row, columns + 0.5 - column)
         return np.flatnonzero(distance <= max(1.5, float(distance.min())))
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross products (N,) of plane vectors (N, 2)."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -133,13 +133,13 @@ def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[n
         row = low[face, 1] + within // extent[face, 0]
         a, b, c = (corners[face, k] for k in range(3))
         point = np.stack([column + 0.5, row + 0.5], axis=1)
-        total = _cross(b - a, c - a)
+        total = plane_cross(b - a, c - a)
         total = np.where(np.abs(total) < 1e-12, np.inf, total)
         share = np.stack(
             [
-                _cross(b - point, c - point),
-                _cross(c - point, a - point),
-                _cross(a - point, b - point),
+                plane_cross(b - point, c - point),
+                plane_cross(c - point, a - point),
+                plane_cross(a - point, b - point),
             ],
             axis=1,
         )
@@ -154,5 +154,6 @@ def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[n
     return face_index, barycentric
 
 
-def _cross(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
+def plane_cross(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products (N,) of plane vectors (N, 2)."""
     return one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
