@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
+from robir.appearance.light.told import Told
 from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
@@ -21,12 +22,15 @@ GREY, BY_ALL, BY_HIGHLIGHTS, BY_PAINT = (
 )
 
 
-def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
+def light_choices(
+    tone: ToneChoice, light: Light, known: Told, seconds: dict[str, float]
+) -> tuple[Choice, ...]:
     """On the tone curve and the light.
 
     Args:
         tone: The curves that were compared.
         light: The solved light.
+        known: What evidence told of it as a whole.
         seconds: Processor time by task: "tone_curve", "light".
     """
     candidates, evidence = tone.candidates, tone.evidence
@@ -60,8 +64,8 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
         ),
         Choice(
             choice="hue of the light",
-            chosen=told if is_known or light.told is not None else GREY,
-            alternatives=(GREY if light.told is not None else told,),
+            chosen=told if is_known or known.hue is not None else GREY,
+            alternatives=(GREY if known.hue is not None else told,),
             why="highlights on paint have the colour of the light; where too few show, nothing "
             "tells it from the colour of all albedos, but paint that you know",
         ),

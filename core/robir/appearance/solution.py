@@ -18,9 +18,11 @@ from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
 from robir.appearance.evidence.witness import Witness
+from robir.appearance.light.known_paint import READ
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
+from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.model_size import with_even_sky, with_reflected_sky, without_bounces
 from robir.jobs.choice import Choice
@@ -36,6 +38,7 @@ class Solution:
         matte: The same without the highlights that are known.
         light: The light so far.
         gloss: Specular material so far; None before it was looked for.
+        told: What evidence tells of the light as a whole so far.
         config: Sizes.
         seed: Of sub-samples and clusters.
         choices: What was chosen, for the report.
@@ -48,6 +51,7 @@ class Solution:
     config: AppearanceConfig
     seed: int
     gloss: Gloss | None = None
+    told: Told = NOTHING_TOLD
     choices: tuple[Choice, ...] = field(default=(), compare=False)
     witnesses: tuple[Witness, ...] = field(default=(), compare=False)
 
@@ -99,7 +103,7 @@ def _polish(state: Solution) -> Solution:
 
 def _by_every_sample(state: Solution) -> Solution:
     whole = state.problem.by_every_sample(np.random.default_rng(state.seed))
-    light = refit(whole, state.light, state.thorough)
+    light = refit(whole, state.light, state.told, state.thorough)
     return replace(state, problem=whole, matte=whole, light=light)
 
 
@@ -124,15 +128,16 @@ def _hue(state: Solution) -> Solution:
     state = replace(state, witnesses=(*state.witnesses, *witnesses))
     if told is None:
         return state
-    return replace(state, light=replace(state.light, told=told))
+    return replace(state, told=replace(state.told, hue=told))
 
 
 def _level(state: Solution) -> Solution:
     told = told_level(state.problem, state.light, state.material, state.seed)
     if not told:
         return state
-    light = replace(state.light, level=told[-1].value)
-    return replace(state, light=light, witnesses=(*state.witnesses, *told))
+    *_, together = told
+    known = replace(state.told, level=together.value, level_error=together.deviation)
+    return replace(state, told=known, witnesses=(*state.witnesses, *told))
 
 
 def _white_point(state: Solution) -> Solution:
@@ -141,11 +146,11 @@ def _white_point(state: Solution) -> Solution:
         return state
     sent = sent_by_paint(state.matte, state.light, known)
     level = float(sent.mean())
-    return replace(state, light=replace(state.light, told=sent - level, level=level))
+    return replace(state, told=Told(hue=sent - level, level=level, level_error=READ))
 
 
 def _refit(state: Solution) -> Solution:
-    return replace(state, light=refit(state.matte, state.light, state.thorough))
+    return replace(state, light=refit(state.matte, state.light, state.told, state.thorough))
 
 
 def _mirrored_sky(state: Solution) -> Solution:

@@ -115,7 +115,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_tone_curve(folder, tone)
     write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
     choices = (
-        *light_choices(tone, light, seconds),
+        *light_choices(tone, light, solution.told, seconds),
         *gloss.choices,
         *solution.choices,
         *camera_choices(problem.gains, other, seconds),

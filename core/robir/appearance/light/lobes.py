@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.light.pair_loss import PairWeights
+from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.maths.adam import Adam
+from robir.maths.daylight import PART, SUN, WHOLE
 from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
@@ -31,10 +33,6 @@ MEAN_ALBEDO = 0.3
 """Geometric mean of the albedos of common scenes."""
 
 BRIGHTEST_QUANTILE = 0.97
-
-LAMP_TINT = 0.4
-"""Log of the factor by which a channel of a sun may differ from grey at no cost: a sun ten degrees
-above the horizon is that orange."""
 
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
@@ -155,19 +153,6 @@ def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
     return (irradiance - indirect).mean(0).log()
 
 
-def missing(sent: Tensor, told: Tensor | None, level: float | None) -> Tensor:
-    """Log factors (3,) that a light is short of what highlights tell of it as a whole.
-
-    Args:
-        sent: Its `log_sent` (3,).
-        told: Log hue (3,), its mean zero, if it is told.
-        level: Mean over the channels, if it is told.
-    """
-    mean = sent.mean()
-    hue = torch.zeros_like(sent) if told is None else told - (sent - mean)
-    return hue if level is None else hue + (level - mean)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Priors:
     """Weights of the priors on albedo and light, relative to the neighbour term.
@@ -175,16 +160,13 @@ class Priors:
     Attributes:
         brightest: Albedo that the brightest materials should not exceed.
         bounds: Weight of staying within a physical range.
-        hue: Weight of the lights sharing one hue.
-        told: Log hue (3,) of the mean irradiance from the lights by highlights, if they tell any.
-        level: Mean over the channels of its log by highlights, if they tell it.
-        neutral: Weight of the light as a whole being grey. Surfaces that do not shine do not tell
-            its hue from that of all albedos, and under a tint bounced light is judged wrongly.
-        witness: Weight of the light as a whole being as told. On six rendered scenes under two
-            lights each hues by highlights were .04 off in log units (root of the mean square), a
-            grey light .09; the weights go as the inverse squares.
-        lamp: Weight of a sharp lobe not being more coloured than suns and lamps are; where its
-            light is clipped, nothing else holds it.
+        hue: Weight of hues that lights have (maths/daylight.py), per squared deviation: of the
+            light as a whole, unless its hue is told, since surfaces that do not shine do not tell
+            it from that of all albedos, and under a tint bounced light is judged wrongly; and of
+            suns against the sky.
+        part: The same of the sky's lobes against their mean, per deviation.
+        told: What evidence tells of the light as a whole; it weighs as `hue` does, per squared
+            deviation.
         smooth: Weight of neighbouring soft lobes being alike.
         spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
             could else be as bright as it takes to shade what is painted.
@@ -195,12 +177,9 @@ class Priors:
 
     brightest: float = 0.9
     bounds: float = 1.0
-    hue: float = 0.03
-    told: Tensor | None = None
-    level: float | None = None
-    neutral: float = 0.3
-    witness: float = 1.5
-    lamp: float = 0.3
+    hue: float = 0.0024
+    part: float = 0.005
+    told: Told = NOTHING_TOLD
     smooth: float = 0.01
     spread: float = 0.1
     shadow: float = 0.25
@@ -253,15 +232,14 @@ def solve_amplitudes(
         neighbour = neighbours.loss(log_albedo)
         loss = neighbour + priors.shadow * across.loss(log_albedo)
         loss = loss + priors.bounds * range_loss(log_albedo, (whole, sure), priors)
-        hues = torch.cat([log_soft, log_sharp]) if num_sharp else log_soft
-        hues = hues - hues.mean(1, keepdim=True)
-        loss = loss + priors.hue * (hues - hues.mean(0)).abs().mean()
+        sky = torch.log(amplitudes.soft.mean(0))
+        loss = loss + priors.part * PART.absolute(log_soft - sky).mean()
         if num_sharp:
-            beyond = (log_sharp - log_sharp.mean(1, keepdim=True)).abs() - LAMP_TINT
-            loss = loss + priors.lamp * beyond.clamp(min=0).sum(1).mean()
+            loss = loss + priors.hue * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        loss = loss + priors.neutral * ((sent - sent.mean()) ** 2).sum()
-        loss = loss + priors.witness * (missing(sent, priors.told, priors.level) ** 2).sum()
+        if priors.told.hue is None:
+            loss = loss + priors.hue * WHOLE.squared(sent)
+        loss = loss + priors.hue * priors.told.squared(sent)
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:
@@ -307,7 +285,7 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
     rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
-    if priors.level is not None:
+    if priors.told.level is not None:
         return 2 * brightest.clamp(min=0)
     high = (brightest - np.log(priors.brightest)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2

@@ -16,12 +16,12 @@ from robir.appearance.light.lobes import (
     Transfer,
     log_ratio,
     log_sent,
-    missing,
     solve_amplitudes,
 )
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.shade import of_one_material, well_lit
 from robir.appearance.light.sunlight import Sunlight
+from robir.appearance.light.told import Told
 from robir.appearance.photometry.statistics import Pairs
 
 Floats = NDArray[np.float32]
@@ -49,8 +49,6 @@ class Light:
         amplitudes: Strengths of soft and sharp lobes.
         loss: Mean absolute difference of log albedo between neighbours.
         history: The same of neighbours that face alike with 0, 1, ... sharp lobes, for the report.
-        told: Log hue (3,) of what sky and suns send, by highlights, if they tell any.
-        level: Mean over the channels of its log, by highlights, if they tell it.
     """
 
     axes: Floats
@@ -58,8 +56,6 @@ class Light:
     amplitudes: Amplitudes
     loss: float
     history: tuple[float, ...]
-    told: Tensor | None = None
-    level: float | None = None
 
     def irradiance(self, problem: Problem, rows: NDArray[np.int64]) -> Tensor:
         """What some samples receive, (len(rows), 3), from suns, sky and other surfaces."""
@@ -121,7 +117,7 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
     return replace(transfer, sure=sunlight.is_sure()), sunlight
 
 
-def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
+def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
     The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
@@ -135,6 +131,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
+        told: What evidence tells of it as a whole.
         config: Sizes.
 
     Returns:
@@ -143,7 +140,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
     radiance = problem.rows_radiance(problem.scene.rows)
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)
     sent = log_sent(light.amplitudes.irradiance(transfer), transfer.indirect)
-    light = light.tinted(missing(sent, light.told, light.level))
+    light = light.tinted(told.missing(sent))
     irradiance = light.amplitudes.irradiance(transfer)
     log_albedo = log_ratio(radiance.linear, irradiance)
     across = well_lit(sunlight.across_shadows(), irradiance)
@@ -154,8 +151,7 @@ def refit(problem: Problem, light: Light, config: AppearanceConfig) -> Light:
         parsimony=config.parsimony_weight,
         smooth=EVEN_SKY,
         shadow=SHADOW_WEIGHT,
-        told=light.told,
-        level=light.level,
+        told=told,
     )
     amplitudes, loss = solve_amplitudes(
         radiance, transfer, parts, priors, config.iterations // 2, start=light.amplitudes

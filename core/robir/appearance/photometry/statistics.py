@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.photometry.exposure import Gains, decoded
+from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
@@ -39,11 +40,10 @@ STEP_WIDTH = 0.15
 """Width of the kernel that finds the commonest step across shadows, log units: more than noise,
 less than the difference between the materials of a scene."""
 
-STEP_HUE = 0.5
-"""Hue of a step, log units, at which it is half as likely: a light too weak in the sun, or too
-strong, leaves a nearly grey step, two paints a coloured one. On a chessboard a step from brown to
-white, of hue .38, was as common as the light's own, of .06, and a turn of the sun by a fifth of a
-degree made it the commonest."""
+STEP_HUE = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, STEP_WIDTH)))
+"""Hue of a step, seen through that kernel: what a light lacks is light, what two paints differ by
+is not. On a chessboard a step from brown to white was as common as the light's own, and a turn of
+the sun by a fifth of a degree made it the commonest."""
 
 MAX_STEP_PAIRS, STEP_STARTS, STEP_ROUNDS = 4000, 400, 30
 """Pairs that tell a step, those of them from which it is searched, and rounds of the search."""
@@ -235,7 +235,7 @@ class Pairs:
         Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
         one material all show that, and if the same materials lie on both sides, no other
         difference is as common (a distribution's correlation with itself is greatest at no shift).
-        Of two that are about as common it is the greyer one.
+        Of two that are about as common it is the one by which sun and sky may differ.
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
@@ -250,8 +250,7 @@ class Pairs:
         weight = self.weight[some]
         starts = apart[:: max(1, len(apart) // STEP_STARTS)]
         votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
-        hue = (starts - starts.mean(1, keepdim=True)).square().sum(1)
-        step = starts[(votes * 0.5 ** (hue / STEP_HUE**2)).argmax()]
+        step = starts[(votes * torch.exp(-0.5 * STEP_HUE.squared(starts))).argmax()]
         for _ in range(STEP_ROUNDS):
             near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * STEP_WIDTH**2))
             step = near @ apart / near.sum()
