@@ -42,6 +42,8 @@ def test_how_bright_a_light_is_says_nothing_of_its_hue():
     for spread in (WHOLE, SUN, PART):
         torch.testing.assert_close(spread.squared(colours + 1.7), spread.squared(colours))
         torch.testing.assert_close(spread.absolute(colours - 2.1), spread.absolute(colours))
+        form = torch.einsum("nc,cd,nd->n", colours, spread.precision(), colours)
+        torch.testing.assert_close(form, spread.squared(colours), rtol=1e-4, atol=1e-5)
 
 
 def test_a_spread_is_that_of_hues_drawn_with_it():

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 GREEN_OF_BLUE = -0.2
@@ -38,6 +39,11 @@ class HueSpread:
         """Squares of a hue's coordinates in deviations, added up: (...) of colours (..., 3)."""
         blue, green = hue(log_colour)
         return (blue / self.blue) ** 2 + (green / self.green) ** 2
+
+    def precision(self) -> Tensor:
+        """Matrix (3, 3) whose quadratic form of a log colour `squared` is."""
+        blue, green = hue(torch.eye(3))
+        return torch.outer(blue, blue) / self.blue**2 + torch.outer(green, green) / self.green**2
 
     def absolute(self, log_colour: Tensor) -> Tensor:
         """Their absolute values added up: of many parts of a sky a few are of any hue."""

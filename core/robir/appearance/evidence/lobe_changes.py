@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from robir.maths.daylight import PART
+
 FREEDOM = 1.0
 """Usual change of the logarithm of a lobe."""
-
-HUE_FREEDOM = 0.3
-"""The same of its channels against their mean: gold mirrors hardly any blue."""
 
 ALIKE = 3.0
 """Views that count as one: errors of normals are common to many."""
@@ -68,10 +67,11 @@ class Mirrored:
 def _prior(count: int, base_freedom: float) -> Tensor:
     """Inverse covariance of the changes: of each channel `count` lobes and the base colour."""
     mean = torch.full((3, 3), 1 / 3, dtype=torch.float64)
-    unlike = torch.eye(3, dtype=torch.float64) - mean
+    # gold mirrors hardly any blue: what it does not show of a lobe's hue is that of lights
+    unlike = PART.precision().double()
     prior = torch.zeros(3, count + 1, 3, count + 1, dtype=torch.float64)
     lobe, channel = torch.arange(count), torch.arange(3)
-    prior[:, lobe, :, lobe] = mean / FREEDOM**2 + unlike / HUE_FREEDOM**2
+    prior[:, lobe, :, lobe] = mean / FREEDOM**2 + unlike
     prior[channel, -1, channel, -1] = base_freedom**-2
     return prior.reshape(3 * count + 3, 3 * count + 3)
 
