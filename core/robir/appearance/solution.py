@@ -146,7 +146,9 @@ def _white_point(state: Solution) -> Solution:
         return state
     sent = sent_by_paint(state.matte, state.light, known)
     level = float(sent.mean())
-    return replace(state, told=Told(hue=sent - level, level=level, level_error=READ))
+    return replace(
+        state, told=Told(hue=sent - level, hue_error=READ, level=level, level_error=READ)
+    )
 
 
 def _refit(state: Solution) -> Solution:

@@ -27,6 +27,7 @@ from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, low_mean
 from robir.appearance.material.observed import Seen, looked_at
 from robir.appearance.proof import EVERY, Proof
+from robir.maths.daylight import WHOLE
 
 Floats = NDArray[np.float32]
 
@@ -37,12 +38,8 @@ what shines back from coloured surfaces weigh as much."""
 LEAST_CLEAR = 50
 """Views that must show such a highlight."""
 
-USUAL = 0.1
-"""Deviation of the log hue of a light, each channel, as photographs are balanced. Of six rendered
-scenes, which no camera balanced, it is .09; of cameras .05 to .1."""
-
 WIDEST = 3.0
-"""Deviations beyond which a hue is misread."""
+"""Deviations, of those that lights have, beyond which a hue is misread."""
 
 STEP = 2
 """Every so manieth of the samples that take part in the light solve is looked at."""
@@ -63,7 +60,7 @@ def told_hue(
         channels; None where too few highlights show or they prove nothing. And what white balance,
         highlights and both tell of its red over blue; of highlights only where they prove it.
     """
-    balanced = Witness(of="hue", by="white balance", value=0.0, deviation=USUAL * 2**0.5)
+    balanced = Witness(of="hue", by="white balance", value=0.0, deviation=WHOLE.blue)
     nothing = None, (balanced, replace(balanced, by="all"))
     if not gloss.has_highlights or not len(light.axes):
         return nothing
@@ -93,7 +90,7 @@ def told_hue(
         seen.squared(torch.from_numpy(below[clear] + predicted[clear] * factor))
         for factor in factors
     )
-    is_likely = float(told.abs().max()) < WIDEST * USUAL
+    is_likely = float(WHOLE.squared(told)) < WIDEST**2
     # what displaces highlights, the mesh, errs place by place
     proof = Proof.of(plain, tinted, (near.block[clear],))
     if not (is_likely and proof.is_given):

@@ -161,9 +161,8 @@ class Priors:
         brightest: Albedo that the brightest materials should not exceed.
         bounds: Weight of staying within a physical range.
         hue: Weight of hues that lights have (maths/daylight.py), per squared deviation: of the
-            light as a whole, unless its hue is told, since surfaces that do not shine do not tell
-            it from that of all albedos, and under a tint bounced light is judged wrongly; and of
-            suns against the sky.
+            light as a whole, since surfaces that do not shine do not tell it from that of all
+            albedos, and under a tint bounced light is judged wrongly; and of suns against the sky.
         part: The same of the sky's lobes against their mean, per deviation.
         told: What evidence tells of the light as a whole; it weighs as `hue` does, per squared
             deviation.
@@ -237,9 +236,7 @@ def solve_amplitudes(
         if num_sharp:
             loss = loss + priors.hue * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        if priors.told.hue is None:
-            loss = loss + priors.hue * WHOLE.squared(sent)
-        loss = loss + priors.hue * priors.told.squared(sent)
+        loss = loss + priors.hue * (WHOLE.squared(sent) + priors.told.squared(sent))
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:

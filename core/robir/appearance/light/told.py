@@ -14,7 +14,7 @@ from torch import Tensor
 
 HUE_ERROR = 0.04
 """Root of the mean square error of a hue that highlights tell, log units, of six rendered scenes
-under two lights each. By a paint that the user knows it is about as much."""
+under two lights each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,11 +23,13 @@ class Told:
 
     Attributes:
         hue: (3,) of its logarithm, less the mean over the channels; None if nothing tells it.
+        hue_error: One standard deviation of each channel of that.
         level: Mean over the channels of its logarithm; None if nothing tells it.
         level_error: One standard deviation of that.
     """
 
     hue: Tensor | None = None
+    hue_error: float = HUE_ERROR
     level: float | None = None
     level_error: float = 1.0
 
@@ -37,7 +39,7 @@ class Told:
 
     def squared(self, sent: Tensor) -> Tensor:
         """Squared deviations of such a light from this, added up."""
-        hue = (self._hue_missing(sent) ** 2).sum() / HUE_ERROR**2
+        hue = (self._hue_missing(sent) ** 2).sum() / self.hue_error**2
         return hue + (self._level_missing(sent) / self.level_error) ** 2
 
     def _hue_missing(self, sent: Tensor) -> Tensor:
