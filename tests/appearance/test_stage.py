@@ -54,7 +54,7 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     spot = mesh.uvs[mesh.uv_faces].mean(1)[np.argmax(mesh.vertices[mesh.faces].mean(1)[:, 2])]
     paths.stage("transport").mkdir(parents=True)
     sizes = TransportConfig(num_surfels=1500, num_directions=64)
-    bake(mesh, capture.train, sizes, seed=0, device="cpu").save(paths.stage("transport"))
+    bake(mesh, capture.train, sizes, seed=0).save(paths.stage("transport"))
     paths.stage("appearance").mkdir(parents=True)
     read: list[str] = []
     texel_albedo = texturing.texel_albedo

@@ -11,7 +11,7 @@ from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
 from robir.errors import StorageError
 from robir.geometry.mesh.isosurface import plain_mesh
-from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport, bake
 from robir.transport.config import TransportConfig
@@ -94,7 +94,7 @@ def baked() -> tuple[Mesh, tuple, Transport]:
         patch((-0.8, -0.8, 0), (1.6, 0, 0), (0, 1.6, 0), 8),
         *box((-0.25, -0.25, 0), (0.25, 0.25, 0.5)),
     )
-    tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
 
     def shade(points, face, view_dir):
         return np.where(points[:, :1] > 0.3, 1.0, 0.4) * np.ones(3)
@@ -103,7 +103,7 @@ def baked() -> tuple[Mesh, tuple, Transport]:
         photograph(tracer, shade, looking_at((2 * np.cos(a), 2 * np.sin(a), 1.5), size=48), str(a))
         for a in (0.3, 2.3, 4.3)
     )
-    return mesh, views, bake(mesh, views, config(), 0, "cpu")
+    return mesh, views, bake(mesh, views, config(), 0)
 
 
 def config(**changes) -> TransportConfig:
@@ -143,7 +143,7 @@ def test_a_transport_that_is_none(baked, tmp_path, file, name, change):
 
 def test_the_same_seed_bakes_the_same(baked):
     mesh, views, transport = baked
-    again = bake(mesh, views, config(), 0, "cpu")
+    again = bake(mesh, views, config(), 0)
     np.testing.assert_array_equal(again.surfels.position, transport.surfels.position)
     np.testing.assert_array_equal(again.visibility.bits, transport.visibility.bits)
 
@@ -155,10 +155,10 @@ def test_most_samples_are_spent_on_what_the_cameras_see(baked):
 
 def test_ablations_leave_out_shadows_or_bounces(baked):
     mesh, views, transport = baked
-    free = bake(mesh, views, config(use_visibility=False), 0, "cpu").visibility
+    free = bake(mesh, views, config(use_visibility=False), 0).visibility
     above = transport.surfels.normal @ free.directions.T > 0
     np.testing.assert_array_equal(free.unpacked(), above)
     assert free.bounce.nnz == 0 and not free.is_traced
-    direct = bake(mesh, views, config(use_indirect=False), 0, "cpu").visibility
+    direct = bake(mesh, views, config(use_indirect=False), 0).visibility
     np.testing.assert_array_equal(direct.bits, transport.visibility.bits)
     assert direct.bounce.nnz == 0 and direct.is_traced

@@ -24,7 +24,7 @@ def painted(points: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def scene():
-    """Tracer, three views, and points of the floor with their normals."""
+    """EmbreeTracer, three views, and points of the floor with their normals."""
     floor = patch((-1, -1, 0), (2, 0, 0), (0, 2, 0), 4)
     side = 2 * PLATE_HALF
     plate = patch((-PLATE_HALF, -PLATE_HALF, PLATE_HEIGHT), (side, 0, 0), (0, side, 0))

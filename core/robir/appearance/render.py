@@ -16,7 +16,7 @@ from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, specular_towards
 from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.observe import MASK_INSIDE, off_axis_codes
 from robir.transport.surfels import interpolate
@@ -82,7 +82,7 @@ class Painted(NamedTuple):
     """
 
     mesh: Mesh
-    tracer: AbstractTracer
+    tracer: EmbreeTracer
     lookup: AtlasLookup
     values: TexelAlbedo
 
@@ -110,7 +110,7 @@ class _Seen:
     towards: Floats
 
     @classmethod
-    def of(cls, view: View, mesh: Mesh, tracer: AbstractTracer, lookup: AtlasLookup) -> _Seen:
+    def of(cls, view: View, mesh: Mesh, tracer: EmbreeTracer, lookup: AtlasLookup) -> _Seen:
         """Cast the rays of a view."""
         rows, columns = np.nonzero(view.mask > 127)
         places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + SUB_PIXELS

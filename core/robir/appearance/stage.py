@@ -35,8 +35,7 @@ from robir.capture.images.preview import save_preview
 from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
-from robir.geometry.mesh.tracer import make_tracer
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh, mesh_for_light
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
@@ -134,7 +133,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _scene(
     context: StageContext[AppearanceConfig],
     lit: Surface,
-    tracer: AbstractTracer,
+    tracer: EmbreeTracer,
     compared: Comparison,
 ) -> Scene:
     """The scene whose light is sought, with what the user tells of it."""
@@ -162,11 +161,11 @@ def _direction(vector: tuple[float, ...]) -> np.ndarray | None:
     return (np.asarray(vector) / np.linalg.norm(vector)).astype(np.float32)
 
 
-def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, AbstractTracer]:
+def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, EmbreeTracer]:
     """The mesh that textures belong to, and the tracer of that on which light is solved."""
     folder = context.paths.stage("geometry")
     solid = mesh_for_light(folder)
-    tracer = make_tracer(solid.vertices, solid.faces, context.device)
+    tracer = EmbreeTracer(solid.vertices, solid.faces)
     return Mesh.load(folder / "mesh.npz"), tracer
 
 

@@ -27,7 +27,7 @@ from robir.appearance.texture.texel_size import (
 from robir.appearance.texture.texels import TexelAlbedo, Texels
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_view
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.steps import Course, Step
@@ -69,7 +69,7 @@ class Texture:
     light: Light
     gloss: Gloss
     mesh: Mesh
-    tracer: AbstractTracer
+    tracer: EmbreeTracer
     capture: Capture
     views: tuple[View, ...]
     config: AppearanceConfig
@@ -81,7 +81,7 @@ class Texture:
 
 def textured(
     solved: tuple[Problem, Light, Gloss],
-    surface: tuple[Mesh, AbstractTracer],
+    surface: tuple[Mesh, EmbreeTracer],
     capture: Capture,
     config: AppearanceConfig,
     course: Course,

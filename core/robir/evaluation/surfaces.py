@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.capture.camera import Camera
-from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 
 Array = NDArray[np.floating[Any]]
@@ -51,7 +51,7 @@ class MeshCaster:
             mesh: Any frame; the cameras must share it.
         """
         self._mesh = mesh
-        self.tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+        self.tracer = EmbreeTracer(mesh.vertices, mesh.faces)
 
     def cast(self, camera: Camera) -> VisibleSurface:
         """What the camera sees, one ray through every pixel's centre."""

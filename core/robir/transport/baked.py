@@ -14,8 +14,7 @@ from robir.capture.arrays import stored_arrays
 from robir.capture.capture import View
 from robir.capture.images.loading import resize_view
 from robir.errors import StorageError
-from robir.geometry.mesh.tracer import make_tracer
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import replacing
 from robir.maths.vectors import fibonacci_sphere
@@ -132,9 +131,7 @@ class Transport:
         return cls(surfels=surfels, visibility=visibility, observations=observations)
 
 
-def bake(
-    mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int, device: str
-) -> Transport:
+def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int) -> Transport:
     """Sample a mesh, trace what its samples see and read them from the photographs.
 
     Args:
@@ -142,12 +139,11 @@ def bake(
         views: Training views, unit frame.
         config: Sizes.
         seed: Of the surface samples.
-        device: Where rays are traced, "cpu" or "cuda".
 
     Returns:
         The transport.
     """
-    tracer = make_tracer(mesh.vertices, mesh.faces, device)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     chosen = tuple(
         resize_view(view, config.observation_side) for view in spread_views(views, config.max_views)
     )
@@ -164,7 +160,7 @@ def bake(
 
 
 def _seen_surfels(
-    tracer: AbstractTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
+    tracer: EmbreeTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
 ) -> tuple[Surfels, Observations]:
     """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept.
 

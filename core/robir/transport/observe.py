@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import farthest_points
 
 Floats = NDArray[np.float32]
@@ -87,7 +87,7 @@ def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
 
 
 def observe(
-    tracer: AbstractTracer,
+    tracer: EmbreeTracer,
     position: Floats,
     normal: Floats,
     views: tuple[View, ...],
@@ -99,7 +99,7 @@ def observe(
     projection are object and away from outlines of nearer parts.
 
     Args:
-        tracer: Tracer of the mesh.
+        tracer: EmbreeTracer of the mesh.
         position: (N, 3), frame of the views' cameras.
         normal: (N, 3), unit.
         views: Photographs.
@@ -149,16 +149,14 @@ def off_axis_codes(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.ui
     return np.rint(255 * camera.off_axis(pixels)).astype(np.uint8)
 
 
-def clean_pixels(
-    tracer: AbstractTracer, view: View
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def clean_pixels(tracer: EmbreeTracer, view: View) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Object pixels that no outline of a nearer part runs through, and what they see.
 
     The inverse of depth is linear across the image of a plane, so its second difference marks
     jumps of depth and leaves slanted planes and creases alone.
 
     Args:
-        tracer: Tracer of the mesh.
+        tracer: EmbreeTracer of the mesh.
         view: Photograph.
 
     Returns:

@@ -33,7 +33,7 @@ def run(context: StageContext[TransportConfig]) -> dict[str, Any]:
     capture = load_settled(context.paths).normalised()
     mesh = mesh_for_light(context.paths.stage("geometry"))
     context.reporter.progress(0.1, "tracing what every surface sample sees")
-    transport = bake(mesh, capture.train, context.config, context.seed, context.device)
+    transport = bake(mesh, capture.train, context.config, context.seed)
     seen = (transport.observations.weight > 0).sum(1)
     if (seen >= 2).mean() < 0.05:
         raise CaptureError(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
@@ -57,13 +57,13 @@ class Visibility:
 
 
 def trace_visibility(
-    mesh: Mesh, tracer: AbstractTracer, surfels: Surfels, directions: Floats, offset: float
+    mesh: Mesh, tracer: EmbreeTracer, surfels: Surfels, directions: Floats, offset: float
 ) -> Visibility:
     """Trace every direction above every sample's horizon.
 
     Args:
         mesh: Unit frame.
-        tracer: Tracer of the same mesh.
+        tracer: EmbreeTracer of the same mesh.
         surfels: Samples.
         directions: (D, 3), unit, evenly spread over the sphere.
         offset: Distance that rays start above the surface.
@@ -132,7 +132,7 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
 
 
 def lobe_transfer(
-    tracer: AbstractTracer | None,
+    tracer: EmbreeTracer | None,
     position: Floats,
     normal: Floats,
     directions: Floats,
@@ -146,7 +146,7 @@ def lobe_transfer(
     degrees where hot dogs cast them.
 
     Args:
-        tracer: Tracer of the mesh, or None where nothing blocks.
+        tracer: EmbreeTracer of the mesh, or None where nothing blocks.
         position: (N, 3).
         normal: (N, 3), unit.
         directions: (J, 3), unit, equally weighted.
@@ -174,7 +174,7 @@ def _along(cosine: Floats, offset: float) -> Floats:
 
 
 def _beside_a_wall(
-    tracer: AbstractTracer | None,
+    tracer: EmbreeTracer | None,
     position: Floats,
     normal: Floats,
     axis: Floats,

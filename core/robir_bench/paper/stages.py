@@ -21,7 +21,7 @@ from robir.capture.images.loading import resize_view
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import Dense, finished
 from robir.geometry.fit.field import Field
-from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.geometry.rival import smooth_surface
@@ -165,7 +165,7 @@ def _textures(job: Job, model: Model, tracer: FieldTracer, size: int) -> dict[st
 
 def _views_of_vertices(job: Job, mesh: Mesh) -> NDArray[np.int64]:
     """How many photographs show each vertex of the mesh, (Nv,)."""
-    tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     seen = observe(tracer, mesh.vertices, mesh.normals, job.capture.train, _RAY_OFFSET)
     return (seen.weight > 0).sum(axis=1)
 

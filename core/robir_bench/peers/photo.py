@@ -21,7 +21,7 @@ from robir.config import RunConfig
 from robir.evaluation.layers import view_layers
 from robir.evaluation.metrics import linear_from_srgb, srgb_from_linear
 from robir.evaluation.photos import mean_scores, photo_scores
-from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, replacing, write_json
@@ -76,7 +76,7 @@ def _blended(
     Photographs count by the cosine they see the point under; points that none shows take the
     nearest one's mean.
     """
-    tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     seen = observe(tracer, position, normal, capture.train, offset)
     total = np.zeros((len(position), 3))
     for view in range(len(capture.train)):

@@ -13,7 +13,7 @@ from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
-from robir.geometry.mesh.tracer import make_tracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere
 from robir.steps import Course
 from robir.transport.baked import bake
@@ -121,8 +121,8 @@ def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
     capture = replace(capture_of(solid, views=1), views=tuple(views))
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
     config = TransportConfig(num_surfels=1500, num_directions=64)
-    transport = bake(mesh, capture.train, config, seed=0, device="cpu")
-    tracer = make_tracer(mesh.vertices, mesh.faces, "cpu")
+    transport = bake(mesh, capture.train, config, seed=0)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     compared = Course().carry_out(COMPARISON, Comparison.of(transport, tracer, capture, 0))
     odd = {views[number].name for number in (5, 16, 20)}
     assert compared.other_light == odd

@@ -22,7 +22,7 @@ from robir.appearance.photometry.statistics import (
     linear_observations,
     neighbour_pairs,
 )
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
 from robir.transport.visibility import lobe_directions, lobe_transfer
@@ -60,7 +60,7 @@ class Scene:
 
     Attributes:
         transport: Baked samples, visibility, observations.
-        tracer: Tracer of the mesh; None when nothing blocks light.
+        tracer: EmbreeTracer of the mesh; None when nothing blocks light.
         soft: (S, K) irradiance for unit amplitude of the soft lobes.
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
@@ -72,7 +72,7 @@ class Scene:
     """
 
     transport: Transport
-    tracer: AbstractTracer | None
+    tracer: EmbreeTracer | None
     soft: Tensor
     offset: float
     rows: NDArray[np.int64]
@@ -120,7 +120,7 @@ class Scene:
 
 def make_scene(
     transport: Transport,
-    tracer: AbstractTracer | None,
+    tracer: EmbreeTracer | None,
     offset: float,
     sizes: tuple[int, int],
     rng: np.random.Generator,
@@ -129,7 +129,7 @@ def make_scene(
 
     Args:
         transport: Baked transport.
-        tracer: Tracer of the mesh, or None where nothing blocks light.
+        tracer: EmbreeTracer of the mesh, or None where nothing blocks light.
         offset: Distance that rays start above the surface.
         sizes: Number of samples that take part and number of soft lobes.
         rng: Source of randomness.

@@ -21,7 +21,7 @@ from torch import Tensor
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, Radiance
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere, tangents
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
@@ -69,7 +69,7 @@ class SunProblem:
             strength of that light.
         indirect: (U, 3) irradiance from surfaces.
         pairs: Over the U samples.
-        tracer: Tracer of the mesh, or None where nothing blocks.
+        tracer: EmbreeTracer of the mesh, or None where nothing blocks.
         offset: Distance that rays start above the surface.
     """
 
@@ -79,7 +79,7 @@ class SunProblem:
     base: Tensor
     indirect: Tensor
     pairs: Pairs
-    tracer: AbstractTracer | None
+    tracer: EmbreeTracer | None
     offset: float
 
     @classmethod

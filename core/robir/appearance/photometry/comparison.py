@@ -33,7 +33,7 @@ from robir.appearance.proof import Proof, fitted_views
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_view
 from robir.capture.readers.nerf_synthetic import is_by_camera
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.steps import Step
@@ -82,13 +82,13 @@ class Comparison:
 
     @classmethod
     def of(
-        cls, transport: Transport, tracer: AbstractTracer, capture: Capture, seed: int
+        cls, transport: Transport, tracer: EmbreeTracer, capture: Capture, seed: int
     ) -> Comparison:
         """Some points that enough views show, as these show them.
 
         Args:
             transport: Baked transport with the samples' observations.
-            tracer: Tracer of the mesh.
+            tracer: EmbreeTracer of the mesh.
             capture: All views.
             seed: Of the choice of points.
         """

@@ -41,7 +41,7 @@ from robir.appearance.texture.texels import (
 )
 from robir.appearance.texture.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.steps import Course, Step
 from robir.transport.observe import Observations, observe
 
@@ -130,7 +130,7 @@ class Painting:
         texels: Texels,
         views: tuple[View, ...],
         gloss: Gloss,
-        tracer: AbstractTracer,
+        tracer: EmbreeTracer,
     ) -> Painting:
         """Texels with what photographs show of them and what arrives at them; see `texel_albedo`.
 
@@ -220,7 +220,7 @@ def texel_albedo(
     texels: Texels,
     views: tuple[View, ...],
     gloss: Gloss,
-    tracer: AbstractTracer,
+    tracer: EmbreeTracer,
     course: Course,
 ) -> TexelAlbedo:
     """Albedo of every texel.
@@ -231,7 +231,7 @@ def texel_albedo(
         texels: Points of the atlas.
         views: Photographs, at the size they are to be read at.
         gloss: Specular material of the samples.
-        tracer: Tracer of the mesh.
+        tracer: EmbreeTracer of the mesh.
         course: Of the stage's steps.
 
     Returns:

@@ -33,7 +33,7 @@ from robir.capture.capture import Bounds, View
 from robir.capture.checks.sharpness import relative_sharpness
 from robir.capture.images.loading import resize_view
 from robir.geometry.mesh.atlas import sample_texture
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.maths.tone_curve import AbstractToneCurve
@@ -74,7 +74,7 @@ BLOCK = 1 << 21
 def finer(
     values: TexelAlbedo,
     inside: Mask,
-    surface: tuple[Mesh, AbstractTracer],
+    surface: tuple[Mesh, EmbreeTracer],
     photographs: tuple[Sequence[View], AbstractToneCurve],
     side: int,
 ) -> tuple[Mask, TexelAlbedo]:
@@ -238,7 +238,7 @@ class _Lens:
 
     Args:
         view: Photograph, unit frame.
-        tracer: Tracer of the mesh.
+        tracer: EmbreeTracer of the mesh.
         curve: Its tone curve.
         how: Widths of a fine texel and of a solved one, unit frame; and the photograph's sharpness
             against the others', at most 1.
@@ -247,7 +247,7 @@ class _Lens:
     def __init__(
         self,
         view: View,
-        tracer: AbstractTracer,
+        tracer: EmbreeTracer,
         curve: AbstractToneCurve,
         how: tuple[tuple[float, float], float],
     ) -> None:

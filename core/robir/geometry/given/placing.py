@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
-from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.mesh.tracing import Hits
+from robir.geometry.mesh.tracer import EmbreeTracer, Hits
 from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stereo.sweep import Picture
@@ -46,12 +46,12 @@ def projection(camera: Camera) -> Tensor:
     return torch.from_numpy(whole).float()
 
 
-def seen_by(mesh: Mesh, tracer: AbstractTracer, pictures: list[Picture], offset: float) -> Floats:
+def seen_by(mesh: Mesh, tracer: EmbreeTracer, pictures: list[Picture], offset: float) -> Floats:
     """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
 
     Args:
         mesh: Unit frame.
-        tracer: Tracer of it.
+        tracer: EmbreeTracer of it.
         pictures: Photographs.
         offset: Distance that rays start above the surface.
     """

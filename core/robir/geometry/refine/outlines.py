@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.geometry.hull import mask_distance
-from robir.geometry.mesh.tracing import AbstractTracer
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
 
@@ -22,13 +22,13 @@ CLEARANCE = 2.5
 
 
 def outline_shifts(
-    mesh: Mesh, tracer: AbstractTracer, photos: list[Photo], pixel: float
+    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shifts along the normals that put vertices on the outlines they form.
 
     Args:
         mesh: Unit frame.
-        tracer: Tracer of it.
+        tracer: EmbreeTracer of it.
         photos: Photographs with their masks.
         pixel: Width of a pixel there, unit frame.
 
