@@ -43,7 +43,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 76
+REVISION = 77
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
