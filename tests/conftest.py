@@ -9,7 +9,9 @@ import os
 import pytest
 from hypothesis import settings
 
-# Before torch loads: threads of other tests that spin would slow everything down.
+# Before torch loads: threads that wait for each other spin, and most arrays here are too small to
+# be shared out; what the tests start inherits it.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 settings.register_profile("robir", max_examples=25, deadline=None, derandomize=True)

@@ -199,18 +199,23 @@ def build(tree, *arguments):
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
 
 
-def test_update_within_one_session(blender, extension_zip, newer_tree, tmp_path):
-    """The old version's modules are loaded when the new one starts; so are those of a rebuild."""
-    assert build(newer_tree, "--out", tmp_path / "newer").returncode == 0
-    newer = tmp_path / "newer" / "robir-98.7.6.zip"
-    tree = tmp_path / "rebuilt"
+@pytest.fixture(scope="module")
+def archives(extension_zip, newer_tree, tmp_path_factory) -> list[str]:
+    """This version, a newer one, and that one built again from other sources."""
+    folder = tmp_path_factory.mktemp("archives")
+    assert build(newer_tree, "--out", folder / "newer").returncode == 0
+    newer = folder / "newer" / "robir-98.7.6.zip"
+    tree = folder / "rebuilt"
     shutil.copytree(newer_tree, tree)
     init = tree / "core/robir/__init__.py"
     text = init.read_text(encoding="utf-8")
     init.write_text(text.replace('"""RobIR:', '"""Rebuilt:'), encoding="utf-8")
-    assert build(tree, "--out", tmp_path / "again").returncode == 0
-    rebuilt = tmp_path / "again" / newer.name
-    archives = [str(archive) for archive in (extension_zip, newer, rebuilt)]
+    assert build(tree, "--out", folder / "again").returncode == 0
+    return [str(archive) for archive in (extension_zip, newer, folder / "again" / newer.name)]
+
+
+def test_update_within_one_session(blender, archives, tmp_path):
+    """The old version's modules are loaded when the new one starts; so are those of a rebuild."""
     found = run(blender, COMMON + UPDATE, *archives, user=tmp_path / "user")
     assert [version for version, _ in found] == [robir.__version__, "98.7.6", "98.7.6"]
     assert [text.partition(":")[0] for _, text in found] == ["RobIR", "RobIR", "Rebuilt"]

@@ -35,9 +35,10 @@ def sample():
 """
 
 
-def test_the_sample_needs_no_capture_and_is_laid_out_once(blender, extension_zip, tmp_path):
+def test_the_sample_needs_no_capture_and_is_laid_out_once(own_blender, extension_zip, tmp_path):
+    """In one Blender: every other looks at a capture in test_capture_operators.py."""
     user = tmp_path / "user"
-    answer = run(blender, SESSION + SAMPLE, "sample", str(extension_zip), ENGINE, user=user)
+    answer = run(own_blender, SESSION + SAMPLE, "sample", str(extension_zip), ENGINE, user=user)
     assert answer["poll"] and answer["tried"] == answer["again"] == [["FINISHED"], ""]
     assert answer["recognised"].startswith("NeRF-synthetic, 48 photographs, 8 kept aside, ")
     assert not answer["faults"]

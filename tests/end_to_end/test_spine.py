@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,13 +81,16 @@ def test_a_second_start_does_nothing(spine):
     assert stage_hashes(spine.out) == before
 
 
-def test_killed_in_its_longest_stages_and_resumed_it_is_the_same(spine, tmp_path):
-    """The real stages, killed in geometry and again in appearance."""
-    out = tmp_path / "out"
-    words = reconstruct_words(spine.capture, out)
-    for stage in ("geometry", "appearance"):
-        kill_in_stage(words, out, stage)
-        words = [*reconstruct_words(spine.capture, out), "--resume"]
+def test_killed_in_its_longest_stage_and_resumed_it_is_the_same(spine, tmp_path):
+    """After the fit, in the midst of which `hostile.kills` kills a smaller run."""
+    out = shutil.copytree(spine.out, tmp_path / "out")
+    paths = JobPaths(out)
+    for stage in ("transport", "appearance", "export"):
+        shutil.rmtree(paths.stage(stage))
+    paths.status.unlink()
+    words = [*reconstruct_words(spine.capture, out), "--resume", "--set", "export.renders=false"]
+    kill_in_stage(words, out, "appearance")
+    assert not paths.manifest("appearance").exists()
     robir(*words)
     assert stage_hashes(out) == stage_hashes(spine.out)
 

@@ -5,6 +5,7 @@ The light is a uniform sky and a small sun, so a diffuse sphere's radiance has a
 albedo / pi (pi sky + sun max(n.l, 0)). The sphere is neither at the origin nor of radius one.
 """
 
+import functools
 import json
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
 from robir.capture.store import save_capture
-from robir.evaluation.layers import view_layers
+from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.metrics import srgb_from_linear
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import STAGES, JobPaths, write_json
@@ -90,6 +91,12 @@ def cameras(count: int, turn: float) -> list[Camera]:
     return made
 
 
+@functools.cache
+def seen(count: int, turn: float) -> tuple[Layers, ...]:
+    """What these cameras see of the sphere; traced once, and not to be written to."""
+    return tuple(view_layers(world_mesh(), sphere_textures(), cameras(count, turn)))
+
+
 def world_mesh() -> Mesh:
     """The sphere in the capture's frame."""
     mesh = sphere_mesh()
@@ -128,13 +135,13 @@ def light_table() -> dict:
 
 def make_truth(folder: Path) -> Path:
     """Write a capture with truth as `blender_scenes` does; returns its folder."""
-    mesh, textures = world_mesh(), sphere_textures()
+    mesh = world_mesh()
     for split, count, turn in (("train", 6, 0.0), ("test", 3, 0.5)):
         views = cameras(count, turn)
         (folder / split).mkdir(parents=True)
         (folder / "truth" / split).mkdir(parents=True)
         frames = []
-        for k, layers in enumerate(view_layers(mesh, textures, views)):
+        for k, layers in enumerate(seen(count, turn)):
             codes = np.round(255 * np.dstack([photograph(layers), layers.hit])).astype(np.uint8)
             Image.fromarray(codes).save(folder / split / f"r_{k:03d}.png")
             write_view_truth(folder / "truth" / split / f"r_{k:03d}.exr", layers)
@@ -188,7 +195,7 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
     views = []
     for split, count, turn in (("train", 6, 0.0), ("held_out", 3, 0.5)):
         poses = cameras(count, turn)
-        for k, layers in enumerate(view_layers(world_mesh(), sphere_textures(), poses)):
+        for k, layers in enumerate(seen(count, turn)):
             views.append(
                 View(
                     name=f"{split}_{k:03d}",

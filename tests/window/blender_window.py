@@ -25,6 +25,9 @@ COLUMNS = (0.55, 0.3, 0.93, 0.85, 0.77)
 SCROLL = 40
 """Notches of the wheel that bring the sidebar from one end to the other."""
 
+PATIENCE = 300.0
+"""Seconds that Blender may take over what a processor draws."""
+
 PROBE = """
 manager = bpy.context.window_manager
 area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
@@ -148,8 +151,15 @@ class BlenderWindow:
         while not self.get(f"bool({expression})"):
             if time.monotonic() - start > timeout:
                 raise TimeoutError(f"after {timeout:.0f} s still not so: {expression}")
-            time.sleep(0.05)
+            # a long wait need not be told to the tenth of a second: every question costs Blender
+            time.sleep(min(0.5, 0.05 + 0.02 * (time.monotonic() - start)))
         return time.monotonic() - start
+
+    def settle(self) -> None:
+        """Wait until Blender has drawn what it was told; shaders take a processor a minute."""
+        for _ in range(2):
+            time.sleep(3.0)
+            self.run("answer = None", timeout=PATIENCE)
 
     def sidebar(self) -> tuple[int, int, int, int]:
         """Left, top, right and bottom of the sidebar on the screen, tabs left out."""

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from window.command import Finished, blender, reconstruct
 from window.screen import Screen
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,3 +53,18 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     size = ["--resolution", "96", "--views", "24", "--test-views", "3", "--samples", "16"]
     subprocess.run([*command, *size, "--view-transform", "Filmic"], check=True, capture_output=True)
     return folder
+
+
+@pytest.fixture(scope="session")
+def home(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a user of the command line, with the add-on installed and enabled."""
+    folder = tmp_path_factory.mktemp("home of a script")
+    done = blender(folder, "extension", "install-file", "-r", "user_default", "-e", package)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def finished(home: Path, capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """The capture's result as the command line makes it; not to be written to."""
+    return reconstruct(home, capture, tmp_path_factory.mktemp("made") / "the result's folder")

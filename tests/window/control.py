@@ -17,7 +17,7 @@ import bpy
 
 FOLDER = Path(os.environ["ROBIR_WINDOW_CONTROL"])
 PERIOD = 0.02
-REDRAW_PERIOD = 0.1
+REDRAW_PERIOD = 0.4
 
 
 def _serve() -> float:
@@ -44,7 +44,7 @@ def _run(source: str) -> dict[str, object]:
 
 
 class RedrawClock:
-    """When the 3D viewport was drawn, while something asks for a drawing ten times a second."""
+    """When the 3D viewport was drawn, while something asks for a drawing every REDRAW_PERIOD."""
 
     def __init__(self) -> None:
         self._drawn: list[tuple[float, str]] = []

@@ -4,53 +4,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
-from pathlib import Path
 
-import pytest
-
-SETTINGS = (
-    "geometry.level_cells=[48, 80]",
-    "geometry.level_steps=[100, 150]",
-    "geometry.face_budget=5000",
-    "transport.num_surfels=8000",
-    "transport.num_directions=256",
-    "appearance.texture_size=256",
-    "export.render_views=1",
-    "export.render_samples=8",
-    "export.render_max_side=64",
-)
-"""A draft cut to a third of a CPU-minute."""
+from window.command import blender
 
 
-@pytest.fixture(scope="module")
-def home(package, tmp_path_factory):
-    """A user's folder with the add-on installed and enabled."""
-    folder = tmp_path_factory.mktemp("home of a script")
-    done = blender(folder, "extension", "install-file", "-r", "user_default", "-e", package)
-    assert done.returncode == 0, done.stderr
-    return folder
-
-
-def blender(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        ["blender", "-b", "--command", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=900,
-        env={**os.environ, "HOME": str(home)},
-    )
-
-
-def test_a_reconstruction_from_photographs_to_a_relit_picture(home, capture, tmp_path):
-    out = tmp_path / "the result's folder"
-    changes = [word for setting in SETTINGS for word in ("--set", setting)]
-    done = blender(
-        home, "robir", capture, "-o", out, "--engine", sys.executable, "--preset", "draft", *changes
-    )
+def test_a_reconstruction_from_photographs_to_a_relit_picture(home, finished):
+    done, out = finished.done, finished.out
     # so small a draft may well fail its own quality check, and is whole all the same
     status = json.loads((out / "status.json").read_text(encoding="utf-8"))
     assert (status["state"], status["exit_code"]) == ("done", done.returncode), done.stderr

@@ -7,13 +7,12 @@ where docs/blender.md says something else than what was done.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from PIL import Image
-from window.blender_window import BlenderWindow
+from window.blender_window import PATIENCE, BlenderWindow
 from window.conftest import BUILD, ROOT
 from window.screen import Screen
 
@@ -21,7 +20,6 @@ pytestmark = pytest.mark.slow
 
 TUTORIAL = BUILD / "tutorial"
 WIDTH = 1080
-PATIENCE = 300.0
 STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
 WORLD_FILE = (
@@ -93,14 +91,7 @@ def shade(window: BlenderWindow, kind: str) -> None:
         f"    if area.type == 'VIEW_3D': area.spaces.active.shading.type = {kind!r}",
         timeout=PATIENCE,
     )
-    settle(window)
-
-
-def settle(window: BlenderWindow) -> None:
-    """Wait until Blender has drawn what it was told."""
-    for _ in range(2):
-        time.sleep(3.0)
-        window.run("answer = None", timeout=PATIENCE)
+    window.settle()
 
 
 def keep(window: BlenderWindow, name: str) -> None:
@@ -130,7 +121,7 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.wait_until(f"{STATE}.stage == 'geometry' and {STATE}.preview_serial > 3", 400.0)
     keep(window, "reconstructing")
     window.wait_until(f"not {STATE}.task and {SETTINGS}.result", 1500.0)
-    settle(window)
+    window.settle()
     keep(window, "arrived")
     shade(window, "SOLID")  # which a processor draws fast enough to click on
     window.press("bpy.ops.robir.picture_lights")
@@ -140,6 +131,9 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.wait_until(f"'sunset' in {WORLD_FILE}", 10.0)
     # from the bare panel to the sample under another light
     assert window.screen.clicks - clicks <= 4
+    for light in ("forest", "sunset"):
+        window.press(f"bpy.ops.robir.use_studio_light(light='{light}')")
+        window.wait_until(f"'{light}' in {WORLD_FILE}", 10.0)
     shade(window, "MATERIAL")
     keep(window, "lights")
     faces = "len(bpy.context.object.data.polygons)"
@@ -151,7 +145,7 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
         "area.tag_redraw()",
         timeout=PATIENCE,
     )
-    settle(window)
+    window.settle()
     assert 0.1 * before < window.get(faces) < before
     keep(window, "placed")
 
@@ -181,7 +175,7 @@ def test_it_is_drawn_in_every_theme_and_size(
         f"bpy.context.preferences.view.ui_scale = {scale}",
         timeout=PATIENCE,
     )
-    settle(window)
+    window.settle()
     window.picture(f"{theme}_{scale:.0f}x")
     assert window.get("bpy.context.preferences.view.ui_scale") == pytest.approx(scale)
     complaints = [line for line in window.log().splitlines() if "Traceback" in line]

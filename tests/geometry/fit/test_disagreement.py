@@ -111,7 +111,9 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
 
     monkeypatch.setattr(settling, "RaySampler", recorded)
     monkeypatch.setattr(settling, "Backdrop", Told)
-    config = GeometryConfig(level_cells=(32,), level_steps=(10,), rays=256, face_budget=800)
+    config = GeometryConfig(
+        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, without=("rivals",)
+    )
     reconstruct(jittered, config, 0, "cpu", Mock())
     assert len(spreads) == 2
     assert max(spreads) < 0.06  # .18 as they were

@@ -51,8 +51,9 @@ def test_the_stage_tells_the_ground_by_them(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(settling, "Backdrop", Recorded)
     config = GeometryConfig(
-        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, hull_views=16
-    )
+        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, hull_views=16,
+        without=("rivals",),
+    )  # fmt: skip
     scene = trimesh.util.concatenate([disc(), drum(0.3, -0.3, -0.1)])
     reconstruct(capture_of(scene, views=24, side=64, low=0.12), config, 0, "cpu", Mock())
     assert asked == [16]

@@ -22,6 +22,7 @@ from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stage import reconstruct
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
@@ -226,7 +227,10 @@ def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
 @pytest.mark.slow
 def test_small_fit_is_accurate_and_repeats_exactly() -> None:
     capture = capture_of(ball(0.5, (0.0, 0.0, 0.0)), low=-1.0)
-    config = GeometryConfig(level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800)
+    config = GeometryConfig(
+        level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800,
+        refine=RefineConfig(image_sides=(64,), most_vertices=3000),
+    )  # fmt: skip
     surface = reconstruct(capture, config, 3, "cpu", Silent())
     first, metrics = surface.mesh, surface.metrics
     radius = np.linalg.norm(first.vertices, axis=1)
