@@ -28,6 +28,10 @@ from robir.appearance.model_size import with_even_sky, with_reflected_sky, witho
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
+HELD = 3.0
+"""How much more firmly a told level is held than its error asks. In a solve pairs of neighbours
+speak of it as well, by the light between surfaces, and errors of the mesh are common to many."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
@@ -136,7 +140,8 @@ def _level(state: Solution) -> Solution:
     if not told:
         return state
     *_, together = told
-    known = replace(state.told, level=together.value, level_error=together.deviation)
+    error = together.deviation / HELD
+    known = replace(state.told, level=together.value, level_error=error)
     return replace(state, told=known, witnesses=(*state.witnesses, *told))
 
 
