@@ -217,8 +217,8 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
     np.savez(appearance / "textures.npz", **textures)
     write_json(appearance / "light.json", light_table())
     candidates = [
-        {"family": "standard", "score": 0.010, "standard_error": 0.001},
-        {"family": "filmic", "score": 0.031, "standard_error": 0.002},
+        {"family": "standard", "score": 0.010, "standard_error": 0.001, "albedo_apart": None},
+        {"family": "filmic", "score": 0.031, "standard_error": 0.002, "albedo_apart": None},
     ]
     write_json(
         appearance / "tone_curve.json",

@@ -19,7 +19,7 @@ def test_the_plot_shows_the_chosen_curve_where_it_runs(tmp_path: Path) -> None:
     paths = JobPaths(tmp_path)
     for folder in (paths.stage("appearance"), paths.tone_plot.parent):
         folder.mkdir(parents=True)
-    row = {"score": 1.0, "standard_error": None}
+    row = {"score": 1.0, "standard_error": None, "albedo_apart": None}
     candidates = [{"family": name, **row} for name in ("agx", "filmic", "standard")]
     table = {"family": "filmic", "parameters": {}, "candidates": candidates, "clipped_share": 0.0}
     table |= {"blender_view_transform": "Filmic", "exposure": 0.0}

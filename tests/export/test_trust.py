@@ -21,12 +21,20 @@ def sound(tmp_path_factory):
     return capture, result_mesh(paths, capture.bounds), load_textures(paths)
 
 
+def rows(*apart):
+    """Rows of tone_curve.json, all but the first of curves that fit as well or not."""
+    return [{"family": str(n), "albedo_apart": value} for n, value in enumerate(apart)]
+
+
+NO_RIVAL, RIVALS = rows(None, None), rows(None, 35.0, None, 28.0)
+
+
 def spoilt_views(capture, change):
     return replace(capture, views=tuple(replace(v, **change(v)) for v in capture.views))
 
 
-def doubted(capture, mesh, arrays, rerender=25.0):
-    found = quality(capture, mesh, arrays, rerender)
+def doubted(capture, mesh, arrays, rerender=25.0, candidates=NO_RIVAL):
+    found = quality(capture, mesh, arrays, rerender, candidates)
     names = [
         name
         for name, sign in found["signs"].items()
@@ -38,11 +46,12 @@ def doubted(capture, mesh, arrays, rerender=25.0):
 
 
 def test_a_perfect_result_is_trusted_with_all_signs(sound):
-    found = quality(*sound, 25.0)
+    found = quality(*sound, 25.0, RIVALS)
     assert found["is_trusted"]
     assert found["signs"].keys() == SIGNS.keys()
     assert found["signs"]["outline"]["value"] == 1.0
     assert found["signs"]["views"]["value"] == 6.0
+    assert found["signs"]["rivals"]["value"] == 28.0
     assert found["signs"]["disagreement"]["value"] == pytest.approx(0.1)
     codes = [v.image_display[v.mask > 127].ravel() for v in sound[0].train]
     assert found["signs"]["level"]["value"] == pytest.approx(np.concatenate(codes).mean() / 255)
@@ -93,7 +102,12 @@ def test_burnt_out_and_dark_photographs(sound, name, code):
 
 def test_a_bad_re_render_is_doubted_and_a_missing_one_is_not(sound):
     assert doubted(*sound, rerender=15.0) == ["rerender"]
-    assert "rerender" not in quality(*sound, None)["signs"]
+    assert "rerender" not in quality(*sound, None, NO_RIVAL)["signs"]
+
+
+def test_a_curve_that_fits_as_well_is_doubted_where_it_makes_another_albedo(sound):
+    assert doubted(*sound, candidates=rows(None, 30.0, 17.0)) == ["rivals"]
+    assert "rivals" not in quality(*sound, 25.0, NO_RIVAL)["signs"]
 
 
 def test_what_no_view_saw_does_not_count(sound):

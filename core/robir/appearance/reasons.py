@@ -11,7 +11,8 @@ from robir.appearance.photometry import other_light
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.gains import LEAST_STEPS
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
+from robir.appearance.tone.ranking import Candidate
+from robir.appearance.tone.rivals import fits_alike
 from robir.jobs.choice import Choice
 
 GREY, BY_ALL, BY_HIGHLIGHTS, BY_PAINT = (
@@ -82,11 +83,7 @@ def light_choices(
 def _near(candidates: list[Candidate]) -> str:
     """Which curves could not be told from the chosen one."""
     chosen, *others = candidates
-    near = [
-        other.curve.name
-        for other in others
-        if abs(other.score - chosen.score) <= SIMPLER_MARGIN * other.standard_error
-    ]
+    near = [other.curve.name for other in others if fits_alike(chosen, other)]
     return f"; within noise of it: {', '.join(near)}" if near else ""
 
 

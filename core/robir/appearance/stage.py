@@ -28,6 +28,7 @@ from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
 from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
+from robir.appearance.tone.rivals import albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
@@ -269,7 +270,11 @@ def _write_light(folder: Path, light: Light) -> None:
 
 def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     """Store the chosen curve and what it was chosen against."""
-    chosen = tone.candidates[0].curve
+    first, *others = tone.candidates
+    chosen = first.curve
+    apart = {
+        other.curve.name: albedo_apart(first, other) for other in others if fits_alike(first, other)
+    }
     write_json(
         folder / "tone_curve.json",
         {
@@ -282,6 +287,7 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
                     "standard_error": candidate.standard_error
                     if np.isfinite(candidate.standard_error)
                     else None,
+                    "albedo_apart": apart.get(candidate.curve.name),
                 }
                 for candidate in tone.candidates
             ],

@@ -27,7 +27,10 @@ _LEFT, _TOP, _RIGHT, _BOTTOM = 62.0, 40.0, 816.0, 432.0
 """The plot's axes and the whole picture, pixels."""
 
 _FORM = TONE_CURVE | {
-    "candidates": [{"family": str, "score": float, "standard_error": (None, float)}],
+    "candidates": [{
+        "family": str, "score": float, "standard_error": (None, float),
+        "albedo_apart": (None, float),
+    }],
     "clipped_share": float, "blender_view_transform": (None, str), "blender_gamma?": float,
     "exposure": float,
 }  # fmt: skip
