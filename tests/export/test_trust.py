@@ -11,7 +11,7 @@ from evaluation import sphere_run
 
 from robir.capture.store import load_capture
 from robir.evaluation.layers import load_textures, result_mesh
-from robir.export.trust import SIGNS, quality
+from robir.export.trust import SIGNS, paint, quality, rivals
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +26,25 @@ def rows(*apart):
     return [{"family": str(n), "albedo_apart": value} for n, value in enumerate(apart)]
 
 
-NO_RIVAL, RIVALS = rows(None, None), rows(None, 35.0, None, 28.0)
+RIVALS = rows(None, 35.0, None, 28.0)
+
+
+def told(off):
+    """Rows of evidence.json: known paint asks for a light so much brighter than all else."""
+    values = {"all": (1.0, 0.3), "known paint": (1.0 + off, 0.4)}
+    level = [
+        {"of": "level", "by": by, "value": value, "deviation": deviation}
+        for by, (value, deviation) in values.items()
+    ]
+    return [*level, {"of": "hue", "by": "all", "value": 0.0, "deviation": 0.1}]
 
 
 def spoilt_views(capture, change):
     return replace(capture, views=tuple(replace(v, **change(v)) for v in capture.views))
 
 
-def doubted(capture, mesh, arrays, rerender=25.0, candidates=NO_RIVAL):
-    found = quality(capture, mesh, arrays, rerender, candidates)
+def doubted(capture, mesh, arrays, rerender=25.0, left_open=None):
+    found = quality(capture, mesh, arrays, rerender, left_open or {})
     names = [
         name
         for name, sign in found["signs"].items()
@@ -46,7 +56,7 @@ def doubted(capture, mesh, arrays, rerender=25.0, candidates=NO_RIVAL):
 
 
 def test_a_perfect_result_is_trusted_with_all_signs(sound):
-    found = quality(*sound, 25.0, RIVALS)
+    found = quality(*sound, 25.0, rivals(RIVALS) | paint(told(0.1)))
     assert found["is_trusted"]
     assert found["signs"].keys() == SIGNS.keys()
     assert found["signs"]["outline"]["value"] == 1.0
@@ -102,12 +112,20 @@ def test_burnt_out_and_dark_photographs(sound, name, code):
 
 def test_a_bad_re_render_is_doubted_and_a_missing_one_is_not(sound):
     assert doubted(*sound, rerender=15.0) == ["rerender"]
-    assert "rerender" not in quality(*sound, None, NO_RIVAL)["signs"]
+    assert "rerender" not in quality(*sound, None, {})["signs"]
 
 
 def test_a_curve_that_fits_as_well_is_doubted_where_it_makes_another_albedo(sound):
-    assert doubted(*sound, candidates=rows(None, 30.0, 17.0)) == ["rivals"]
-    assert "rivals" not in quality(*sound, 25.0, NO_RIVAL)["signs"]
+    assert doubted(*sound, left_open=rivals(rows(None, 30.0, 17.0))) == ["rivals"]
+    assert rivals(rows(None, None)) == {}
+
+
+def test_known_paint_is_doubted_where_all_else_tells_another_light(sound):
+    assert doubted(*sound, left_open=paint(told(0.6))) == []
+    assert doubted(*sound, left_open=paint(told(-1.6))) == ["paint"]
+    # a normal distribution's deviation is that of both
+    assert paint(told(0.5))["paint"] == pytest.approx(0.5 / np.sqrt(0.3**2 + 0.4**2))
+    assert paint(told(0.5)[:1]) == paint(told(0.5)[2:]) == {}
 
 
 def test_what_no_view_saw_does_not_count(sound):

@@ -17,7 +17,7 @@ from robir.appearance.evidence.hue import told_hue
 from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
-from robir.appearance.evidence.witness import Witness
+from robir.appearance.evidence.witness import BY_PAINT, Witness
 from robir.appearance.light.known_paint import READ
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
@@ -151,9 +151,13 @@ def _white_point(state: Solution) -> Solution:
         return state
     sent = sent_by_paint(state.matte, state.light, known)
     level = float(sent.mean())
-    return replace(
-        state, told=Told(hue=sent - level, hue_error=READ, level=level, level_error=READ)
+    told = Told(hue=sent - level, hue_error=READ, level=level, level_error=READ)
+    hue = float(sent[0] - sent[2])
+    rows = (
+        Witness(of="level", by=BY_PAINT, value=level, deviation=READ),
+        Witness(of="hue", by=BY_PAINT, value=hue, deviation=READ * 2**0.5),
     )
+    return replace(state, told=told, witnesses=(*state.witnesses, *rows))
 
 
 def _refit(state: Solution) -> Solution:

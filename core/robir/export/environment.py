@@ -98,7 +98,8 @@ def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:
         of: "level" or "hue".
 
     Returns:
-        A row a witness, all together last, or none where nothing is told: "by"; "times", the light
+        A row a witness, all together and the paint that the user knows last, or none where nothing
+        is told: "by"; "times", the light
         that it tells over that of all together, or its red over its blue; "within", the factor of
         one standard deviation.
     """

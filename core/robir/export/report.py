@@ -35,7 +35,7 @@ from robir.export.environment import light_told
 from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.tiles import shown_texture
-from robir.export.trust import quality
+from robir.export.trust import paint, quality, rivals
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
@@ -275,7 +275,7 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
             products.mesh,
             products.arrays,
             held_out["psnr"],
-            products.tone_curve["candidates"],
+            rivals(products.tone_curve["candidates"]) | paint(products.evidence),
         ),
         "held_out": held_out,
         "cycles": cycles,

@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.evidence.witness import BY_ALL, BY_PAINT
 from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import clipped_share
 from robir.capture.images.loading import resize_view
@@ -120,6 +121,13 @@ SIGNS: dict[str, Sign] = {
         "{value:.0f} dB apart",
         cure="tell the tone curve if you know how the photographs were made",
     ),
+    "paint": Sign(
+        limit=3.0,
+        doubtful="above",
+        message="the paint that you know asks for a light {value:.1f} standard errors from all "
+        "else that tells how bright it is",
+        cure="pick a matt, bright and evenly lit spot, and check its true colour",
+    ),
 }
 """What is looked at, by the name in report.json."""
 
@@ -129,7 +137,7 @@ def quality(
     mesh: Mesh,
     arrays: dict[str, Array],
     rerender: float | None,
-    candidates: list[dict[str, Any]],
+    left_open: dict[str, float],
 ) -> dict[str, Any]:
     """Whether the result is to be trusted.
 
@@ -138,13 +146,13 @@ def quality(
         mesh: The surface, capture frame.
         arrays: Textures as the appearance stage left them.
         rerender: PSNR of our own re-render of held-out photographs in dB, None without.
-        candidates: Tone curves, as tone_curve.json has them.
+        left_open: What `rivals` and `paint` say.
 
     Returns:
         "is_trusted"; "signs" by name, each "value", "limit", "doubtful" ("below" or "above");
         "doubts": sentences, empty for a trusted result.
     """
-    values = signs(capture, mesh, arrays, rerender) | rivals(candidates)
+    values = signs(capture, mesh, arrays, rerender) | left_open
     limits = {name: SIGNS[name].limit_of(capture) for name in values}
     doubts = [
         f"{SIGNS[name].message.format(value=value)}; {SIGNS[name].cure}"
@@ -187,6 +195,23 @@ def rivals(candidates: list[dict[str, Any]]) -> dict[str, float]:
     """
     apart = [row["albedo_apart"] for row in candidates if row["albedo_apart"] is not None]
     return {"rivals": min(apart)} if apart else {}
+
+
+def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
+    """How many standard errors known paint is off all other evidence of the light's level.
+
+    Args:
+        evidence: Contents of the appearance stage's evidence.json.
+
+    Returns:
+        Empty where no paint is known, or nothing else tells.
+    """
+    rows = {row["by"]: row for row in evidence if row["of"] == "level"}
+    if BY_PAINT not in rows or BY_ALL not in rows:
+        return {}
+    known, others = rows[BY_PAINT], rows[BY_ALL]
+    error = float(np.hypot(known["deviation"], others["deviation"]))
+    return {"paint": abs(known["value"] - others["value"]) / error}
 
 
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.evidence.witness import Witness
+from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
@@ -61,7 +61,7 @@ def told_hue(
         highlights and both tell of its red over blue; of highlights only where they prove it.
     """
     balanced = Witness(of="hue", by="white balance", value=0.0, deviation=WHOLE.blue)
-    nothing = None, (balanced, replace(balanced, by="all"))
+    nothing = None, (balanced, replace(balanced, by=BY_ALL))
     if not gloss.has_highlights or not len(light.axes):
         return nothing
     shown, predicted, below, near = _highlights(problem, light, gloss)
@@ -107,7 +107,7 @@ def both(first: Witness, second: Witness) -> Witness:
     """What two independent witnesses tell together: the product of their normal distributions."""
     weights = [max(witness.deviation, 1e-6) ** -2 for witness in (first, second)]
     value = (weights[0] * first.value + weights[1] * second.value) / sum(weights)
-    return Witness(of=first.of, by="all", value=value, deviation=sum(weights) ** -0.5)
+    return Witness(of=first.of, by=BY_ALL, value=value, deviation=sum(weights) ** -0.5)
 
 
 def _off(shown: Floats, predicted: Floats) -> Floats:

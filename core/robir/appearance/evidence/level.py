@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from robir.appearance.evidence.witness import Witness
+from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
@@ -92,7 +92,7 @@ def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple
             position = problem.scene.transport.surfels.position[rows]
             patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
             told["highlights"] = misread(_evidence(errors, count, patch))
-    told["all"] = sum(told.values(), start=np.zeros(len(FACTORS)))
+    told[BY_ALL] = sum(told.values(), start=np.zeros(len(FACTORS)))
     return tuple(_witness(by, likely, sent) for by, likely in told.items())
 
 

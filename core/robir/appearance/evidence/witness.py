@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+BY_ALL, BY_PAINT = "all", "known paint"
+"""Names of the last rows: all evidence together, and the paint that the user knows, if any."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Witness:
@@ -14,7 +17,7 @@ class Witness:
     Attributes:
         of: What it tells of: "level", mean over the channels of the log of the mean irradiance; or
             "hue", log of its red over its blue.
-        by: What tells it; "all" for all together.
+        by: What tells it.
         value: What it tells, log units.
         deviation: One standard deviation of that.
     """
