@@ -19,6 +19,7 @@ from robir.appearance.light.lobes import (
     range_loss,
     soft_lobes,
     soft_transfer,
+    solve_amplitudes,
     unevenness,
 )
 from robir.appearance.light.pair_loss import PairWeights
@@ -28,6 +29,7 @@ from robir.appearance.light.sun import SunProblem, refine, scan
 from robir.appearance.light.sun_search import find_suns, polish
 from robir.appearance.light.told import NOTHING_TOLD
 from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
+from robir.maths.daylight import hue
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12
@@ -219,6 +221,38 @@ def test_sun_against_sky_is_recovered():
     true_sky = (problem.scene.soft[top] @ true.soft).mean(0)
     ratio = light.amplitudes.sharp[0] / sky
     np.testing.assert_allclose(ratio, true.sharp[0] / true_sky, rtol=0.05)
+
+
+def test_what_pairs_do_not_tell_has_the_hue_of_lights(problem):
+    """Without pairs a green sun and a magenta patch of sky come back to the line of daylight."""
+    true = synthetic.true_light(SUN, SKY)
+    green, magenta = torch.tensor([0.7, 1.4, 0.7]), torch.tensor([1.5, 0.6, 1.5])
+    soft = true.amplitudes.soft.clone()
+    soft[:3] *= magenta
+    start = Amplitudes(soft=soft, sharp=true.amplitudes.sharp * green)
+    rows = problem.scene.rows
+    sharp = problem.scene.sharp_transfer(true.axes, true.sharpness, rows)
+    none = Pairs(first=torch.zeros(0).long(), second=torch.zeros(0).long(), weight=torch.zeros(0))
+    found, _ = solve_amplitudes(
+        problem.rows_radiance(rows),
+        problem.transfer(sharp, rows),
+        (none, none),
+        Priors(smooth=0.0),
+        200,
+        start=start,
+    )
+
+    def greenness(amplitudes):
+        sky = amplitudes.soft.mean(0).log()
+        return [
+            float(hue(part - sky)[1].abs().mean())
+            for part in (amplitudes.sharp.log(), amplitudes.soft[:3].log())
+        ]
+
+    before, after = greenness(start), greenness(found)
+    assert before[0] > 0.5 and before[1] > 0.7
+    assert after[0] < 0.1 * before[0]
+    assert after[1] < 0.5 * before[1]
 
 
 def test_scan_and_refinement_find_the_sun_within_a_degree(problem):

@@ -151,20 +151,28 @@ def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
     assert pairs.of(torch.zeros(2400, dtype=torch.bool)).common_step(log_albedo).tolist() == [0] * 3
 
 
-@pytest.mark.parametrize(("coloured", "found"), [(220, 1), (400, 0)])
-def test_of_steps_about_as_common_the_greyer_is_the_lights(coloured, found):
+BROWN_TO_WHITE, GREY_TO_PINK = [-0.72, -0.99, -1.26], [-1.85, -1.25, -1.75]
+"""Steps in log albedo between two paints: of the first by how blue a light may be, of the second by
+how green none is."""
+
+
+@pytest.mark.parametrize(
+    ("paints", "count", "is_lights"),
+    [(BROWN_TO_WHITE, 220, True), (BROWN_TO_WHITE, 400, False), (GREY_TO_PINK, 2000, True)],
+)
+def test_of_steps_about_as_common_the_lights_is_the_one_that_lights_have(paints, count, is_lights):
     """Two paints on either side of a shadow, and 200 pairs of one paint."""
-    steps = torch.tensor([[-0.72, -0.99, -1.26], [-0.3, -0.33, -0.25]])
-    apart = torch.cat([steps[:1].expand(coloured, 3), steps[1:].expand(200, 3)])
+    steps = torch.tensor([paints, [-0.3, -0.33, -0.25]])
+    apart = torch.cat([steps[:1].expand(count, 3), steps[1:].expand(200, 3)])
     apart = apart + 0.05 * torch.randn(apart.shape, generator=torch.Generator().manual_seed(2))
-    count = len(apart)
+    number = len(apart)
     pairs = Pairs(
-        first=torch.arange(count),
-        second=torch.full((count,), count),
-        weight=torch.full((count,), 1 / count),
+        first=torch.arange(number),
+        second=torch.full((number,), number),
+        weight=torch.full((number,), 1 / number),
     )
     step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]))
-    torch.testing.assert_close(step, steps[found], rtol=0, atol=0.02)
+    torch.testing.assert_close(step, steps[int(is_lights)], rtol=0, atol=0.02)
 
 
 def test_a_pair_is_unclipped_where_no_channel_of_either_end_is_clipped():
