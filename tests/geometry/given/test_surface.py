@@ -16,6 +16,7 @@ from robir.capture.capture import Bounds, Finding
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.surface import Handed, hand_in
+from robir.geometry.mesh.triangles import LIGHT, mesh_for_light
 
 
 class Quiet:
@@ -230,6 +231,9 @@ def test_light_is_solved_on_a_copy_of_a_mesh_with_many_faces(capture, tmp_path):
     assert handed.light is not None
     assert len(handed.light.faces) <= 4 * budget
     assert handed.light.is_whole()
+    handed.mesh.save(tmp_path / "mesh.npz")
+    handed.light.save(tmp_path / LIGHT)
+    assert (mesh_for_light(tmp_path).faces == handed.light.faces).all()
     cosine = np.einsum("fcd,fd->fc", handed.mesh.normals[handed.mesh.faces], solid.face_normals)
     assert np.median(cosine) > 0.99
 
