@@ -17,7 +17,7 @@ from PIL import Image
 from transport.shapes import looking_at
 
 from robir.geometry.mesh.triangles import LIGHT
-from robir.jobs.paths import JobPaths
+from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = pytest.mark.slow
 
@@ -118,8 +118,11 @@ def test_a_texture_of_4096_texels_has_the_bars_of_half_the_nyquist_frequency(tmp
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode in (0, 5), done.stderr[-2000:]
-    assert (JobPaths(tmp_path / "out").stage("geometry") / LIGHT).exists()
-    with Image.open(JobPaths(tmp_path / "out").textures / "albedo.png") as picture:
+    paths = JobPaths(tmp_path / "out")
+    assert (paths.stage("geometry") / LIGHT).exists()
+    held_out = read_json(paths.manifest("appearance"))["metrics"]["held_out_psnr"]
+    assert held_out > 30, "texels are found by the faces of the mesh, not of light's copy"
+    with Image.open(paths.textures / "albedo.png") as picture:
         assert picture.size == (SIDE, SIDE)
         code = np.asarray(picture.convert("RGB"))[..., 1] / 255.0
     albedo = np.where(code < 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
