@@ -228,8 +228,8 @@ def _unlike(
     low, high = (np.log(part[many] + DARK) - gain for part in around)
     # the mirror image of a light adds about as much to every channel, before the tone curve
     added = (_linear(low) - _linear(median)).min(axis=2, keepdims=True).clip(0)
-    bounds = (_encoded((_linear(part) - added).clip(0)) for part in (low, high))
-    result = _apart(median, *bounds, spread)
+    least, most = (_encoded((_linear(part) - added).clip(0)) for part in (low, high))
+    result = _apart(median, least, most, spread)
     for view, others in enumerate(neighbours):
         odd = np.flatnonzero(result[:, view] > UNLIKE / 2)
         own = low[odd, view], high[odd, view], spread[odd, 0]
