@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from addon.blenders import run
+from capture.poses.room import COUNT, RADIUS, photograph, ring
 from capture.scene import BALL, BOX_HIGH, BOX_LOW, CENTRE, cameras, shoot
 from capture.writers import nerf_synthetic
 from PIL import Image
@@ -86,3 +87,33 @@ def test_an_object_over_udim_tiles_gets_textures_for_each(own_blender, extension
         file = of_tile(JobPaths(root).textures / "coverage.png", number)
         with Image.open(file) as picture:
             assert (np.array(picture) > 0).mean() > 0.05
+
+
+@pytest.mark.pycolmap
+def test_photographs_without_cameras_come_to_the_object(own_blender, extension_zip, tmp_path):
+    folder, place, scale = tmp_path / "photographs", [4.0, -1.0, 7.0], 0.25
+    (folder / "masks").mkdir(parents=True)
+    for number, camera in enumerate(ring(COUNT)):
+        picture, mask = photograph(camera)
+        Image.fromarray(picture).save(folder / f"p{number:02d}.png")
+        Image.fromarray(mask).save(folder / "masks" / f"p{number:02d}.png")
+    answer = run(
+        own_blender, script(), "delight_alone", str(extension_zip), ENGINE, str(folder), RADIUS,
+        place, scale, user=tmp_path / "user",
+    )  # fmt: skip
+    assert answer["chosen"] == [["FINISHED"], ""], answer["findings"]
+    assert answer["may"]
+    assert answer["done"] == [["FINISHED"], ""], answer["told"]
+    assert answer["before"][:2] == [["Baked by the sun"], [0]]
+    assert answer["after"][:2] == [["Baked by the sun", "Boulder de-lit"], [1]]
+    assert answer["stands"] == answer["stood"], "it is the cameras that move"
+    paths = JobPaths(Path(answer["told"]["result"]))
+    assert answer["world"] == paths.root.name
+    metrics = read_json(paths.manifest("geometry"))["metrics"]
+    assert (metrics["surface"], metrics["layout"]) == ("given", "own")
+    assert metrics["outline_agreement"] > 0.95
+    shown, shift = answer["view"]
+    bounds = read_json(paths.frame)["bounds"]
+    assert shown * bounds["radius"] == pytest.approx(scale * RADIUS, rel=0.15)
+    away = shown * np.array(bounds["centre"]) + shift - place
+    assert np.linalg.norm(away) < scale * RADIUS

@@ -20,6 +20,12 @@ CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
+NO_FACES = (
+    b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
+)
+
+
 def triangles(given) -> np.ndarray:
     """Corner positions (F, 3, 3) in an order of their own."""
     corners = given.vertices[given.faces].reshape(-1, 9)
@@ -93,6 +99,8 @@ def test_faces_without_numbers_are_left_out_and_told(tmp_path):
         ("scan.ply", b"", "cannot be read"),
         ("scan.ply", b"no mesh at all", "cannot be read"),
         ("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
+        ("scan.obj", b"# nothing\n", "no faces"),
+        ("scan.ply", NO_FACES, "no faces"),
         ("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
         ("scan.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face .* has an area"),
         ("scan.obj", b"v nan 0 0\nv 1 0 0\nv 2 0 1\nf 1 2 3\n", "no corner that is a number"),

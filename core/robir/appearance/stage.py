@@ -44,7 +44,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 77
+REVISION = 78
 
 HELD_OUT_SIDE = 400
 """Longer side of our own re-renders, pixels, at most."""
@@ -80,7 +80,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     check_left_out(STEPS, config.without, "appearance.without")
     course = Course(config.without)
     capture = load_settled(context.paths).normalised()
-    mesh, tracer = _surface(context)
+    mesh, tracer, own_tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
     compared = course.carry_out(COMPARISON, Comparison.of(transport, tracer, capture, context.seed))
@@ -102,11 +102,15 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     texture = textured(
-        (problem, light, gloss), (lit.mesh, tracer), capture.without(other), config, course
+        (problem, light, gloss),
+        (lit.mesh, tracer, own_tracer),
+        capture.without(other),
+        config,
+        course,
     )
     light, inside, values, normals = texture.light, texture.inside, texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
-    surface = Painted(replace(mesh, normals=normals), tracer, AtlasLookup(mesh, inside), values)
+    surface = Painted(replace(mesh, normals=normals), own_tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
@@ -162,12 +166,19 @@ def _direction(vector: tuple[float, ...]) -> np.ndarray | None:
     return (np.asarray(vector) / np.linalg.norm(vector)).astype(np.float32)
 
 
-def _surface(context: StageContext[AppearanceConfig]) -> tuple[Mesh, EmbreeTracer]:
-    """The mesh that textures belong to, and the tracer of that on which light is solved."""
+def _surface(
+    context: StageContext[AppearanceConfig],
+) -> tuple[Mesh, EmbreeTracer, EmbreeTracer]:
+    """The mesh that textures belong to, the tracer of that on which light is solved, and its own.
+
+    What a ray meets has its texture by its face: those of a copy with fewer are others.
+    """
     folder = context.paths.stage("geometry")
-    solid = mesh_for_light(folder)
+    mesh, solid = Mesh.load(folder / "mesh.npz"), mesh_for_light(folder)
     tracer = EmbreeTracer(solid.vertices, solid.faces)
-    return Mesh.load(folder / "mesh.npz"), tracer
+    if np.array_equal(mesh.faces, solid.faces):
+        return mesh, tracer, tracer
+    return mesh, tracer, EmbreeTracer(mesh.vertices, mesh.faces)
 
 
 def _told(other: frozenset[str], capture: Capture) -> str:

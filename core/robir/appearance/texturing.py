@@ -55,7 +55,8 @@ class Texture:
         light: Solved light.
         gloss: Specular material of the samples.
         mesh: Unwrapped, unit frame.
-        tracer: Of the mesh.
+        tracer: Of the mesh that light is solved on.
+        own_tracer: Of the mesh itself, by whose faces texels are found.
         capture: Photographs that take part, unit frame.
         views: Those that albedo is read from, at the size that they are read at.
         config: Sizes.
@@ -70,6 +71,7 @@ class Texture:
     gloss: Gloss
     mesh: Mesh
     tracer: EmbreeTracer
+    own_tracer: EmbreeTracer
     capture: Capture
     views: tuple[View, ...]
     config: AppearanceConfig
@@ -81,7 +83,7 @@ class Texture:
 
 def textured(
     solved: tuple[Problem, Light, Gloss],
-    surface: tuple[Mesh, EmbreeTracer],
+    surface: tuple[Mesh, EmbreeTracer, EmbreeTracer],
     capture: Capture,
     config: AppearanceConfig,
     course: Course,
@@ -90,13 +92,13 @@ def textured(
 
     Args:
         solved: Scene under the chosen tone curve, its light, and specular material.
-        surface: Unwrapped mesh, unit frame, and its tracer.
+        surface: Unwrapped mesh, unit frame, the tracer of that which light is solved on, its own.
         capture: Photographs that take part. Those under another light than most must not: by their
             shade the texture of all would be darker than the others are.
         config: Sizes.
         course: Of the stage's steps.
     """
-    (problem, light, gloss), (mesh, tracer) = solved, surface
+    (problem, light, gloss), (mesh, tracer, own_tracer) = solved, surface
     side = solved_side(config, mesh.cells)
     face, barycentric = rasterise_atlas(mesh, side)
     inside = face >= 0
@@ -111,6 +113,7 @@ def textured(
         gloss=gloss,
         mesh=mesh,
         tracer=tracer,
+        own_tracer=own_tracer,
         capture=capture,
         views=views,
         config=config,
@@ -137,7 +140,7 @@ def _ask_photographs(state: Texture) -> Texture:
     turned = replace(state.mesh, normals=state.normals)
     solved = (state.problem, state.light, state.gloss)
     before, after = (
-        view_errors(*solved, tried, Painted(shape, state.tracer, lookup, texture))
+        view_errors(*solved, tried, Painted(shape, state.own_tracer, lookup, texture))
         for shape, texture in ((state.mesh, measured), (turned, state.values))
     )
     if Proof.of(before, after, (np.arange(len(tried)),)).is_open:

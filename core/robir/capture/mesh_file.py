@@ -187,7 +187,8 @@ def _merged(
             raise ValueError("a face has a corner that is not there")
         turned = np.linalg.det(matrix[:3, :3]) < 0
         faces.append((corners[:, ::-1] if turned else corners) + count)
-        vertices.append(own @ matrix[:3, :3].T + matrix[:3, 3])
+        with np.errstate(invalid="ignore"):  # corners that are no numbers stay none
+            vertices.append(own @ matrix[:3, :3].T + matrix[:3, 3])
         uv = getattr(piece.visual, "uv", None)
         fits = uv is not None and np.shape(uv) == (len(own), 2)
         uvs.append(np.asarray(uv, np.float64) if fits else np.full((len(own), 2), np.nan))

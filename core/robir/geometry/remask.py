@@ -8,7 +8,7 @@ so cut give the next hull.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from robir.capture.capture import Capture, View
 from robir.capture.masks.finish import sharpened
 from robir.capture.masks.guess import SIDE
 from robir.capture.masks.recut import recut
-from robir.capture.masks.sight import reduced
+from robir.capture.masks.sight import Picture, reduced
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import Field
 from robir.geometry.hull import mask_distance, object_hull
@@ -52,20 +52,33 @@ def remasked(
         cells=round(COARSENESS * stereo.cells),
     )
     pictures = reduced(capture.views, SIDE)
-    sizes = [picture.lab.shape[1::-1] for picture in pictures]
-    cameras = [view.camera.resized(*size) for view, size in zip(capture.views, sizes, strict=True)]
     for number in range(ROUNDS):
         photos = [reduce_view(view, coarse.image_side) for view in capture.train]
         hull = object_hull(capture, photos, config, guessed=True)
         mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        shown = [np.isfinite(entry_depth(tracer, camera)) for camera in cameras]
-        outlines = [mask_distance(one.astype(np.float32)) for one in shown]
-        beliefs = recut(pictures, outlines)
-        cut = zip(capture.views, beliefs, strict=True)
-        capture = replace(capture, views=tuple(_with_mask(*pair) for pair in cut))
+        capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / ROUNDS)
     return capture
+
+
+def cut_about(
+    tracer: EmbreeTracer, views: Sequence[View], pictures: Sequence[Picture] | None = None
+) -> tuple[View, ...]:
+    """Views with masks that end where colours and edges say so, near the outline of a surface.
+
+    Args:
+        tracer: Of the surface, unit frame.
+        views: Photographs of it.
+        pictures: Their small copies, where these were made before.
+    """
+    pictures = pictures or reduced(views, SIDE)
+    sizes = [picture.lab.shape[1::-1] for picture in pictures]
+    cameras = [view.camera.resized(*size) for view, size in zip(views, sizes, strict=True)]
+    shown = [np.isfinite(entry_depth(tracer, camera)) for camera in cameras]
+    outlines = [mask_distance(one.astype(np.float32)) for one in shown]
+    cut = zip(views, recut(pictures, outlines), strict=True)
+    return tuple(_with_mask(*pair) for pair in cut)
 
 
 def _with_mask(view: View, belief: NDArray[np.float32]) -> View:

@@ -90,6 +90,33 @@ def test_a_hand_before_a_photograph_with_an_exposure_of_its_own(capture):
     assert (gone & truth).sum() > 0.8 * truth.sum()
 
 
+def normals_of(view: View, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where rays meet a ball about the origin: which do (N,), normals, and mirrored directions."""
+    origin, direction = view.camera.rays(view.camera.pixel_centres())
+    along = (origin * direction).sum(1)
+    root = np.sqrt(np.maximum(along**2 - (origin**2).sum(1) + radius**2, 0))
+    normal = (origin + (-along - root)[:, None] * direction) / radius
+    mirrored = direction - 2 * (direction * normal).sum(1, keepdims=True) * normal
+    return root > 0, normal, mirrored
+
+
+def test_a_window_that_polish_mirrors_is_no_thing_in_front():
+    """It hides most of the paint, over a tenth of the ball, in a quarter of the photographs."""
+    radius, window = 0.8, np.array([0.6, 0.0, 0.8])
+    solid = ball(radius, (0, 0, 0))
+    capture = capture_of(solid, views=90, side=96, low=0.6, paint=lambda p: p * 0 + (20, 170, 40))
+    views, shares = [], []
+    for view in capture.views:
+        hit, _, mirrored = normals_of(view, radius)
+        shown = (hit & (mirrored @ window > 0.8) & (view.camera.position[0] < -1)).reshape(96, 96)
+        shares.append(shown.sum() / (view.mask > 127).sum())
+        image = np.where(shown[..., None], (190, 195, 215), view.image_display).astype(np.uint8)
+        views.append(replace(view, image_display=image))
+    assert 0.1 < np.mean(np.array(shares) > 0.02) < 0.4
+    assert max(shares) > 0.08
+    assert not cleared(mesh_of(solid), views).pixels
+
+
 @pytest.mark.parametrize("base", [(150, 40, 30), (60, 60, 60)])
 def test_a_highlight_that_wanders_is_no_thing_in_front(base):
     """Phong's on a ball, as large as satin paint has it: a thirtieth of the ball."""
@@ -102,13 +129,9 @@ def test_a_highlight_that_wanders_is_no_thing_in_front(base):
     )
     views, largest = [], 0.0
     for view in capture.views:
-        origin, direction = view.camera.rays(view.camera.pixel_centres())
-        along = (origin * direction).sum(1)
-        root = np.sqrt(np.maximum(along**2 - (origin**2).sum(1) + radius**2, 0))
-        normal = (origin + (-along - root)[:, None] * direction) / radius
-        mirrored = direction - 2 * (direction * normal).sum(1, keepdims=True) * normal
+        hit, _, mirrored = normals_of(view, radius)
         shine = 90 * np.maximum(mirrored @ lamp, 0) ** 25
-        shine = np.where(root > 0, shine, 0).reshape(96, 96, 1)
+        shine = np.where(hit, shine, 0).reshape(96, 96, 1)
         largest = max(largest, (shine[..., 0] > 30).sum() / (view.mask > 127).sum())
         image = np.clip(view.image_display + shine, 0, 255).astype(np.uint8)
         views.append(replace(view, image_display=image))

@@ -16,6 +16,7 @@ from robir.capture.capture import Bounds, Finding
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.surface import Handed, hand_in
+from robir.geometry.mesh.triangles import LIGHT, mesh_for_light
 
 
 class Quiet:
@@ -96,12 +97,14 @@ def test_a_mesh_in_its_place_is_taken_as_it_is(capture, tmp_path):
     assert not (tmp_path / "mesh_fit.png").exists()
 
 
-def test_what_is_inside_out_is_turned_part_by_part(capture, tmp_path):
+@pytest.mark.parametrize("parts", [1, 4])
+def test_what_is_inside_out_is_turned_part_by_part(capture, tmp_path, parts):
     solid = statue()
-    first = len(trimesh.creation.box().subdivide().faces)
+    first = parts * len(trimesh.creation.box().subdivide().faces)
     solid.faces[:first] = solid.faces[:first, ::-1]
     handed = hand(capture, placed(solid), tmp_path)
-    assert any("25% of the mesh's faces showed their back" in note for note in handed.notes)
+    share = f"{25 * parts}% of the mesh's faces showed their back"
+    assert any(share in note for note in handed.notes)
     mesh = handed.mesh
     assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(statue().volume)
 
@@ -172,6 +175,18 @@ def test_holes_and_edges_of_three_faces_are_taken(capture, tmp_path):
     assert handed.metrics["outline_agreement"] > 0.9
 
 
+def test_corners_that_are_no_numbers_cost_their_faces(capture, tmp_path):
+    solid = placed(statue())
+    corners = solid.triangles.reshape(-1, 3).copy()
+    corners[0], corners[31] = np.nan, np.inf
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    broken = trimesh.Trimesh(corners, faces, process=False)
+    handed = hand(capture, broken, tmp_path)
+    assert any("2 of 192 faces of the mesh have corners" in note for note in handed.notes)
+    kept = np.delete(statue().triangles, [0, 10], axis=0)
+    assert handed.mesh.vertices[handed.mesh.faces] == pytest.approx(kept, abs=1e-5)
+
+
 def with_layout(solid: trimesh.Trimesh, layout) -> trimesh.Trimesh:
     """The shape with every face apart, and texture coordinates of its corners."""
     corners = solid.triangles.reshape(-1, 3)
@@ -193,6 +208,7 @@ def grid(count: int) -> np.ndarray:
         (grid, None),
         (lambda n: 1.5 * grid(n), "outside 0..1"),
         (lambda n: grid(n) % 0.5, "overlap"),
+        (lambda n: np.where(np.arange(3 * n)[:, None] < 30, np.nan, grid(n)), "have none"),
         (lambda n: 1e-3 * grid(n), "next to nothing"),
     ],
 )
@@ -230,6 +246,9 @@ def test_light_is_solved_on_a_copy_of_a_mesh_with_many_faces(capture, tmp_path):
     assert handed.light is not None
     assert len(handed.light.faces) <= 4 * budget
     assert handed.light.is_whole()
+    handed.mesh.save(tmp_path / "mesh.npz")
+    handed.light.save(tmp_path / LIGHT)
+    assert (mesh_for_light(tmp_path).faces == handed.light.faces).all()
     cosine = np.einsum("fcd,fd->fc", handed.mesh.normals[handed.mesh.faces], solid.face_normals)
     assert np.median(cosine) > 0.99
 

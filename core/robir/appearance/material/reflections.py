@@ -144,7 +144,8 @@ def _product_at(
     """Some entries (M,) of the products of tables (U, D) and a kernel (D, D).
 
     A sample has some 15 views and there are hundreds of directions: the whole products take six
-    times as long.
+    times as long. Where more entries are wanted than there are, as of few samples in large
+    pictures, they are taken from the whole ones: no sparse tensor holds so many.
 
     Args:
         tables: With a row a sample.
@@ -152,6 +153,8 @@ def _product_at(
         place: Row, ascending, and column of each entry.
     """
     row, column = place
+    if len(row) > len(tables[0]) * len(kernel):
+        return [(table @ kernel)[torch.from_numpy(row), column] for table in tables]
     starts = np.searchsorted(row, np.arange(len(tables[0]) + 1))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")

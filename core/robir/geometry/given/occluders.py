@@ -6,7 +6,10 @@ what gloss changes. Where a photograph shows, over a whole patch, what is far fr
 all that see the same points, in units of how these differ among each other, something is in
 front. What lies within a pixel counts as seen: no mesh and no camera is better than that. A
 highlight differs as well, but it only adds light, about as much to every channel; that much is
-taken off first, so of a white thing before a dark object only the rest is found.
+taken off first, so of a white thing before a dark object only the rest is found. And gloss changes
+little from one direction to the next: what a photograph from nearly the same one shows of the same
+point as well belongs to the object. A thing that covers the same place in such photographs too, as
+a stand close to the object does, is missed for it.
 
 Batch letters: N points, V photographs.
 """
@@ -17,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
@@ -33,6 +37,7 @@ from robir.capture.capture import View
 from robir.capture.images.loading import resize_view
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.maths.tone_curve import linear_from_srgb, srgb_from_linear
 
 Array = NDArray[np.float64]
 
@@ -56,6 +61,13 @@ NOISE = 0.04
 
 UNLIKE = 5.0
 """Spreads from the median that are something else."""
+
+ASKED, AMONG, ABOUT = 3, 10, 30.0
+"""Photographs that see a point which are asked about it, of so many from the nearest directions,
+degrees."""
+
+LIKE = 0.5
+"""Of a photograph's distance from the median: one as near as that shows the same."""
 
 SHARE = 0.5
 """Of the points about a place that must be so."""
@@ -130,7 +142,7 @@ def cleared(mesh: Mesh, views: Sequence[View]) -> Cleared:
         for part, bound in zip(around, (minimum_filter, maximum_filter), strict=True):
             part[shown, number] = bound(picture, size=(3, 3, 1))[y, x]
         places[shown, number] = pixel
-    far = _unlike(code, around)
+    far = _unlike(code, around, _neighbours(views))
     out, lost, total = [], {}, 0
     for number, (view, little) in enumerate(zip(views, small, strict=True)):
         patch = _patch(places[:, number], far[:, number], little)
@@ -177,14 +189,28 @@ def _seen(
     return shown[free], pixel[free]
 
 
+def _neighbours(views: Sequence[View]) -> list[list[int]]:
+    """Of each photograph those from nearly the same direction, the nearest first."""
+    place = np.array([view.camera.position for view in views])
+    towards = place / np.linalg.norm(place, axis=1, keepdims=True)
+    cosine = towards @ towards.T
+    np.fill_diagonal(cosine, -1.0)
+    near = cosine > np.cos(np.radians(ABOUT))
+    order = np.argsort(-cosine, axis=1, kind="stable")[:, :AMONG]
+    return [[other for other in row if near[one, other]] for one, row in enumerate(order.tolist())]
+
+
 def _unlike(
-    code: NDArray[np.float32], around: tuple[NDArray[np.float32], NDArray[np.float32]]
+    code: NDArray[np.float32],
+    around: tuple[NDArray[np.float32], NDArray[np.float32]],
+    neighbours: Sequence[Sequence[int]],
 ) -> NDArray[np.float32]:
     """How far (N, V), in spreads, a photograph is from the median of a point; NaN where unknown.
 
     Args:
         code: (N, V, 3) in [0, 1], NaN where a photograph does not show a point.
         around: The lowest and the highest code, (N, V, 3) each, within a pixel.
+        neighbours: Of each photograph.
     """
     far = np.full(code.shape[:2], np.nan, np.float32)
     many = np.isfinite(code[..., 0]).sum(1) >= LEAST_VIEWS
@@ -199,12 +225,58 @@ def _unlike(
     log -= gain
     median = np.nanmedian(log, axis=1, keepdims=True)
     spread = np.hypot(1.4826 * np.nanmedian(np.abs(log - median), axis=1, keepdims=True), NOISE)
-    low, high = ((part[many] + DARK) * np.exp(-gain) for part in around)
-    # the mirror image of a light adds about as much to every channel
-    added = (low - np.exp(median)).min(axis=2, keepdims=True).clip(0)
-    low, high = np.log(low - added), np.log(high - added)
-    far[many] = (np.maximum(low - median, median - high).clip(0) / spread).max(axis=2)
+    low, high = (np.log(part[many] + DARK) - gain for part in around)
+    # the mirror image of a light adds about as much to every channel, before the tone curve
+    added = (_linear(low) - _linear(median)).min(axis=2, keepdims=True).clip(0)
+    least, most = (_encoded((_linear(part) - added).clip(0)) for part in (low, high))
+    result = _apart(median, least, most, spread)
+    for view, others in enumerate(neighbours):
+        odd = np.flatnonzero(result[:, view] > UNLIKE / 2)
+        own = low[odd, view], high[odd, view], spread[odd, 0]
+        shown = _shown_beside(log[odd], own, others) < LIKE * _apart(median[odd, 0], *own)
+        result[odd[shown], view] = 0.0
+    far[many] = result
     return far
+
+
+def _apart(
+    log: NDArray[np.float32],
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    spread: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """How far (...) logarithms (..., 3) lie outside of bounds, in spreads, the worst channel."""
+    return (np.maximum(low - log, log - high).clip(0) / spread).max(axis=-1)
+
+
+def _shown_beside(
+    log: NDArray[np.float32],
+    own: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    others: Sequence[int],
+) -> NDArray[np.float32]:
+    """Distance (N,), in spreads, to the likest of those few of other photographs that see a point.
+
+    Args:
+        log: (N, V, 3), NaN where a photograph does not show a point.
+        own: The photograph's lowest and highest within a pixel, and the spreads, (N, 3) each.
+        others: Numbers of the other photographs, those to be asked first in front.
+    """
+    least, asked = np.full(len(log), np.inf, np.float32), np.zeros(len(log), int)
+    for other in others:
+        sees = np.isfinite(log[:, other, 0]) & (asked < ASKED)
+        least[sees] = np.minimum(least, _apart(log[:, other], *own))[sees]
+        asked += sees
+    return least
+
+
+def _linear(log: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light that the logarithms of codes stand for, by the sRGB curve."""
+    return linear_from_srgb(torch.from_numpy((np.exp(log) - DARK).clip(0))).numpy()
+
+
+def _encoded(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms of the codes that light has by the sRGB curve; undoes `_linear`."""
+    return np.log(srgb_from_linear(torch.from_numpy(light)).numpy() + DARK)
 
 
 def _patch(place: NDArray[np.int16], far: NDArray[np.float32], view: View) -> NDArray[np.bool_]:

@@ -35,6 +35,7 @@ from robir.geometry.given.sides import inside_out
 from robir.geometry.given.verdict import LIKELY, is_related, poor_fit
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.remask import cut_about
 from robir.jobs.context import Reporter
 from robir.maths.similarity import AS_IT_IS, Similarity
 
@@ -109,6 +110,8 @@ def hand_in(
         reporter.progress(0.9, "looking for what stands before the object")
         rest = cleared(solid, views)
         views, before = rest.views, rest.notes()
+        if MESH_MASKS not in codes:  # else object and background look alike
+            views = _without_rims(tracer, views)
     return Handed(
         mesh=ready.mesh,
         light=ready.light,
@@ -142,6 +145,12 @@ def outline(tracer: EmbreeTracer, view: View) -> NDArray[np.uint8]:
     hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
     shown = (hits.face >= 0).reshape(camera.height, camera.width).astype(np.float32)
     return np.rint(255 * uniform_filter(shown, 3, mode="nearest")).astype(np.uint8)
+
+
+def _without_rims(tracer: EmbreeTracer, views: tuple[View, ...]) -> tuple[View, ...]:
+    """Views without the background that the outline of a mesh, never quite right, takes in."""
+    cut = zip(views, cut_about(tracer, views), strict=True)
+    return tuple(replace(view, mask=np.minimum(view.mask, other.mask)) for view, other in cut)
 
 
 def _placed(

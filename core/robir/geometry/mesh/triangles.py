@@ -30,6 +30,9 @@ _FORM = {
     "tiles?": "i +",
 }  # fmt: skip
 
+_BARE = _FORM | {"uvs": "f * 2", "uv_faces": "i * 3"}
+"""Of a mesh that may have no texture coordinates."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
@@ -86,13 +89,17 @@ class Mesh:
             )
 
     @classmethod
-    def load(cls, path: Path) -> Mesh:
+    def load(cls, path: Path, *, is_bare: bool = False) -> Mesh:
         """Read what `save` wrote.
+
+        Args:
+            path: The file.
+            is_bare: Whether it may lack texture coordinates.
 
         Raises:
             StorageError: If it is missing or damaged.
         """
-        mesh = cls(**stored_arrays(path, _FORM))
+        mesh = cls(**stored_arrays(path, _BARE if is_bare else _FORM))
         if not mesh.is_whole():
             raise StorageError(f"{path} is damaged: its arrays do not fit together")
         return mesh
@@ -104,7 +111,8 @@ class Mesh:
             not len(corners) or (corners.min() >= 0 and corners.max() < len(points))
             for corners, points in pairs
         )
-        return are_there and len(self.normals) == len(self.vertices) and self._has_its_tiles()
+        fit = len(self.normals) == len(self.vertices) and len(self.uv_faces) in (0, len(self.faces))
+        return are_there and fit and self._has_its_tiles()
 
     def _has_its_tiles(self) -> bool:
         """Whether the tiles are such, and every face lies in one of them."""
@@ -120,10 +128,11 @@ class Mesh:
 def mesh_for_light(folder: Path) -> Mesh:
     """The mesh of the geometry stage's folder that light is solved on.
 
-    It is a copy with fewer faces where the user handed in one with many, else the mesh itself.
+    It is a copy with fewer faces where the user handed in one with many, else the mesh itself. The
+    copy has no texture coordinates where the mesh kept the user's.
     """
     light = folder / LIGHT
-    return Mesh.load(light if light.exists() else folder / "mesh.npz")
+    return Mesh.load(light, is_bare=True) if light.exists() else Mesh.load(folder / "mesh.npz")
 
 
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
