@@ -90,14 +90,15 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
     keeping = KEPT_COUNT / held.shape[1] / kept_error**2
     count = len(soft)
     prior = _prior(count, mirrored.base_freedom)
-    seen, fixed, error = (part.double() for part in (mirrored.seen, mirrored.fixed, mirrored.error))
-    sent = [mirrored.lobes[:, c].double() * soft[:, c] for c in range(3)]
+    # sums over many views in single precision, half the time; the system itself in double
+    seen, fixed, error = mirrored.seen, mirrored.fixed, mirrored.error
+    sent = [mirrored.lobes[:, c] * soft[:, c].float() for c in range(3)]
     change = torch.zeros(3, count + 1, dtype=torch.float64)
     for _ in range(ROUNDS):
         system, wanted = prior.clone(), -prior @ change.view(-1)
         for c in range(3):
-            factor, base = change[c, :-1].exp(), change[c, -1].exp()
-            now = sent[c] * factor
+            factor, base = change[c, :-1].exp(), float(change[c, -1].exp())
+            now = sent[c] * factor.float()
             shown = base * (fixed[:, c] + now.sum(1))
             slope = torch.cat([base * now, shown[:, None]], 1) / error[:, c, None]
             off = (seen[:, c] - shown) / error[:, c]
@@ -105,8 +106,8 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
             apart = held[c] * factor
             own = slice(c * (count + 1), (c + 1) * (count + 1))
             lobe = slice(own.start, own.stop - 1)
-            system[own, own] += slope.T @ (weight[:, None] * slope)
-            wanted[own] += slope.T @ (weight * off)
+            system[own, own] += (slope.T @ (weight[:, None] * slope)).double()
+            wanted[own] += (slope.T @ (weight * off)).double()
             system[lobe, lobe] += keeping * apart.T @ apart
             wanted[lobe] -= keeping * apart.T @ (apart - held[c]).sum(1)
         step = torch.linalg.solve(system, wanted).view(3, count + 1)
