@@ -17,6 +17,8 @@ SETTINGS = (
     "transport.num_surfels=8000",
     "transport.num_directions=256",
     "appearance.texture_size=256",
+    # at this size more curves than these fit alike, and that is doubted
+    'appearance.families=["standard", "filmic"]',
     "export.render_views=2",
     "export.render_samples=16",
     "export.render_max_side=96",
