@@ -98,10 +98,9 @@ def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:
         of: "level" or "hue".
 
     Returns:
-        A row a witness, all together and the paint that the user knows last, or none where nothing
-        is told: "by"; "times", the light
-        that it tells over that of all together, or its red over its blue; "within", the factor of
-        one standard deviation.
+        A row a witness, then all together, then the paint that the user knows, if any; none where
+        nothing is told: "by"; "times", the light that it tells over that of the last row, or its
+        red over its blue; "within", the factor of one standard deviation.
     """
     rows = [row for row in evidence if row["of"] == of]
     base = rows[-1]["value"] if rows and of == "level" else 0.0

@@ -99,7 +99,7 @@ def observe(
     projection are object and away from outlines of nearer parts.
 
     Args:
-        tracer: EmbreeTracer of the mesh.
+        tracer: Tracer of the mesh.
         position: (N, 3), frame of the views' cameras.
         normal: (N, 3), unit.
         views: Photographs.
@@ -156,7 +156,7 @@ def clean_pixels(tracer: EmbreeTracer, view: View) -> tuple[NDArray[np.bool_], N
     jumps of depth and leaves slanted planes and creases alone.
 
     Args:
-        tracer: EmbreeTracer of the mesh.
+        tracer: Tracer of the mesh.
         view: Photograph.
 
     Returns:

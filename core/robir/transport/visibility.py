@@ -63,7 +63,7 @@ def trace_visibility(
 
     Args:
         mesh: Unit frame.
-        tracer: EmbreeTracer of the same mesh.
+        tracer: Tracer of the same mesh.
         surfels: Samples.
         directions: (D, 3), unit, evenly spread over the sphere.
         offset: Distance that rays start above the surface.
@@ -146,7 +146,7 @@ def lobe_transfer(
     degrees where hot dogs cast them.
 
     Args:
-        tracer: EmbreeTracer of the mesh, or None where nothing blocks.
+        tracer: Tracer of the mesh, or None where nothing blocks.
         position: (N, 3).
         normal: (N, 3), unit.
         directions: (J, 3), unit, equally weighted.

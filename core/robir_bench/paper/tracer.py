@@ -52,7 +52,7 @@ class FieldTracer:
 
     @classmethod
     def of(cls, lattice: Lattice, values: Tensor) -> FieldTracer:
-        """EmbreeTracer of distances (N,) at nodes."""
+        """Tracer of distances (N,) at nodes."""
         grid = values.view(lattice.shape).numpy()
         slopes = np.stack(np.gradient(grid, lattice.cell), axis=-1).reshape(-1, 3)
         gradient = torch.from_numpy(slopes.astype(np.float32))

@@ -60,7 +60,7 @@ class Scene:
 
     Attributes:
         transport: Baked samples, visibility, observations.
-        tracer: EmbreeTracer of the mesh; None when nothing blocks light.
+        tracer: Tracer of the mesh; None when nothing blocks light.
         soft: (S, K) irradiance for unit amplitude of the soft lobes.
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
@@ -129,7 +129,7 @@ def make_scene(
 
     Args:
         transport: Baked transport.
-        tracer: EmbreeTracer of the mesh, or None where nothing blocks light.
+        tracer: Tracer of the mesh, or None where nothing blocks light.
         offset: Distance that rays start above the surface.
         sizes: Number of samples that take part and number of soft lobes.
         rng: Source of randomness.

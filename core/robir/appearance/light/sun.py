@@ -69,7 +69,7 @@ class SunProblem:
             strength of that light.
         indirect: (U, 3) irradiance from surfaces.
         pairs: Over the U samples.
-        tracer: EmbreeTracer of the mesh, or None where nothing blocks.
+        tracer: Tracer of the mesh, or None where nothing blocks.
         offset: Distance that rays start above the surface.
     """
 

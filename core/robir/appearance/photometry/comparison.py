@@ -88,7 +88,7 @@ class Comparison:
 
         Args:
             transport: Baked transport with the samples' observations.
-            tracer: EmbreeTracer of the mesh.
+            tracer: Tracer of the mesh.
             capture: All views.
             seed: Of the choice of points.
         """

@@ -231,7 +231,7 @@ def texel_albedo(
         texels: Points of the atlas.
         views: Photographs, at the size they are to be read at.
         gloss: Specular material of the samples.
-        tracer: EmbreeTracer of the mesh.
+        tracer: Tracer of the mesh.
         course: Of the stage's steps.
 
     Returns:

@@ -238,7 +238,7 @@ class _Lens:
 
     Args:
         view: Photograph, unit frame.
-        tracer: EmbreeTracer of the mesh.
+        tracer: Tracer of the mesh.
         curve: Its tone curve.
         how: Widths of a fine texel and of a solved one, unit frame; and the photograph's sharpness
             against the others', at most 1.

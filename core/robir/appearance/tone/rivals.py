@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-import torch
+import numpy as np
+from torch import Tensor
 
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
@@ -27,10 +28,10 @@ def albedo_apart(chosen: Candidate, other: Candidate) -> float | None:
     first, second = first[whole], second[whole]
     scale = (first * second).sum(0) / (second * second).sum(0).clamp(min=1e-12)
     squared = float(((first - scale * second) ** 2).mean())
-    return float(-10 * torch.log10(torch.tensor(max(squared, 1e-10))))
+    return float(-10 * np.log10(max(squared, 1e-10)))
 
 
-def _albedo(candidate: Candidate) -> tuple[torch.Tensor, torch.Tensor]:
+def _albedo(candidate: Candidate) -> tuple[Tensor, Tensor]:
     """Albedo (U, 3), at most 1, and where no channel is clipped, (U,)."""
     problem, rows = candidate.problem, candidate.problem.scene.rows
     radiance = problem.rows_radiance(rows)

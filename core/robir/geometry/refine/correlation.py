@@ -51,7 +51,7 @@ def seen_by(mesh: Mesh, tracer: EmbreeTracer, pictures: list[Picture], offset: f
 
     Args:
         mesh: Unit frame.
-        tracer: EmbreeTracer of it.
+        tracer: Tracer of it.
         pictures: Photographs.
         offset: Distance that rays start above the surface.
     """

@@ -28,7 +28,7 @@ def outline_shifts(
 
     Args:
         mesh: Unit frame.
-        tracer: EmbreeTracer of it.
+        tracer: Tracer of it.
         photos: Photographs with their masks.
         pixel: Width of a pixel there, unit frame.
 
