@@ -13,10 +13,19 @@ import json
 import math
 import tomllib
 import types
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from robir.errors import ConfigError
 from robir.jobs.names import read_regular
@@ -25,6 +34,27 @@ _MAX_BYTES = 1 << 20
 """Largest file of settings; all there are come to two thousand bytes."""
 
 SettingsT = TypeVar("SettingsT")
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """What a setting may be, beside its type: `reach: Annotated[float, Within(0, 1, "radians")]`.
+
+    Of a tuple it holds for every member.
+
+    Attributes:
+        low: Least value allowed.
+        high: Largest value allowed.
+        unit: Of the value, empty for a count or a plain ratio.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        """As it stands beside the value in a file of settings."""
+        return f"{self.low:g} .. {self.high:g} {self.unit}".rstrip()
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -78,12 +108,14 @@ def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: 
     """Build a settings dataclass from a nested table; absent fields keep their defaults.
 
     Args:
-        cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses.
+        cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses;
+            `Within` beside the type of a field is its range.
         table: Values by field name.
         source: Where the table comes from, for messages: a file name or "--set".
 
     Raises:
-        ConfigError: If a key is unknown, a value has the wrong type, or the class refuses it.
+        ConfigError: If a key is unknown, a value has the wrong type or is out of its range, or the
+            class refuses it.
     """
     return _built(cls, checked_table(cls, table, source))
 
@@ -91,7 +123,9 @@ def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: 
 def checked_table(
     cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
 ) -> dict[str, Any]:
-    """The table with every value of the annotated type; ranges are not looked at yet.
+    """The table with every value of the annotated type and in its range.
+
+    What several fields must be together, their class says when it is built.
 
     Args:
         cls: As for `settings_from_table`.
@@ -100,9 +134,9 @@ def checked_table(
         section: Dotted name of this table within the whole, empty for the root.
 
     Raises:
-        ConfigError: If a key is unknown or a value has the wrong type.
+        ConfigError: If a key is unknown, or a value has the wrong type or is out of its range.
     """
-    hints = get_type_hints(cls)
+    hints = get_type_hints(cls, include_extras=True)
     names = [field.name for field in fields(cls)]
     values: dict[str, Any] = {}
     for key, value in table.items():
@@ -125,9 +159,12 @@ def table_from_settings(settings: Any) -> dict[str, Any]:
 
 
 def toml_from_settings(settings: Any) -> str:
-    """TOML text that `settings_from_table` reads back to an equal value."""
+    """TOML text that `settings_from_table` reads back to an equal value.
+
+    Where a field has a range, it stands beside the value.
+    """
     lines: list[str] = []
-    _write_section(table_from_settings(settings), "", lines)
+    _write_section(settings, "", lines)
     return "\n".join(lines).strip() + "\n"
 
 
@@ -166,6 +203,9 @@ def _unknown_key(dotted: str, key: str, names: list[str], source: str) -> str:
 def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     """The value as the annotated type, or ConfigError."""
     origin = get_origin(hint)
+    if origin is Annotated:
+        inner, *notes = get_args(hint)
+        return _in_range(_converted(value, inner, dotted, source), notes, dotted, source)
     if origin is Literal:
         if value in get_args(hint):
             return value
@@ -183,6 +223,16 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     raise ConfigError(
         f"{source}: {dotted} must be {_type_name(hint)}, found {value!r} ({type(value).__name__})"
     )
+
+
+def _in_range(value: Any, notes: Sequence[Any], dotted: str, source: str) -> Any:
+    """The value, each of its numbers within every range among the notes, or ConfigError."""
+    ranges = [note for note in notes if isinstance(note, Within)]
+    for number in value if isinstance(value, tuple) else (value,):
+        for allowed in ranges:
+            if not allowed.low <= number <= allowed.high:
+                raise ConfigError(f"{source}: {dotted} is {value!r}; it must be in {allowed}")
+    return value
 
 
 def _converted_tuple(value: Any, members: tuple[Any, ...], dotted: str, source: str) -> Any:
@@ -216,15 +266,25 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _write_section(table: Mapping[str, Any], section: str, lines: list[str]) -> None:
+def _write_section(settings: Any, section: str, lines: list[str]) -> None:
     if section:
         lines += ["", f"[{section}]"]
-    nested = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    for key, value in table.items():
-        if key not in nested and value is not None:
-            lines.append(f"{key} = {_toml_value(value)}")
-    for key, value in nested.items():
-        _write_section(value, f"{section}.{key}" if section else key, lines)
+    hints = get_type_hints(type(settings), include_extras=True)
+    nested = []
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if is_dataclass(value):
+            nested.append((field.name, value))
+        elif value is not None:
+            lines.append(f"{field.name} = {_toml_value(_plain(value))}{_beside(hints[field.name])}")
+    for name, value in nested:
+        _write_section(value, f"{section}.{name}" if section else name, lines)
+
+
+def _beside(hint: Any) -> str:
+    """Comment with the ranges that a type carries, else nothing."""
+    ranges = [str(note) for note in getattr(hint, "__metadata__", ()) if isinstance(note, Within)]
+    return f"  # {', '.join(ranges)}" if ranges else ""
 
 
 def _toml_value(value: Any) -> str:
