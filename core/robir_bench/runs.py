@@ -259,8 +259,12 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
 
 
 def _relight(run: BenchRun, out: Path) -> None:
-    """Show a result under the second light that its capture has the truth of, if it has one."""
-    light = second_light(run.capture) if run.is_relit else None
+    """Show a result under the second light that its capture has the truth of, if it has one.
+
+    Methods that borrow our stages, and those of others, leave no asset that could be shown.
+    """
+    has_asset = run.method not in VARIANTS and run.method not in BORROWERS
+    light = second_light(run.capture) if run.is_relit and has_asset else None
     if light is not None:
         command = ("relight", str(out), "--environment", str(light), "--samples", RELIT_SAMPLES)
         relit = _robir(*command, "--progress", "plain")

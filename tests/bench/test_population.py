@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from bench.fake_robir import scores
+from bench.fake_robir import scores, write_plan
 
 from robir import cli
 from robir.errors import ConfigError
@@ -91,6 +91,20 @@ def test_a_result_is_shown_under_the_second_light_before_it_is_judged(population
     assert [command[0] for command in done] == ["reconstruct", "relight", "evaluate"]
     assert done[1][2:4] == ("--environment", str(light))
     assert sum(command[0] == "relight" for command in robir.commands) == 1
+
+
+def test_what_leaves_no_asset_is_not_shown_under_it(population, tmp_path, robir):
+    (population / "seed_0000" / "truth" / "second_light.exr").write_bytes(b"a map")
+    plan = write_plan(
+        tmp_path,
+        f'captures = ["{population / "seed_0000"}"]\npresets = ["draft"]\n'
+        'methods = ["ours", "photo"]\nseeds = [0]\n',
+    )
+    cli.main(["bench", str(plan), "-o", str(tmp_path / "out")])
+    shown = [command for command in robir.commands if command[0] == "relight"]
+    assert [Path(command[1]).name for command in shown] == ["seed_0000_draft_ours_0"]
+    records = (tmp_path / "out" / "scores.jsonl").read_text().splitlines()
+    assert len(records) == 2 and not any("error" in json.loads(one) for one in records)
 
 
 @pytest.mark.parametrize("words", [[], ["plan.toml", "--population", "p"]])
