@@ -283,6 +283,6 @@ def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
     true, dented = (
         Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
     )
-    judge = Judge(Predictions(photos))
+    judge = Judge(Predictions(photos), GeometryConfig())
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

@@ -55,7 +55,7 @@ def remasked(
     for number in range(ROUNDS):
         photos = [reduce_view(view, coarse.image_side) for view in capture.train]
         hull = object_hull(capture, photos, config, guessed=True)
-        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
+        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1), config)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / ROUNDS)

@@ -91,18 +91,19 @@ class Judge:
 
     Args:
         predictions: Of the photographs, at the size that surfaces are judged at.
+        config: Settings of the stage.
     """
 
-    def __init__(self, predictions: Predictions) -> None:
-        self._predictions = predictions
+    def __init__(self, predictions: Predictions, config: GeometryConfig) -> None:
+        self._predictions, self._config = predictions, config
 
     def is_mirror(self, field: Field) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self._predictions.mirroring(smooth_surface(field)) > 1.0
+        return self._predictions.mirroring(smooth_surface(field, self._config)) > 1.0
 
     def is_better(self, field: Field, other: Field) -> bool:
         """Whether photographs predict each other better over a field, what it bends counted."""
-        mesh, than = smooth_surface(field), smooth_surface(other)
+        mesh, than = (smooth_surface(one, self._config) for one in (field, other))
         ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
         return weighed(ahead, bending(than) / bending(mesh)) > 0
 
@@ -145,11 +146,11 @@ class Rival:
             return False
         self._was_asked = True
         started = time.process_time()
-        fitted = smooth_surface(field)
+        fitted = smooth_surface(field, self._config)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
         for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
-            mesh = smooth_surface(Field(lattice, values, 1))
+            mesh = smooth_surface(Field(lattice, values, 1), self._config)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(
                 Candidate(name=name, mesh=mesh, cell=lattice.cell, ahead=ahead, more=more)
@@ -204,9 +205,10 @@ def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
     return grain, int(min(max(config.face_budget, pixels / FACE_PIXELS), most))
 
 
-def smooth_surface(field: Field) -> Mesh:
+def smooth_surface(field: Field, config: GeometryConfig) -> Mesh:
     """Surface of a field, freed of loose pieces and of the steps of its cells."""
-    return taubin(largest_pieces(extract(field.lattice, field.sdf)), SMOOTH_ROUNDS)
+    whole = extract(field.lattice, field.sdf)
+    return taubin(largest_pieces(whole, config.fit.clean), SMOOTH_ROUNDS)
 
 
 def bending(mesh: Mesh) -> float:

@@ -101,6 +101,7 @@ class Level:
     """A level of the fit that has ended; steps change its field's distances by `mended`.
 
     Attributes:
+        config: The stage's configuration.
         field: Field of the level.
         network: Its colour network.
         sampler: Source of rays.
@@ -113,6 +114,7 @@ class Level:
         changes: How often something was changed in place.
     """
 
+    config: GeometryConfig
     field: Field
     network: ColourNetwork
     sampler: RaySampler
@@ -140,7 +142,8 @@ class Level:
 def _restore_missing(state: Level) -> Level:
     lattice, hull = state.hull
     allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
-    return state.mended(restore_missing(state.field, allowed, state.sampler))
+    config = state.config.fit.clean
+    return state.mended(restore_missing(state.field, allowed, state.sampler, config))
 
 
 def _fill_mirror_pits(state: Level) -> Level:
@@ -241,13 +244,15 @@ class Settling:
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
         predictions = Predictions(photos)
-        self._judge = Judge(predictions)
-        self._mirroring = Mirroring([photo.camera for photo in photos], self.begun, self._judge)
+        self._config, self._judge = config, Judge(predictions, config)
+        cameras = [photo.camera for photo in photos]
+        self._mirroring = Mirroring(cameras, self.begun, self._judge, config.fit.mirror_pits)
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because the rival leads."""
         level = Level(
+            config=self._config,
             field=field,
             network=network,
             sampler=self.sampler,

@@ -13,6 +13,7 @@ from scipy.ndimage import binary_erosion
 
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.fit.config import SamplingConfig
 from robir.geometry.fit.sampling import Occupancy, march
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
@@ -128,7 +129,7 @@ def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:
 def test_march_finds_the_sphere_where_it_is() -> None:
     lattice, sdf = sphere_lattice()
     inv_std = 100.0
-    occupancy = Occupancy.of(lattice, sdf, 5.0 / inv_std + lattice.cell)
+    occupancy = Occupancy.of(lattice, sdf, 5.0 / inv_std + lattice.cell, SamplingConfig())
     offset = torch.tensor([[0.0, 0.0], [0.2, 0.1], [0.3, -0.3], [0.6, 0.3]])
     origins = torch.cat([torch.full((4, 1), -3.0), offset], dim=1)
     directions = torch.tensor([[1.0, 0.0, 0.0]]).expand(4, 3)
