@@ -223,7 +223,9 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
         assert not rival.beats(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = finished(refined(rival.best, capture.train, STEREO_CONFIG), 10.0, print, Course())
+    mesh = finished(
+        refined(rival.best, capture.train, STEREO_CONFIG), STEREO_CONFIG, print, Course()
+    )
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))

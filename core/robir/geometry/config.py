@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from robir.errors import ConfigError
 from robir.geometry.fit.config import FitConfig
+from robir.geometry.mesh.config import MeshConfig
 from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stereo.config import StereoConfig
 
@@ -29,6 +30,7 @@ class GeometryConfig:
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
         fit: The fit of field and colours, by its parts.
+        mesh: From a dense surface to the mesh that carries a texture.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
         without: Names of steps that are left out, to see what they are worth.
@@ -46,6 +48,7 @@ class GeometryConfig:
     refine_poses: bool = True
     fit_mesh: bool = False
     fit: FitConfig = field(default_factory=FitConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     without: tuple[str, ...] = ()

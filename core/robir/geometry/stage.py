@@ -214,7 +214,7 @@ def reconstruct(
     else:
         reporter.progress(0.86, "cleaning the mesh")
         dense = Dense(smooth_surface(field, config), field.lattice.cell, config.face_budget)
-    mesh = finished(dense, config.unwrap_seconds, reporter.warn, course)
+    mesh = finished(dense, config, reporter.warn, course)
     backdrop = settling.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),

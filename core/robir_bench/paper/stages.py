@@ -94,7 +94,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
     surface = smooth_surface(Field(lattice, values, _FEATURES), config)
     dense = Dense(surface, lattice.cell, config.face_budget)
-    mesh = finished(dense, config.unwrap_seconds, lambda _: None, Course())
+    mesh = finished(dense, config, lambda _: None, Course())
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")
     _save_networks(folder / _NETWORKS, field.modules())

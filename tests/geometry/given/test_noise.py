@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from robir.geometry.given.noise import vertex_noise, without_noise
+from robir.geometry.mesh.config import SimplifyConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.smoothing import face_geometry
@@ -70,7 +71,7 @@ def test_faces_turn_back_to_the_true_normals(made, left):
 def test_edges_of_a_cube_stay_sharp():
     solid = cube()
     after, _ = without_noise(noisy(solid), arrays(solid)[1])
-    mesh = with_creases(plain_mesh(after, arrays(solid)[1]))
+    mesh = with_creases(plain_mesh(after, arrays(solid)[1]), SimplifyConfig())
     centres = solid.triangles_center
     true = true_normals(solid, centres)
     near = np.sort(np.abs(centres), axis=1)[:, 1] > 0.53  # faces along an edge
@@ -110,7 +111,7 @@ def wavy() -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("faces", [20480, 5000, 2000, 800, 400])
 def test_what_decimation_leaves_is_no_noise(faces):
-    mesh = decimate(plain_mesh(*arrays(wavy())), faces)
+    mesh = decimate(plain_mesh(*arrays(wavy())), faces, SimplifyConfig())
     vertices = mesh.vertices.astype(np.float64)
     after, noise = without_noise(vertices, mesh.faces)
     assert noise == 0.0

@@ -19,6 +19,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
+from robir.geometry.mesh.config import SimplifyConfig
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.smoothing import taubin
@@ -164,7 +165,7 @@ def test_decimation_spends_its_triangles_on_the_ball_and_not_on_the_flat_ground(
     rim = torch.hypot(nodes[:, 0], nodes[:, 1]) - 0.75
     middle = torch.tensor([0.0, 0.0, 0.1])
     sdf = torch.minimum((nodes - middle).norm(dim=1) - 0.32, torch.maximum(slab, rim))
-    mesh = decimate(extract(lattice, sdf), 1200)
+    mesh = decimate(extract(lattice, sdf), 1200, SimplifyConfig())
     assert 1150 < len(mesh.faces) <= 1200
     centres = mesh.vertices[mesh.faces].mean(axis=1)
     above = centres[centres[:, 2] > -0.1]

@@ -80,18 +80,20 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
     detail, lost = _detail(given, layout)
     notes = (*notes, *lost)
     if is_dense:
-        few = with_creases(decimate(few, budget))
+        few = with_creases(decimate(few, budget, config.mesh.simplify), config.mesh.simplify)
     if isinstance(layout, str):
         note = f"The mesh gets new texture coordinates: {layout}."
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
-        made = with_creases(unwrap(_rewelded(few), config.unwrap_seconds, warn))
+        made = unwrap(_rewelded(few), config.unwrap_seconds, warn, config.mesh)
+        made = with_creases(made, config.mesh.simplify)
         is_copy = is_dense or len(made.faces) != len(faces)
         mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
     else:
         notes = (*notes, *layout.notes)
-        made = few if is_dense else with_creases(_laid_out(few, layout))
+        creased = config.mesh.simplify
+        made = few if is_dense else with_creases(_laid_out(few, layout), creased)
         if detail:
             mesh = _with_own_normals(given, layout)
         elif is_dense:
