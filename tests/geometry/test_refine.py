@@ -12,6 +12,7 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
+from robir.config import RunConfig, resolve
 from robir.errors import ConfigError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import finished
@@ -93,10 +94,12 @@ def test_agreement_is_the_mean_of_pairs_and_spares_what_disagrees():
 
 def test_photographs_agree_most_on_the_surface(photos):
     """Of a sphere that is too small by two pixels the best shift is two pixels."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
     pixel = pixel_size([photo.camera for photo in photos])
     mesh = sphere(RADIUS - 2 * pixel)
-    cosine = seen_by(mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel)
+    cosine = seen_by(
+        mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel, CONFIG.correlation
+    )
     assert (cosine[mesh.normals[:, 2] < -0.9] == 0).all()
     shifts = np.linspace(-5, 5, 21).astype(np.float32) * pixel
     agreed = correlations(mesh, pictures, cosine, shifts, CONFIG)
@@ -108,7 +111,7 @@ def test_photographs_agree_most_on_the_surface(photos):
 
 def test_a_patch_is_what_the_camera_sees_of_it(photos):
     """Of the true sphere the patches of two cameras are alike, and those of another place not."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
     mesh = sphere()
     patches = Patches(mesh, 0.02, 3)
     top = torch.tensor([int(mesh.vertices[:, 2].argmax())])
@@ -125,15 +128,28 @@ def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
     pixel = pixel_size([photo.camera for photo in photos])
     for off in (-1.5, 1.5):
         mesh = sphere(RADIUS + off * pixel)
-        shift, count = outline_shifts(mesh, EmbreeTracer(mesh.vertices, mesh.faces), photos, pixel)
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        shift, count = outline_shifts(mesh, tracer, photos, pixel, CONFIG.outlines)
         assert (count > 0).sum() > 200
         assert np.median(shift[count > 0]) / pixel == pytest.approx(-off, abs=0.5)
+
+
+def test_what_is_set_decides_what_an_outline_is(photos):
+    mesh, pixel = sphere(), pixel_size([photo.camera for photo in photos])
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    words = ["geometry.refine.outlines.grazing=0.05"]
+    strict = resolve(RunConfig(), None, words).geometry.refine.outlines
+    few, all_ = (
+        outline_shifts(mesh, tracer, photos, pixel, config)[1].sum()
+        for config in (strict, CONFIG.outlines)
+    )
+    assert 0 < few < 0.7 * all_
 
 
 def test_the_thin_plate_is_that_of_a_dense_solve():
     solid = trimesh.creation.icosphere(subdivisions=1)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
-    plate = ThinPlate(mesh, 1.0)
+    plate = ThinPlate(mesh, 1.0, CONFIG.step.most_iterations)
     count = len(mesh.vertices)
     rng = np.random.default_rng(0)
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
@@ -159,14 +175,14 @@ def test_the_thin_plate_is_that_of_a_dense_solve():
 def test_dents_are_taken_out_where_photographs_tell(capture):
     dented = sphere(dents=0.03)
     before = roughness(dented)
-    after = roughness(refine(dented, capture.train, CONFIG))
+    after = roughness(refine(dented, capture.train, STEREO_CONFIG))
     assert before > 0.01
     assert after < 0.4 * before
 
 
 def test_without_texture_a_mesh_is_not_made_rougher():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
-    assert roughness(refine(sphere(), capture.train, CONFIG)) < 0.012
+    assert roughness(refine(sphere(), capture.train, STEREO_CONFIG)) < 0.012
 
 
 def test_photographs_predict_each_other_better_over_the_better_surface(photos):

@@ -188,7 +188,7 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
     """
     mesh = best.mesh
     photos = [reduce_view(view, max(config.refine.image_sides)) for view in views]
-    moved = refine(mesh, views, config.refine)
+    moved = refine(mesh, views, config)
     # at the size that it was refined by: half of it does not show what it gained
     predictions = Predictions(photos)
     if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
