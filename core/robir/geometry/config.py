@@ -9,6 +9,7 @@ from robir.errors import ConfigError
 from robir.geometry.fit.config import FitConfig
 from robir.geometry.mesh.config import MeshConfig
 from robir.geometry.refine.config import RefineConfig
+from robir.geometry.step_config import HullConfig, RaySamplerConfig
 from robir.geometry.stereo.config import StereoConfig
 
 
@@ -29,6 +30,8 @@ class GeometryConfig:
         refine_poses: Whether given cameras are turned where the photographs ask for it.
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
+        hull: The visual hull.
+        ray_sampler: Which pixels the fit learns from.
         fit: The fit of field and colours, by its parts.
         mesh: From a dense surface to the mesh that carries a texture.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
@@ -47,6 +50,8 @@ class GeometryConfig:
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
     fit_mesh: bool = False
+    hull: HullConfig = field(default_factory=HullConfig)
+    ray_sampler: RaySamplerConfig = field(default_factory=RaySamplerConfig)
     fit: FitConfig = field(default_factory=FitConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)

@@ -229,7 +229,7 @@ class Settling:
         course: Course,
     ) -> None:
         photos = [reduce_view(view, config.image_side) for view in capture.train]
-        self.sampler = RaySampler(photos, device, generator)
+        self.sampler = RaySampler(photos, device, generator, config.ray_sampler)
         lattice, hull = object_hull(capture, photos, config)
         start = Start(
             capture=capture,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -96,9 +97,9 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
     spreads: list[float] = []
     sampler = settling.RaySampler
 
-    def recorded(photos: list[Photo], device: str, generator: torch.Generator) -> RaySampler:
+    def recorded(photos: list[Photo], *rest: Any) -> RaySampler:
         spreads.append(bottom_spread(photos))
-        return sampler(photos, device, generator)
+        return sampler(photos, *rest)
 
     class Told(Backdrop):
         def __init__(self, ground: Ground, photos: list[Photo]) -> None:

@@ -24,6 +24,7 @@ from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
+from robir.geometry.step_config import RaySamplerConfig
 from robir.jobs.paths import JobPaths
 from tests.geometry.mesh.test_isosurface import Silent
 from tests.geometry.scenes import ball, camera_at, capture_of
@@ -146,7 +147,7 @@ def test_cameras_that_are_far_off_do_not_move_the_others(capture: Capture) -> No
 def look_on(trial: PoseTrial, render: Renderer) -> None:
     """A fit whose field is known from the start."""
     photos = [reduce_view(view, SIDE) for view in trial.capture.train]
-    sampler = RaySampler(photos, "cpu", torch.Generator().manual_seed(0))
+    sampler = RaySampler(photos, "cpu", torch.Generator().manual_seed(0), RaySamplerConfig())
     for step in range(0, CONFIG.pose_trial.last_step + 50, 25):
         trial.look(step, render, sampler)
 
@@ -222,7 +223,8 @@ def test_a_fit_turns_cameras_back(capture: Capture, degrees: float) -> None:
 def test_short_fits_try_no_cameras(capture: Capture) -> None:
     wrong, _ = spoilt(capture, 0.6, seed=2)
     trial = PoseTrial(wrong, 0, "cpu", CONFIG)
-    sampler = RaySampler([reduce_view(v, SIDE) for v in wrong.train], "cpu", torch.Generator())
+    photos = [reduce_view(view, SIDE) for view in wrong.train]
+    sampler = RaySampler(photos, "cpu", torch.Generator(), RaySamplerConfig())
     trial.look(CONFIG.pose_trial.trial_step - 1, exact(solid()), sampler)
     assert trial.capture is wrong
 

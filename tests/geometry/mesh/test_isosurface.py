@@ -26,6 +26,7 @@ from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stage import reconstruct
+from robir.geometry.step_config import RaySamplerConfig
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 
@@ -217,7 +218,7 @@ def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
     view = capture_of(ball(0.4, (0.2, 0.1, 0.0)), views=1, side=150).views[0]
     photo = reduce_view(view, 64)
     assert max(photo.coverage.shape) <= 64
-    sampler = RaySampler([photo], "cpu", torch.Generator().manual_seed(0))
+    sampler = RaySampler([photo], "cpu", torch.Generator().manual_seed(0), RaySamplerConfig())
     origins, directions, target = sampler.draw(1500)
     offset = torch.tensor([0.2, 0.1, 0.0]) - origins
     along = (offset * directions).sum(1, keepdim=True)
