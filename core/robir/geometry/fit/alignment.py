@@ -29,13 +29,10 @@ from scipy.spatial.transform import Rotation
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.geometry.fit.config import AlignmentConfig
-from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.field_preview import RAYS, Renderer
 from robir.geometry.rays import Photo, reduce_view
 
 Array = NDArray[np.float64]
-
-CHUNK = 1 << 15
-"""Rays that are rendered at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +121,7 @@ class Alignment:
             for camera, sample in zip(self.cameras, self._samples, strict=True)
         ]
         origins, directions = (
-            torch.from_numpy(np.concatenate(part)).float().to(device).split(CHUNK)
+            torch.from_numpy(np.concatenate(part)).float().to(device).split(RAYS)
             for part in zip(*rays, strict=True)
         )
         shown = []

@@ -47,7 +47,7 @@ class CleanConfig:
         least_share: Pieces with less than this share of the largest piece's area are removed.
     """
 
-    batches: Annotated[int, Within(0, 10_000)] = 40
+    batches: Annotated[int, Within(0, 1000)] = 40
     least_share: Annotated[float, Within(0, 1)] = 0.02
 
 
@@ -68,7 +68,7 @@ class DescentConfig:
 
     gradient_passes: Annotated[int, Within(0, 20)] = 2
     first_decay: Annotated[float, Within(0, 0.9999)] = 0.9
-    second_decay: Annotated[float, Within(0, 0.9999)] = 0.99
+    second_decay: Annotated[float, Within(0.5, 0.9999)] = 0.99
     memory: Annotated[float, Within(0, 0.9999)] = 0.98
     doubt: Annotated[float, Within(0.01, 1000)] = 3.0
 
@@ -84,8 +84,8 @@ class FieldConfig:
     """
 
     octaves: Annotated[tuple[float, ...], Within(0.1, 100, "radians")] = (2.0, 4.0, 8.0)
-    width: Annotated[int, Within(1, 4096)] = 64
-    soft_passes: Annotated[int, Within(0, 50)] = 6
+    width: Annotated[int, Within(1, 1024)] = 64
+    soft_passes: Annotated[int, Within(0, 20)] = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +126,7 @@ class MirrorPitsConfig:
     least_cosine: Annotated[float, Within(0, 0.95)] = 0.3
     least_views: Annotated[int, Within(2, 100)] = 4
     most_views: Annotated[int, Within(2, 500)] = 16
-    region_passes: Annotated[int, Within(0, 100)] = 12
+    region_passes: Annotated[int, Within(0, 20)] = 12
     dull: Annotated[float, Within(0, 1)] = 0.042
     mirroring: Annotated[float, Within(0, 1)] = 0.05
     proven_dull: Annotated[float, Within(0, 1)] = 0.018

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
 from robir.geometry.fit.config import HeldOutConfig
-from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.field_preview import RAYS, Renderer
 from robir.jobs.paths import replacing
-
-RAYS = 1 << 13
-"""Rays that are drawn at a time; memory limits them."""
 
 
 def field_view(

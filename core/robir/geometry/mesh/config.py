@@ -59,8 +59,8 @@ class FacetsConfig:
     least_piece: Annotated[float, Within(0, 1)] = 0.25
     most_facets: Annotated[int, Within(0, 1000)] = 30
     most_failures: Annotated[int, Within(1, 1000)] = 30
-    seeds: Annotated[int, Within(1, 10_000)] = 150
-    voters: Annotated[int, Within(1, 1_000_000)] = 5000
+    seeds: Annotated[int, Within(1, 1000)] = 150
+    voters: Annotated[int, Within(1, 100_000)] = 5000
     normal_passes: Annotated[int, Within(0, 50)] = 6
     fits: Annotated[int, Within(0, 50)] = 4
     rough: Annotated[float, Within(0, 5, "cells")] = 0.33
@@ -89,7 +89,7 @@ class SimplifyConfig:
 
     crease: Annotated[float, Within(0, 180, "degrees")] = 40.0
     share_left: Annotated[float, Within(0.05, 0.95)] = 0.5
-    aggression: Annotated[float, Within(1, 20)] = 3.0
+    aggression: Annotated[float, Within(3, 20)] = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -65,8 +65,8 @@ class SurfaceConfig:
     """
 
     free: Annotated[float, Within(0, 1)] = 0.98
-    deep: Annotated[float, Within(0.1, 100, "bands")] = 2.0
-    outside: Annotated[float, Within(0, 1000)] = 1.0
+    deep: Annotated[float, Within(0.5, 100, "bands")] = 2.0
+    outside: Annotated[float, Within(0.1, 1000)] = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +80,8 @@ class SweepConfig:
         whole: Coverage from which a pixel is object, for the refinement too.
     """
 
-    fewest_planes: Annotated[int, Within(3, 4096)] = 16
-    most_planes: Annotated[int, Within(3, 4096)] = 128
+    fewest_planes: Annotated[int, Within(3, 1024)] = 16
+    most_planes: Annotated[int, Within(3, 1024)] = 128
     early: Annotated[float, Within(0, 10)] = 1.5
     whole: Annotated[float, Within(0.05, 0.999)] = 0.95
 
