@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from robir.errors import ConfigError
+from robir.geometry.given.config import GivenConfig
 from robir.geometry.ground.config import GroundConfig
 from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stereo.config import StereoConfig
@@ -28,6 +29,7 @@ class GeometryConfig:
         refine_poses: Whether given cameras are turned where the photographs ask for it.
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
+        given: A mesh that the user hands in.
         ground: What the object stands on.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
@@ -45,6 +47,7 @@ class GeometryConfig:
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
     fit_mesh: bool = False
+    given: GivenConfig = field(default_factory=GivenConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
