@@ -9,6 +9,7 @@ from robir.errors import ConfigError
 from robir.geometry.given.config import GivenConfig
 from robir.geometry.ground.config import GroundConfig
 from robir.geometry.refine.config import RefineConfig
+from robir.geometry.step_config import PredictionConfig, RemaskConfig, RivalConfig
 from robir.geometry.stereo.config import StereoConfig
 
 
@@ -31,6 +32,9 @@ class GeometryConfig:
             photographs show it.
         given: A mesh that the user hands in.
         ground: What the object stands on.
+        remask: Cutting of guessed masks anew.
+        prediction: By which surfaces are judged.
+        rival: How the fit is set against other surfaces.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
         without: Names of steps that are left out, to see what they are worth.
@@ -49,6 +53,9 @@ class GeometryConfig:
     fit_mesh: bool = False
     given: GivenConfig = field(default_factory=GivenConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
+    remask: RemaskConfig = field(default_factory=RemaskConfig)
+    prediction: PredictionConfig = field(default_factory=PredictionConfig)
+    rival: RivalConfig = field(default_factory=RivalConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     without: tuple[str, ...] = ()

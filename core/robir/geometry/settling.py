@@ -233,8 +233,8 @@ class Settling:
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
-        predictions = Predictions(photos)
-        self._judge = Judge(predictions)
+        predictions = Predictions(photos, config.prediction)
+        self._judge = Judge(predictions, config.rival)
         self._mirroring = Mirroring([photo.camera for photo in photos], self.begun, self._judge)
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 

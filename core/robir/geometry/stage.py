@@ -212,7 +212,11 @@ def reconstruct(
         dense = refined(best, capture.train, config)
     else:
         reporter.progress(0.86, "cleaning the mesh")
-        dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
+        dense = Dense(
+            smooth_surface(field, config.rival.smooth_rounds),
+            field.lattice.cell,
+            config.face_budget,
+        )
     mesh = finished(dense, config.unwrap_seconds, reporter.warn, course)
     backdrop = settling.backdrop if best is None else None
     metrics: dict[str, float | str] = {
