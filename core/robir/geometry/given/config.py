@@ -36,7 +36,7 @@ class PlacingConfig:
     coarse_side: Annotated[int, Within(8, 1000, "pixels")] = 28
     fine_side: Annotated[int, Within(8, 1000, "pixels")] = 80
     pad: Annotated[float, Within(0, 5)] = 0.5
-    turns: Annotated[int, Within(1, 100_000)] = 500
+    turns: Annotated[int, Within(1, 10_000)] = 500
     followed: Annotated[int, Within(1, 1000)] = 5
     balances: Annotated[int, Within(0, 20)] = 2
     first_turn: Annotated[float, Within(0.001, 1, "radians")] = 0.15
@@ -121,7 +121,7 @@ class LayoutConfig:
     outside: Annotated[float, Within(0, 0.1)] = 1e-3
     overlap: Annotated[float, Within(0, 1)] = 0.03
     smallest: Annotated[float, Within(1e-6, 1)] = 1e-3
-    atlas_side: Annotated[int, Within(64, 8192, "texels")] = 1024
+    atlas_side: Annotated[int, Within(64, 4096, "texels")] = 1024
     most_tiles: Annotated[int, Within(1, 1000)] = 100
 
 
@@ -183,7 +183,7 @@ class OccludersConfig:
     """
 
     side: Annotated[int, Within(16, 4096, "pixels")] = 160
-    points: Annotated[int, Within(100, 10_000_000)] = 30_000
+    points: Annotated[int, Within(100, 1_000_000)] = 30_000
     least_views: Annotated[int, Within(1, 1000)] = 8
     least_cosine: Annotated[float, Within(0, 1)] = 0.35
     dark: Annotated[float, Within(0.0001, 1)] = 0.03
