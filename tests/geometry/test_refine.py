@@ -33,7 +33,8 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.rival import BENT, FIELD, HULL, STEREO, Judge, Rival, bending, refined
+from robir.geometry.rival import FIELD, HULL, STEREO, Judge, Rival, bending, refined
+from robir.geometry.step_config import PredictionConfig, RivalConfig
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
@@ -186,7 +187,7 @@ def test_without_texture_a_mesh_is_not_made_rougher():
 
 
 def test_photographs_predict_each_other_better_over_the_better_surface(photos):
-    predictions = Predictions(photos)
+    predictions = Predictions(photos, PredictionConfig())
     true, dented, small = (
         predictions.errors(mesh) for mesh in (sphere(), sphere(dents=0.04), sphere(RADIUS - 0.05))
     )
@@ -204,7 +205,7 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
 def test_a_surface_that_is_missing_predicts_nothing(photos):
     whole = sphere()
     cap = whole.vertices[whole.faces].mean(1)[:, 2] > 0.8 * RADIUS
-    predictions = Predictions(photos)
+    predictions = Predictions(photos, PredictionConfig())
     errors = predictions.errors(plain_mesh(whole.vertices, whole.faces[cap]))
     outlines = np.mean([np.isnan(one).mean() for one in errors])
     assert outlines < 0.2
@@ -233,7 +234,9 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
+        rival = Rival(
+            capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
+        )
         field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
@@ -245,7 +248,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))
-    silent = Rival(capture.train, Predictions(photos), (hull, hull), off)
+    silent = Rival(capture.train, Predictions(photos, PredictionConfig()), (hull, hull), off)
     assert not silent.beats(field)
 
 
@@ -256,7 +259,7 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
     monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
     hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Rival(capture.train, Predictions(photos), hulls, STEREO_CONFIG)
+    rival = Rival(capture.train, Predictions(photos, PredictionConfig()), hulls, STEREO_CONFIG)
     assert rival.beats(Field(lattice, dented.values, 1))
     assert rival.best.name == HULL and rival.best.cell == lattice.cell
     (choice,) = rival.choices
@@ -264,11 +267,16 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     assert roughness(rival.best.mesh) < 0.01
 
 
+BENT = RivalConfig().bent
+
+
 @pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
+    rival = Rival(
+        capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
+    )
     bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
     monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
     monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))
@@ -301,6 +309,6 @@ def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
     true, dented = (
         Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
     )
-    judge = Judge(Predictions(photos), GeometryConfig())
+    judge = Judge(Predictions(photos, PredictionConfig()), GeometryConfig())
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

@@ -7,9 +7,17 @@ from dataclasses import dataclass, field
 
 from robir.errors import ConfigError
 from robir.geometry.fit.config import FitConfig
+from robir.geometry.given.config import GivenConfig
+from robir.geometry.ground.config import GroundConfig
 from robir.geometry.mesh.config import MeshConfig
 from robir.geometry.refine.config import RefineConfig
-from robir.geometry.step_config import HullConfig, RaySamplerConfig
+from robir.geometry.step_config import (
+    HullConfig,
+    PredictionConfig,
+    RaySamplerConfig,
+    RemaskConfig,
+    RivalConfig,
+)
 from robir.geometry.stereo.config import StereoConfig
 
 
@@ -33,6 +41,11 @@ class GeometryConfig:
         hull: The visual hull.
         ray_sampler: Which pixels the fit learns from.
         fit: The fit of field and colours, by its parts.
+        given: A mesh that the user hands in.
+        ground: What the object stands on.
+        remask: Cutting of guessed masks anew.
+        prediction: By which surfaces are judged.
+        rival: How the fit is set against other surfaces.
         mesh: From a dense surface to the mesh that carries a texture.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
@@ -53,6 +66,11 @@ class GeometryConfig:
     hull: HullConfig = field(default_factory=HullConfig)
     ray_sampler: RaySamplerConfig = field(default_factory=RaySamplerConfig)
     fit: FitConfig = field(default_factory=FitConfig)
+    given: GivenConfig = field(default_factory=GivenConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
+    remask: RemaskConfig = field(default_factory=RemaskConfig)
+    prediction: PredictionConfig = field(default_factory=PredictionConfig)
+    rival: RivalConfig = field(default_factory=RivalConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)

@@ -26,15 +26,6 @@ from robir.geometry.rival import Judge, Rival
 from robir.maths.vectors import farthest_points
 from robir.steps import Course, Step
 
-GROUND_SIDE = 200
-"""Longer side of the photographs that tell the ground, pixels."""
-
-NEARLY = 4.0
-"""Cells from the plane within which a surface may be ground that the fit left bumpy."""
-
-MORE = 1.1
-"""Times as many columns as are ground for certain from which that is asked."""
-
 EVENING: tuple[Step[Capture], ...] = (
     Step(
         name="even-brightness",
@@ -75,11 +66,12 @@ class Start:
 
 
 def _find_ground(state: Start) -> Start:
-    plane = detect(state.photos, state.lattice, state.hull, state.generator)
+    config = state.config.ground
+    plane = detect(state.photos, state.lattice, state.hull, state.generator, config)
     if plane is None:
         return state
     judges = ground_photos(state.capture, state.config)
-    ground = Ground(plane, judges, state.lattice, state.hull)
+    ground = Ground(plane, judges, state.lattice, state.hull, config)
     backdrop = Backdrop(ground, judges)
     hull = ground.flatten(state.lattice, state.hull, ground.start & ~backdrop.foreign)
     return replace(state, hull=hull, backdrop=backdrop)
@@ -155,13 +147,14 @@ def _flatten_ground(state: Level) -> Level:
     if state.backdrop is None:
         return state
     ground, lattice = state.backdrop.ground, state.field.lattice
+    config = ground.config.flatten
     top = ground.heights(lattice, state.sdf)
     columns = ground.settled(top, state.backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
     flat = ground.flatten(lattice, state.sdf, columns)
-    nearly = ground.nearly(top, columns, NEARLY * lattice.cell)
-    if nearly.sum() > MORE * columns.sum():
+    nearly = ground.nearly(top, columns, config.bumpy * lattice.cell)
+    if nearly.sum() > config.bumpy_gain * columns.sum():
         # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
         flatter = ground.flatten(lattice, state.sdf, nearly)
         if state.judge.is_better(Field(lattice, flatter, 1), Field(lattice, flat, 1)):
@@ -243,7 +236,7 @@ class Settling:
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
-        predictions = Predictions(photos)
+        predictions = Predictions(photos, config.prediction)
         self._config, self._judge = config, Judge(predictions, config)
         cameras = [photo.camera for photo in photos]
         self._mirroring = Mirroring(cameras, self.begun, self._judge, config.fit.mirror_pits)
@@ -280,5 +273,5 @@ def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
     """
     views = capture.train
     positions = np.stack([view.camera.position for view in views])
-    side = min(config.image_side, GROUND_SIDE)
+    side = min(config.image_side, config.ground.image_side)
     return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]

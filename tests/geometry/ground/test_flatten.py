@@ -14,10 +14,13 @@ import trimesh
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import Field
 from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.flatten import HIGHEST, Ground
+from robir.geometry.ground.config import FlattenConfig
+from robir.geometry.ground.flatten import Ground
 from robir.geometry.lattice import Sampled
 from robir.geometry.settling import LEVEL, Level
 from tests.geometry.scenes import disc, drum, ground_of
+
+HIGHEST = FlattenConfig().highest
 
 TOP = -0.3
 """Height of the ground's surface."""

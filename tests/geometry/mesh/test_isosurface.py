@@ -15,6 +15,7 @@ from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.config import SamplingConfig
 from robir.geometry.fit.sampling import Occupancy, march
+from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
@@ -178,11 +179,11 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
     solid = trimesh.util.concatenate([disc(), ball(0.25, (0.1, 0.0, -0.05))])
     photos = photos_of(solid)
     lattice, hull = carved(photos)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), GroundConfig())
     assert plane is not None
     assert plane.axes[2] @ [0.0, 0.0, 1.0] > 0.999
     assert plane.origin[2] == pytest.approx(-0.3, abs=0.015)
-    ground = Ground(plane, photos, lattice, hull)
+    ground = Ground(plane, photos, lattice, hull, GroundConfig())
     before = ground.columns.tops(lattice, hull, 0.6)[ground.start]
     after = ground.columns.tops(lattice, ground.flatten(lattice, hull, ground.start), 0.6)
     # a quarter of the columns at least are known to be ground from the masks and colours alone
@@ -204,11 +205,11 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
 def test_objects_without_ground_are_not_flattened(solid: trimesh.Trimesh) -> None:
     photos = photos_of(solid)
     lattice, hull = carved(photos)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), GroundConfig())
     if plane is None:
         return
     # a box may be found to stand on its own base, but nothing that stands may be cut off
-    ground = Ground(plane, photos, lattice, hull)
+    ground = Ground(plane, photos, lattice, hull, GroundConfig())
     changed = ground.flatten(lattice, hull, ground.start)
     lost = ((hull < -lattice.cell) & (changed > 0)).sum() / (hull < 0).sum()
     assert lost < 0.01
