@@ -31,7 +31,7 @@ from robir.errors import ConfigError
 from robir.jobs.names import read_regular
 
 _MAX_BYTES = 1 << 20
-"""Largest file of settings; all there are come to two thousand bytes."""
+"""Largest file of settings; all there are come to about ten thousand bytes."""
 
 SettingsT = TypeVar("SettingsT")
 

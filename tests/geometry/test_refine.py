@@ -12,6 +12,7 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
+from robir.config import RunConfig, resolve
 from robir.errors import ConfigError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import finished
@@ -32,7 +33,8 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.rival import BENT, FIELD, HULL, STEREO, Judge, Rival, bending, refined
+from robir.geometry.rival import FIELD, HULL, STEREO, Judge, Rival, bending, refined
+from robir.geometry.step_config import PredictionConfig, RivalConfig
 from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
@@ -93,10 +95,12 @@ def test_agreement_is_the_mean_of_pairs_and_spares_what_disagrees():
 
 def test_photographs_agree_most_on_the_surface(photos):
     """Of a sphere that is too small by two pixels the best shift is two pixels."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
     pixel = pixel_size([photo.camera for photo in photos])
     mesh = sphere(RADIUS - 2 * pixel)
-    cosine = seen_by(mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel)
+    cosine = seen_by(
+        mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel, CONFIG.correlation
+    )
     assert (cosine[mesh.normals[:, 2] < -0.9] == 0).all()
     shifts = np.linspace(-5, 5, 21).astype(np.float32) * pixel
     agreed = correlations(mesh, pictures, cosine, shifts, CONFIG)
@@ -108,7 +112,7 @@ def test_photographs_agree_most_on_the_surface(photos):
 
 def test_a_patch_is_what_the_camera_sees_of_it(photos):
     """Of the true sphere the patches of two cameras are alike, and those of another place not."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
     mesh = sphere()
     patches = Patches(mesh, 0.02, 3)
     top = torch.tensor([int(mesh.vertices[:, 2].argmax())])
@@ -125,15 +129,28 @@ def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
     pixel = pixel_size([photo.camera for photo in photos])
     for off in (-1.5, 1.5):
         mesh = sphere(RADIUS + off * pixel)
-        shift, count = outline_shifts(mesh, EmbreeTracer(mesh.vertices, mesh.faces), photos, pixel)
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        shift, count = outline_shifts(mesh, tracer, photos, pixel, CONFIG.outlines)
         assert (count > 0).sum() > 200
         assert np.median(shift[count > 0]) / pixel == pytest.approx(-off, abs=0.5)
+
+
+def test_what_is_set_decides_what_an_outline_is(photos):
+    mesh, pixel = sphere(), pixel_size([photo.camera for photo in photos])
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    words = ["geometry.refine.outlines.grazing=0.05"]
+    strict = resolve(RunConfig(), None, words).geometry.refine.outlines
+    few, all_ = (
+        outline_shifts(mesh, tracer, photos, pixel, config)[1].sum()
+        for config in (strict, CONFIG.outlines)
+    )
+    assert 0 < few < 0.7 * all_
 
 
 def test_the_thin_plate_is_that_of_a_dense_solve():
     solid = trimesh.creation.icosphere(subdivisions=1)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
-    plate = ThinPlate(mesh, 1.0)
+    plate = ThinPlate(mesh, 1.0, CONFIG.step.most_iterations)
     count = len(mesh.vertices)
     rng = np.random.default_rng(0)
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
@@ -159,18 +176,18 @@ def test_the_thin_plate_is_that_of_a_dense_solve():
 def test_dents_are_taken_out_where_photographs_tell(capture):
     dented = sphere(dents=0.03)
     before = roughness(dented)
-    after = roughness(refine(dented, capture.train, CONFIG))
+    after = roughness(refine(dented, capture.train, STEREO_CONFIG))
     assert before > 0.01
     assert after < 0.4 * before
 
 
 def test_without_texture_a_mesh_is_not_made_rougher():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
-    assert roughness(refine(sphere(), capture.train, CONFIG)) < 0.012
+    assert roughness(refine(sphere(), capture.train, STEREO_CONFIG)) < 0.012
 
 
 def test_photographs_predict_each_other_better_over_the_better_surface(photos):
-    predictions = Predictions(photos)
+    predictions = Predictions(photos, PredictionConfig())
     true, dented, small = (
         predictions.errors(mesh) for mesh in (sphere(), sphere(dents=0.04), sphere(RADIUS - 0.05))
     )
@@ -188,7 +205,7 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
 def test_a_surface_that_is_missing_predicts_nothing(photos):
     whole = sphere()
     cap = whole.vertices[whole.faces].mean(1)[:, 2] > 0.8 * RADIUS
-    predictions = Predictions(photos)
+    predictions = Predictions(photos, PredictionConfig())
     errors = predictions.errors(plain_mesh(whole.vertices, whole.faces[cap]))
     outlines = np.mean([np.isnan(one).mean() for one in errors])
     assert outlines < 0.2
@@ -217,17 +234,21 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
+        rival = Rival(
+            capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
+        )
         field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = finished(refined(rival.best, capture.train, STEREO_CONFIG), 10.0, print, Course())
+    mesh = finished(
+        refined(rival.best, capture.train, STEREO_CONFIG), STEREO_CONFIG, print, Course()
+    )
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))
-    silent = Rival(capture.train, Predictions(photos), (hull, hull), off)
+    silent = Rival(capture.train, Predictions(photos, PredictionConfig()), (hull, hull), off)
     assert not silent.beats(field)
 
 
@@ -238,7 +259,7 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
     monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
     hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Rival(capture.train, Predictions(photos), hulls, STEREO_CONFIG)
+    rival = Rival(capture.train, Predictions(photos, PredictionConfig()), hulls, STEREO_CONFIG)
     assert rival.beats(Field(lattice, dented.values, 1))
     assert rival.best.name == HULL and rival.best.cell == lattice.cell
     (choice,) = rival.choices
@@ -246,11 +267,16 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     assert roughness(rival.best.mesh) < 0.01
 
 
+BENT = RivalConfig().bent
+
+
 @pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    rival = Rival(capture.train, Predictions(photos), (hull, hull), STEREO_CONFIG)
+    rival = Rival(
+        capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
+    )
     bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
     monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
     monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))
@@ -283,6 +309,6 @@ def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
     true, dented = (
         Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
     )
-    judge = Judge(Predictions(photos))
+    judge = Judge(Predictions(photos, PredictionConfig()), GeometryConfig())
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

@@ -15,9 +15,10 @@ from scipy.ndimage import binary_dilation
 from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Bounds, Capture, Finding, View
 from robir.capture.store import load_settled, save_capture, save_masks
 from robir.capture.support import Plane
+from robir.config import RunConfig, resolve
 from robir.errors import StorageError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.hull import CLEARANCE, HullCarver, object_hull
+from robir.geometry.hull import HullCarver, object_hull
 from robir.geometry.rays import reduce_view
 from robir.geometry.remask import remasked
 from robir.geometry.stereo.config import StereoConfig
@@ -91,11 +92,13 @@ def test_the_hull_of_guessed_masks_ends_above_the_table(guessed):
     photos = [reduce_view(view, 160) for view in capture.train]
     lattice, values = object_hull(capture, photos, CONFIG)
     height = lattice.nodes()[:, 2].numpy() * 0.9 + 0.45
-    assert (values[torch.from_numpy(height < 0.9 * CLEARANCE - 1e-4)] > 0).all()
+    assert (values[torch.from_numpy(height < 0.9 * CONFIG.hull.clearance - 1e-4)] > 0).all()
+    high = resolve(RunConfig(geometry=CONFIG), None, ["geometry.hull.clearance=0.1"]).geometry
+    assert (object_hull(capture, photos, high)[1] < 0).sum() < (values < 0).sum()
     given = replace(capture, findings=())
     reaching = object_hull(given, photos, CONFIG)
     inside = reaching[0].nodes()[reaching[1] < 0][:, 2].numpy() * 0.9 + 0.45
-    assert inside.min() < 0.5 * CLEARANCE
+    assert inside.min() < 0.5 * CONFIG.hull.clearance
 
 
 def test_outvoted_masks_are_those_that_say_outside_most(shots):

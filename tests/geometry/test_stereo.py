@@ -10,11 +10,12 @@ import pytest
 import torch
 from geometry.scenes import ball, camera_at, capture_of
 
+from robir.config import RunConfig, resolve
 from robir.errors import ConfigError
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import reduce_view
-from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.config import StereoConfig, SweepConfig
 from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse, points_at
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 from robir.geometry.stereo.smoothest import laplacian, smoothest
@@ -141,26 +142,32 @@ def test_planes_are_seen_where_the_cameras_project_them():
 
 
 def test_planes_lie_a_pixel_of_parallax_apart():
-    depths = plane_depths(2.0, 4.0, 0.5, 200.0)
+    depths = plane_depths(2.0, 4.0, 0.5, 200.0, SweepConfig())
     assert (depths[0], depths[-1]) == pytest.approx((2.0, 4.0))
     np.testing.assert_allclose(0.5 * 200 * -np.diff(1 / depths), 1, atol=0.05)
+
+
+def test_planes_are_as_many_as_is_set():
+    words = ["geometry.stereo.sweep.fewest_planes=60", "geometry.stereo.sweep.most_planes=60"]
+    config = resolve(RunConfig(), None, words).geometry.stereo.sweep
+    assert len(plane_depths(2.0, 4.0, 0.5, 200.0, config)) == 60
 
 
 def test_sources_lie_at_a_good_angle_on_different_sides():
     angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
     positions = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * 3
-    first = choose_sources(positions, 2, 14.0)[0]
+    first = choose_sources(positions, StereoConfig(sources=2))[0]
     assert set(first) == {2, 4}
     np.testing.assert_allclose(angles_between(positions)[0], [0, 2, 14, 15, 14, 60], atol=1e-6)
 
 
 def test_a_sphere_has_its_depths(sphere):
     """With others at 15 degrees and a start in front of it; a plain one has none to trust."""
-    config = StereoConfig(image_side=96)
-    pictures = [Picture.of(photo) for photo in sphere]
+    config = StereoConfig(image_side=96, baseline_degrees=20.0)
+    pictures = [Picture.of(photo, config.sweep) for photo in sphere]
     positions = np.stack([photo.camera.position for photo in sphere])
     own = 12
-    others = [pictures[k] for k in choose_sources(positions, 4, 20.0)[own]]
+    others = [pictures[k] for k in choose_sources(positions, config)[own]]
     camera = pictures[own].camera
     true = true_depths(camera)
     entry = np.where(np.isfinite(true), 2.4, np.inf).astype(np.float32)
@@ -216,7 +223,7 @@ def test_the_smoothest_grid_is_that_of_a_dense_solve():
     ).double()
     matrix = torch.diag(weight.reshape(-1).double()) + 0.3 * bend.T @ bend
     wanted = torch.linalg.solve(matrix, (weight * measured).reshape(-1).double())
-    found = smoothest(measured, weight, 0.3)
+    found = smoothest(measured, weight, 0.3, CONFIG.smoothest)
     np.testing.assert_allclose(found.reshape(-1), wanted, atol=1e-4)
 
 
@@ -228,7 +235,7 @@ def test_what_is_known_at_few_places_is_bent_least_between_them():
     weight[::8, ::8, ::8] = 1.0
     measured = torch.where(weight > 0.5, true, 0.0)
     inner = np.s_[12:-12, 12:-12, 12:-12]
-    off = (smoothest(measured, weight, 0.02) - true)[inner].abs()
+    off = (smoothest(measured, weight, 0.02, CONFIG.smoothest) - true)[inner].abs()
     assert float(off.max()) < 0.25
 
 

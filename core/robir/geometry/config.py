@@ -6,7 +6,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from robir.errors import ConfigError
+from robir.geometry.fit.config import FitConfig
+from robir.geometry.given.config import GivenConfig
+from robir.geometry.ground.config import GroundConfig
+from robir.geometry.mesh.config import MeshConfig
 from robir.geometry.refine.config import RefineConfig
+from robir.geometry.step_config import (
+    HullConfig,
+    PredictionConfig,
+    RaySamplerConfig,
+    RemaskConfig,
+    RivalConfig,
+)
 from robir.geometry.stereo.config import StereoConfig
 
 
@@ -27,6 +38,15 @@ class GeometryConfig:
         refine_poses: Whether given cameras are turned where the photographs ask for it.
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
+        hull: The visual hull.
+        ray_sampler: Which pixels the fit learns from.
+        fit: The fit of field and colours, by its parts.
+        given: A mesh that the user hands in.
+        ground: What the object stands on.
+        remask: Cutting of guessed masks anew.
+        prediction: By which surfaces are judged.
+        rival: How the fit is set against other surfaces.
+        mesh: From a dense surface to the mesh that carries a texture.
         stereo: Depth maps, whose surface takes the place of the fit where it is better.
         refine: That surface's way to where photographs agree.
         without: Names of steps that are left out, to see what they are worth.
@@ -43,6 +63,15 @@ class GeometryConfig:
     unwrap_seconds: float = 40.0
     refine_poses: bool = True
     fit_mesh: bool = False
+    hull: HullConfig = field(default_factory=HullConfig)
+    ray_sampler: RaySamplerConfig = field(default_factory=RaySamplerConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
+    given: GivenConfig = field(default_factory=GivenConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
+    remask: RemaskConfig = field(default_factory=RemaskConfig)
+    prediction: PredictionConfig = field(default_factory=PredictionConfig)
+    rival: RivalConfig = field(default_factory=RivalConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     without: tuple[str, ...] = ()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from robir.geometry.config import GeometryConfig
 from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
@@ -35,48 +36,49 @@ class Finishing:
     Attributes:
         dense: As it was extracted.
         mesh: As far as it has got.
-        unwrap_seconds: Processor seconds that its charts may take.
+        config: The stage's configuration.
         warn: Takes a sentence for the user.
     """
 
     dense: Dense
     mesh: Mesh
-    unwrap_seconds: float
+    config: GeometryConfig
     warn: Callable[[str], None]
 
 
 def finished(
-    dense: Dense, unwrap_seconds: float, warn: Callable[[str], None], course: Course
+    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], course: Course
 ) -> Mesh:
     """Carry the steps out.
 
     Args:
         dense: Extracted surface.
-        unwrap_seconds: Processor seconds that its charts may take.
+        config: The stage's configuration.
         warn: Takes a sentence for the user.
         course: Of the stage's steps.
 
     Returns:
         The unwrapped mesh.
     """
-    start = Finishing(dense=dense, mesh=dense.mesh, unwrap_seconds=unwrap_seconds, warn=warn)
+    start = Finishing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
     return course.carry_out(FINISHING, start).mesh
 
 
 def _flatten(state: Finishing) -> Finishing:
-    return replace(state, mesh=flattened(state.mesh, state.dense.grain))
+    return replace(state, mesh=flattened(state.mesh, state.dense.grain, state.config.mesh.facets))
 
 
 def _decimate(state: Finishing) -> Finishing:
-    return replace(state, mesh=decimate(state.mesh, state.dense.faces))
+    return replace(state, mesh=decimate(state.mesh, state.dense.faces, state.config.mesh.simplify))
 
 
 def _unwrap(state: Finishing) -> Finishing:
-    return replace(state, mesh=unwrap(state.mesh, state.unwrap_seconds, state.warn))
+    seconds, config = state.config.unwrap_seconds, state.config.mesh
+    return replace(state, mesh=unwrap(state.mesh, seconds, state.warn, config))
 
 
 def _crease(state: Finishing) -> Finishing:
-    return replace(state, mesh=with_creases(state.mesh))
+    return replace(state, mesh=with_creases(state.mesh, state.config.mesh.simplify))
 
 
 FINISHING: tuple[Step[Finishing], ...] = (

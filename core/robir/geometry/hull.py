@@ -21,9 +21,6 @@ from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
-CLEARANCE = 0.015
-"""Height above the table from which something belongs to the object, unit frame."""
-
 BEHIND = -1e3
 """Signed distance a view gives to points behind its camera: no evidence."""
 
@@ -170,5 +167,5 @@ def object_hull(
     lattice, values = carve(carver, config.hull_cells)
     if capture.has_guessed_masks and capture.table is not None:
         height = capture.table.height(lattice.nodes().double().numpy())
-        values = torch.maximum(values, torch.from_numpy(CLEARANCE - height).float())
+        values = torch.maximum(values, torch.from_numpy(config.hull.clearance - height).float())
     return Sampled(lattice, values)

@@ -13,28 +13,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.geometry.step_config import MirrorMapConfig
+
 Array = NDArray[np.floating]
 
-SIDE = 24
-"""Cells along each side of the map: 8 degrees wide in the middle, as fine as normals are known."""
 
-CELLS = SIDE * SIDE
-"""Cells of the map; this number itself stands for a direction that says nothing."""
-
-GRAZING = 0.15
-"""Cosine of the view below which a normal a few degrees off mirrors quite another direction."""
-
-HELD = 20.0
-"""Observations by which a cell is held to mirror nothing."""
-
-ROUNDS = 12
-"""Turns of solving spots and map after each other."""
-
-LEAST_VIEWS = 3
-"""Photographs that must show a spot from which the map is learnt."""
-
-
-def mirrored_cells(normals: Array, towards: Array) -> NDArray[np.int64]:
+def mirrored_cells(normals: Array, towards: Array, config: MirrorMapConfig) -> NDArray[np.int64]:
     """Cells of the directions that points mirror, by an octahedral map.
 
     Meyer et al. 2010, "On floating-point normal vectors".
@@ -42,9 +26,10 @@ def mirrored_cells(normals: Array, towards: Array) -> NDArray[np.int64]:
     Args:
         normals: (P, 3) unit.
         towards: (P, 3) unit, towards the camera.
+        config: Of the map.
 
     Returns:
-        (P,); CELLS where the camera looks along the surface, or from behind it.
+        (P,); the number of cells where the camera looks along the surface, or from behind it.
     """
     cosine = (normals * towards).sum(1, keepdims=True)
     mirrored = 2.0 * cosine * normals - towards
@@ -53,37 +38,41 @@ def mirrored_cells(normals: Array, towards: Array) -> NDArray[np.int64]:
     signs = np.where(flat[:, :2] >= 0, 1.0, -1.0)
     folded = (1.0 - np.abs(flat[:, 1::-1])) * signs
     place = np.where((z < 0)[:, None], folded, np.stack([x, y], axis=1))
-    row, column = np.clip(((place + 1.0) * (SIDE / 2)).astype(np.int64), 0, SIDE - 1).T
-    return np.where(cosine[:, 0] > GRAZING, row * SIDE + column, CELLS)
+    side = config.side
+    row, column = np.clip(((place + 1.0) * (side / 2)).astype(np.int64), 0, side - 1).T
+    return np.where(cosine[:, 0] > config.grazing, row * side + column, config.cells)
 
 
-def nothing_mirrored() -> Array:
-    """The map (CELLS + 1, 3) of a surface that mirrors nothing."""
-    return np.zeros((CELLS + 1, 3))
+def nothing_mirrored(cells: int) -> Array:
+    """The map (cells + 1, 3) of a surface that mirrors nothing."""
+    return np.zeros((cells + 1, 3))
 
 
-def learnt_map(colours: Array, seen: Array, cells: NDArray[np.int64]) -> Array:
+def learnt_map(
+    colours: Array, seen: Array, cells: NDArray[np.int64], config: MirrorMapConfig
+) -> Array:
     """What each direction adds to a spot's own colour, by alternating least squares.
 
     Args:
         colours: (P, J, 3) display colours that photographs show of points.
         seen: (P, J) 1 where a photograph does show the point, else 0.
         cells: (P, J) from `mirrored_cells`.
+        config: Of the map.
 
     Returns:
-        (CELLS + 1, 3) display colours, about 0; the last one is 0.
+        (C + 1, 3) display colours, about 0; the last one is 0.
     """
-    known = seen.sum(1) >= LEAST_VIEWS
+    known, number = seen.sum(1) >= config.least_views, config.cells
     colours, seen, cells = colours[known], seen[known], cells[known]
-    count = np.bincount(cells.ravel(), seen.ravel(), CELLS + 1)[:, None]
+    count = np.bincount(cells.ravel(), seen.ravel(), number + 1)[:, None]
     views = seen.sum(1)[:, None]
-    result = nothing_mirrored()
-    for _ in range(ROUNDS):
+    result = nothing_mirrored(number)
+    for _ in range(config.rounds):
         own = ((colours - result[cells]) * seen[:, :, None]).sum(1) / views
         rest = (colours - own[:, None]) * seen[:, :, None]
         total = [
-            np.bincount(cells.ravel(), part.ravel(), CELLS + 1) for part in rest.T.swapaxes(1, 2)
+            np.bincount(cells.ravel(), part.ravel(), number + 1) for part in rest.T.swapaxes(1, 2)
         ]
-        result = np.stack(total, axis=1) / (count + HELD)
-        result[CELLS] = 0.0
+        result = np.stack(total, axis=1) / (count + config.held)
+        result[number] = 0.0
     return result

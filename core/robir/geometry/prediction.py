@@ -23,25 +23,8 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mirror_map import learnt_map, mirrored_cells, nothing_mirrored
 from robir.geometry.rays import Photo
+from robir.geometry.step_config import PredictionConfig
 from robir.maths.vectors import farthest_points
-
-JUDGES = 12
-"""Photographs that are predicted; they lie far from each other."""
-
-NEAREST = 4
-"""Photographs, the nearest to a judge, that predict it."""
-
-WHOLE = 0.95
-"""Coverage from which a pixel is object."""
-
-OUTLINE = 2
-"""Pixels from the outline within which masks are not believed."""
-
-LEARNT_POINTS = 6000
-"""Points of the surface by which what is mirrored is learnt."""
-
-SLACK = 0.01
-"""Distance, unit frame, by which a ray may end before the surface it is to see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,9 +51,11 @@ class Predictions:
 
     Args:
         photos: Training photographs, unit frame.
+        config: Of this step.
     """
 
-    def __init__(self, photos: list[Photo]) -> None:
+    def __init__(self, photos: list[Photo], config: PredictionConfig) -> None:
+        self._config = config
         positions = np.stack([photo.camera.position for photo in photos])
         towards = positions / np.linalg.norm(positions, axis=1, keepdims=True)
         alike = towards @ towards.T
@@ -80,8 +65,8 @@ class Predictions:
             torch.from_numpy(np.dstack([photo.premultiplied_display, photo.coverage]))
             for photo in photos
         ]
-        self._judges = farthest_points(positions, JUDGES)
-        self._nearest = {own: np.argsort(-alike[own])[:NEAREST] for own in self._judges}
+        self._judges = farthest_points(positions, config.judges)
+        self._nearest = {own: np.argsort(-alike[own])[: config.nearest] for own in self._judges}
 
     def errors(self, mesh: Mesh) -> list[NDArray[np.float32]]:
         """Squared errors of the judges' pixels, one flat array a judge.
@@ -111,14 +96,13 @@ class Predictions:
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
         maps = self._maps(tracer, list(spots.values()))
-        pairs = [
-            self._judged(tracer, own, spots[own], (nothing_mirrored(), maps[own])) for own in spots
-        ]
+        nothing = nothing_mirrored(self._config.mirror_map.cells)
+        pairs = [self._judged(tracer, own, spots[own], (nothing, maps[own])) for own in spots]
         return [without for without, _ in pairs], [told for _, told in pairs]
 
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
         camera = self._cameras[own]
-        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > WHOLE)
+        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > self._config.whole)
         origins, directions = camera.rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
         hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         met = np.isfinite(hits.distance)
@@ -134,7 +118,8 @@ class Predictions:
 
     def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, NDArray[np.floating]]:
         """What is mirrored as all photographs but a judge tell it, for each judge."""
-        every = max(1, sum(len(one.points) for one in spots) // LEARNT_POINTS)
+        total = sum(len(one.points) for one in spots)
+        every = max(1, total // self._config.learnt_points)
         points = np.concatenate([one.points for one in spots])[::every]
         normals = np.concatenate([one.normals for one in spots])[::every]
         shown = [self._shown(tracer, other, points, normals) for other in range(len(self._cameras))]
@@ -143,7 +128,7 @@ class Predictions:
         for own in self._judges:
             told = seen.copy()
             told[:, own] = 0.0
-            maps[own] = learnt_map(colours, told, cells)
+            maps[own] = learnt_map(colours, told, cells, self._config.mirror_map)
         return maps
 
     def _judged(
@@ -162,9 +147,11 @@ class Predictions:
             for total, mirrored in zip(totals, maps, strict=True):
                 total += seen[:, None] * (colours - mirrored[cells])
             weight += seen[:, None]
-        cells = mirrored_cells(spots.normals, _unit(self._cameras[own].position - spots.points))
+        towards = _unit(self._cameras[own].position - spots.points)
+        cells = mirrored_cells(spots.normals, towards, self._config.mirror_map)
         display = layers[spots.rows, spots.columns, :3]
-        inner = _within(layers[..., 3] > WHOLE)[spots.rows, spots.columns]
+        inner = _within(layers[..., 3] > self._config.whole, self._config.outline)
+        inner = inner[spots.rows, spots.columns]
         blind = ((display - display.mean(0)) ** 2).mean(1)
         results = []
         for total, mirrored in zip(totals, maps, strict=True):
@@ -187,12 +174,12 @@ class Predictions:
         away = points - camera.position
         distance = np.linalg.norm(away, axis=1)
         origins = np.broadcast_to(camera.position, away.shape).astype(np.float32)
-        reach = (distance - SLACK).astype(np.float32)
+        reach = (distance - self._config.slack).astype(np.float32)
         directions = away / distance[:, None]
         free = ~tracer.is_blocked(origins, directions.astype(np.float32), reach)
         values, held = _read(layers, camera, points)
-        sure = (held & (values[:, 3] > WHOLE)).numpy() & free
-        cells = mirrored_cells(normals, -directions)
+        sure = (held & (values[:, 3] > self._config.whole)).numpy() & free
+        cells = mirrored_cells(normals, -directions, self._config.mirror_map)
         return values[:, :3].numpy(), sure.astype(np.float32), cells
 
 
@@ -200,9 +187,9 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def _within(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The pixels (H, W) of a mask that lie further than OUTLINE from what is not of it."""
-    square = np.ones((2 * OUTLINE + 1, 2 * OUTLINE + 1), np.uint8)
+def _within(inside: NDArray[np.bool_], outline: int) -> NDArray[np.bool_]:
+    """The pixels (H, W) of a mask that lie further than `outline` from what is not of it."""
+    square = np.ones((2 * outline + 1, 2 * outline + 1), np.uint8)
     return cv2.erode(inside.astype(np.uint8), square, borderValue=1) == 1
 
 

@@ -14,9 +14,7 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-
-RING_PIXELS = 4
-"""Width of the band around the mask whose pixels teach the field what is empty."""
+from robir.geometry.step_config import RaySamplerConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,13 +73,16 @@ class RaySampler:
         photos: Reduced photographs.
         device: Torch device of the rays.
         generator: Source of the order, on the CPU.
+        config: Which pixels are drawn.
     """
 
-    def __init__(self, photos: list[Photo], device: str, generator: torch.Generator) -> None:
+    def __init__(
+        self, photos: list[Photo], device: str, generator: torch.Generator, config: RaySamplerConfig
+    ) -> None:
         views, pixels, targets = [], [], []
         ring = np.ones((3, 3), bool)
         for number, photo in enumerate(photos):
-            wanted = binary_dilation(photo.coverage > 0.02, ring, iterations=RING_PIXELS)
+            wanted = binary_dilation(photo.coverage > 0.02, ring, iterations=config.ring)
             rows, columns = np.nonzero(wanted)
             views.append(np.full(len(rows), number, np.int16))
             pixels.append(np.stack([columns, rows], axis=1).astype(np.int16))

@@ -28,12 +28,6 @@ from robir.geometry.rival import smooth_surface
 from robir.geometry.stereo.fusion import entry_depth
 from robir.geometry.stereo.surface import stereo_surface
 
-COARSENESS = 0.64
-"""Size of the photographs and of the lattice for these surfaces, as a share of the final ones."""
-
-ROUNDS = 2
-"""Surfaces and cuts, in turns."""
-
 
 def remasked(
     capture: Capture, config: GeometryConfig, progress: Callable[[float], None]
@@ -45,20 +39,20 @@ def remasked(
         config: Of the stage.
         progress: Told the share of the work done.
     """
-    stereo = config.stereo
+    stereo, own = config.stereo, config.remask
     coarse = replace(
         stereo,
-        image_side=round(COARSENESS * stereo.image_side),
-        cells=round(COARSENESS * stereo.cells),
+        image_side=round(own.coarseness * stereo.image_side),
+        cells=round(own.coarseness * stereo.cells),
     )
     pictures = reduced(capture.views, SIDE)
-    for number in range(ROUNDS):
+    for number in range(own.rounds):
         photos = [reduce_view(view, coarse.image_side) for view in capture.train]
         hull = object_hull(capture, photos, config, guessed=True)
-        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1))
+        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1), config)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
-        progress((number + 1) / ROUNDS)
+        progress((number + 1) / own.rounds)
     return capture
 
 

@@ -35,23 +35,16 @@ from robir.jobs.choice import Choice
 
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
 
-BENT = 5.0
-"""Standard errors by which a surface must lead that bends e times as much: a fit full of pits bends
-2 to 3.4 times as much as depth maps."""
 
-SMOOTH_ROUNDS = 5
-"""Rounds of Taubin smoothing that take the steps of the cells out of an extracted surface."""
+def weighed(ahead: float, more: float, bent: float) -> float:
+    """A surface's lead over another that bends `more` times as much, in standard errors.
 
-GRAIN_PIXELS = 1.5
-"""Width of what may be noise of the refined surface, pixels."""
-
-FACE_PIXELS = 2.0
-"""Pixels of a photograph a face: two faces a vertex, and a vertex every other row and column."""
-
-
-def weighed(ahead: float, more: float) -> float:
-    """A surface's lead over another that bends `more` times as much, in standard errors."""
-    return ahead + BENT * float(np.log(more))
+    Args:
+        ahead: Its lead by predictions alone.
+        more: How many times as much the other bends.
+        bent: Standard errors that bending e times as much counts.
+    """
+    return ahead + bent * float(np.log(more))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +57,7 @@ class Candidate:
         cell: Of the lattice that it was extracted from, unit frame.
         ahead: By how many standard errors photographs predict each other better over it.
         more: How many times as much the fit bends.
+        lead: Over the fit, what it bends counted, in standard errors.
     """
 
     name: str
@@ -71,11 +65,7 @@ class Candidate:
     cell: float
     ahead: float
     more: float
-
-    @property
-    def lead(self) -> float:
-        """Over the fit, in standard errors."""
-        return weighed(self.ahead, self.more)
+    lead: float
 
     @property
     def words(self) -> str:
@@ -91,20 +81,21 @@ class Judge:
 
     Args:
         predictions: Of the photographs, at the size that surfaces are judged at.
+        config: Settings of the stage.
     """
 
-    def __init__(self, predictions: Predictions) -> None:
-        self._predictions = predictions
+    def __init__(self, predictions: Predictions, config: GeometryConfig) -> None:
+        self._predictions, self._config = predictions, config
 
     def is_mirror(self, field: Field) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self._predictions.mirroring(smooth_surface(field)) > 1.0
+        return self._predictions.mirroring(smooth_surface(field, self._config)) > 1.0
 
     def is_better(self, field: Field, other: Field) -> bool:
         """Whether photographs predict each other better over a field, what it bends counted."""
-        mesh, than = smooth_surface(field), smooth_surface(other)
+        mesh, than = (smooth_surface(one, self._config) for one in (field, other))
         ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
-        return weighed(ahead, bending(than) / bending(mesh)) > 0
+        return weighed(ahead, bending(than) / bending(mesh), self._config.rival.bent) > 0
 
 
 class Rival:
@@ -145,14 +136,22 @@ class Rival:
             return False
         self._was_asked = True
         started = time.process_time()
-        fitted = smooth_surface(field)
+        own = self._config.rival
+        fitted = smooth_surface(field, self._config)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
         for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
-            mesh = smooth_surface(Field(lattice, values, 1))
+            mesh = smooth_surface(Field(lattice, values, 1), self._config)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(
-                Candidate(name=name, mesh=mesh, cell=lattice.cell, ahead=ahead, more=more)
+                Candidate(
+                    name=name,
+                    mesh=mesh,
+                    cell=lattice.cell,
+                    ahead=ahead,
+                    more=more,
+                    lead=weighed(ahead, more, own.bent),
+                )
             )
         first = max(candidates, key=lambda candidate: candidate.lead)
         self.best = first if first.lead > 0 else None
@@ -187,9 +186,9 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
     """
     mesh = best.mesh
     photos = [reduce_view(view, max(config.refine.image_sides)) for view in views]
-    moved = refine(mesh, views, config.refine)
+    moved = refine(mesh, views, config)
     # at the size that it was refined by: half of it does not show what it gained
-    predictions = Predictions(photos)
+    predictions = Predictions(photos, config.prediction)
     if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
         mesh = moved
     grain, faces = resolved(photos, config)
@@ -197,16 +196,17 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
 
 
 def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
-    """What photographs resolve: the width of GRAIN_PIXELS pixels, and the faces it deserves."""
+    """What photographs resolve: the width of what may be noise, and the faces they deserve."""
     pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-    grain = GRAIN_PIXELS * pixel_size([photo.camera for photo in photos])
+    grain = config.rival.grain * pixel_size([photo.camera for photo in photos])
     most = config.refine.face_budget
-    return grain, int(min(max(config.face_budget, pixels / FACE_PIXELS), most))
+    return grain, int(min(max(config.face_budget, pixels / config.rival.face_pixels), most))
 
 
-def smooth_surface(field: Field) -> Mesh:
+def smooth_surface(field: Field, config: GeometryConfig) -> Mesh:
     """Surface of a field, freed of loose pieces and of the steps of its cells."""
-    return taubin(largest_pieces(extract(field.lattice, field.sdf)), SMOOTH_ROUNDS)
+    whole = extract(field.lattice, field.sdf)
+    return taubin(largest_pieces(whole, config.fit.clean), config.rival.smooth_rounds)
 
 
 def bending(mesh: Mesh) -> float:

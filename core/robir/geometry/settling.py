@@ -26,15 +26,6 @@ from robir.geometry.rival import Judge, Rival
 from robir.maths.vectors import farthest_points
 from robir.steps import Course, Step
 
-GROUND_SIDE = 200
-"""Longer side of the photographs that tell the ground, pixels."""
-
-NEARLY = 4.0
-"""Cells from the plane within which a surface may be ground that the fit left bumpy."""
-
-MORE = 1.1
-"""Times as many columns as are ground for certain from which that is asked."""
-
 EVENING: tuple[Step[Capture], ...] = (
     Step(
         name="even-brightness",
@@ -75,11 +66,12 @@ class Start:
 
 
 def _find_ground(state: Start) -> Start:
-    plane = detect(state.photos, state.lattice, state.hull, state.generator)
+    config = state.config.ground
+    plane = detect(state.photos, state.lattice, state.hull, state.generator, config)
     if plane is None:
         return state
     judges = ground_photos(state.capture, state.config)
-    ground = Ground(plane, judges, state.lattice, state.hull)
+    ground = Ground(plane, judges, state.lattice, state.hull, config)
     backdrop = Backdrop(ground, judges)
     hull = ground.flatten(state.lattice, state.hull, ground.start & ~backdrop.foreign)
     return replace(state, hull=hull, backdrop=backdrop)
@@ -101,6 +93,7 @@ class Level:
     """A level of the fit that has ended; steps change its field's distances by `mended`.
 
     Attributes:
+        config: The stage's configuration.
         field: Field of the level.
         network: Its colour network.
         sampler: Source of rays.
@@ -113,6 +106,7 @@ class Level:
         changes: How often something was changed in place.
     """
 
+    config: GeometryConfig
     field: Field
     network: ColourNetwork
     sampler: RaySampler
@@ -140,7 +134,8 @@ class Level:
 def _restore_missing(state: Level) -> Level:
     lattice, hull = state.hull
     allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
-    return state.mended(restore_missing(state.field, allowed, state.sampler))
+    config = state.config.fit.clean
+    return state.mended(restore_missing(state.field, allowed, state.sampler, config))
 
 
 def _fill_mirror_pits(state: Level) -> Level:
@@ -152,13 +147,14 @@ def _flatten_ground(state: Level) -> Level:
     if state.backdrop is None:
         return state
     ground, lattice = state.backdrop.ground, state.field.lattice
+    config = ground.config.flatten
     top = ground.heights(lattice, state.sdf)
     columns = ground.settled(top, state.backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
     flat = ground.flatten(lattice, state.sdf, columns)
-    nearly = ground.nearly(top, columns, NEARLY * lattice.cell)
-    if nearly.sum() > MORE * columns.sum():
+    nearly = ground.nearly(top, columns, config.bumpy * lattice.cell)
+    if nearly.sum() > config.bumpy_gain * columns.sum():
         # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
         flatter = ground.flatten(lattice, state.sdf, nearly)
         if state.judge.is_better(Field(lattice, flatter, 1), Field(lattice, flat, 1)):
@@ -226,7 +222,7 @@ class Settling:
         course: Course,
     ) -> None:
         photos = [reduce_view(view, config.image_side) for view in capture.train]
-        self.sampler = RaySampler(photos, device, generator)
+        self.sampler = RaySampler(photos, device, generator, config.ray_sampler)
         lattice, hull = object_hull(capture, photos, config)
         start = Start(
             capture=capture,
@@ -240,14 +236,16 @@ class Settling:
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
-        predictions = Predictions(photos)
-        self._judge = Judge(predictions)
-        self._mirroring = Mirroring([photo.camera for photo in photos], self.begun, self._judge)
+        predictions = Predictions(photos, config.prediction)
+        self._config, self._judge = config, Judge(predictions, config)
+        cameras = [photo.camera for photo in photos]
+        self._mirroring = Mirroring(cameras, self.begun, self._judge, config.fit.mirror_pits)
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because the rival leads."""
         level = Level(
+            config=self._config,
             field=field,
             network=network,
             sampler=self.sampler,
@@ -275,5 +273,5 @@ def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
     """
     views = capture.train
     positions = np.stack([view.camera.position for view in views])
-    side = min(config.image_side, GROUND_SIDE)
+    side = min(config.image_side, config.ground.image_side)
     return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]

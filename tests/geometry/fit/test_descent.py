@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit import descent
+from robir.geometry.fit.config import DescentConfig, FieldConfig
 from robir.geometry.fit.descent import Descent, agreement
 from robir.geometry.fit.field import Field
 from robir.geometry.fit.optimise import fit
@@ -15,24 +15,26 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import RaySampler
 
 LATTICE = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(24, 12, 12))
+CONFIG = DescentConfig()
+SOFT = FieldConfig().soft_passes
 EVERYWHERE = torch.ones(LATTICE.count, dtype=torch.bool)
 
 
 @pytest.mark.parametrize("steps", [10, 60, 300])
 def test_random_signs_show_the_agreement_that_chance_gives(steps: int) -> None:
     signs = torch.randint(2, (steps, 20000), generator=torch.Generator().manual_seed(0)) * 2.0 - 1.0
-    weights = descent.MEMORY ** torch.arange(steps - 1.0, -1.0, -1.0)
+    weights = CONFIG.memory ** torch.arange(steps - 1.0, -1.0, -1.0)
     mean = (weights[:, None] * signs).sum(0) / weights.sum()
     typical = mean.square().mean().sqrt()[None]
-    share = agreement(typical, torch.ones(1), steps)
-    assert share.item() == pytest.approx(1.0 / (1.0 + descent.DOUBT**2), rel=0.1)
+    share = agreement(typical, torch.ones(1), steps, CONFIG)
+    assert share.item() == pytest.approx(1.0 / (1.0 + CONFIG.doubt**2), rel=0.1)
 
 
 def _moved(signs: torch.Tensor) -> torch.Tensor:
     """Where distances end after gradients (T,) that are the same at all nodes of a cross-section,
     steady below the middle of x and of the given signs above it."""
     distances = torch.zeros(LATTICE.count, requires_grad=True)
-    steps = Descent(distances, LATTICE)
+    steps = Descent(distances, LATTICE, CONFIG)
     steps.follow(EVERYWHERE)
     for sign in signs:
         gradient = torch.full(LATTICE.shape, -1e-3)
@@ -48,7 +50,8 @@ def test_distances_go_where_gradients_agree_and_stay_where_they_do_not() -> None
     # at first there is nothing to agree with
     assert 8.0 < moved[5, 6, 6].item() < 10.0
     alone = torch.zeros(1, requires_grad=True)
-    adam, farthest = torch.optim.Adam([alone], lr=0.1, betas=descent.BETAS), 0.0
+    betas = (CONFIG.first_decay, CONFIG.second_decay)
+    adam, farthest = torch.optim.Adam([alone], lr=0.1, betas=betas), 0.0
     for sign in signs:
         alone.grad = -1e-3 * sign[None]
         adam.step()
@@ -61,7 +64,7 @@ def test_nodes_out_of_reach_stay_and_keep_their_moments() -> None:
     low = torch.zeros(LATTICE.shape, dtype=torch.bool)
     low[:12] = True
     whole, part = (torch.zeros(LATTICE.count, requires_grad=True) for _ in range(2))
-    one, two = Descent(whole, LATTICE), Descent(part, LATTICE)
+    one, two = Descent(whole, LATTICE, CONFIG), Descent(part, LATTICE, CONFIG)
     one.follow(EVERYWHERE)
     for step in range(6):
         two.follow(EVERYWHERE if step % 2 == 0 else low.view(-1))
@@ -83,7 +86,7 @@ def test_the_network_is_shown_the_surface_without_its_lumps() -> None:
     lumps = 0.3 * torch.sin(nodes[:, 0] * torch.pi / 2.0 + 0.4)
     points = torch.zeros(200, 3)
     points[:, 0] = torch.linspace(-4.0, 4.0, 200)
-    field = Field(lattice, nodes[:, 2] + 0.2 * nodes[:, 0], 4)
+    field = Field(lattice, nodes[:, 2] + 0.2 * nodes[:, 0], 4, SOFT)
     clean = field.gradient(points)
     with torch.no_grad():
         field.sdf += lumps
@@ -101,7 +104,7 @@ def test_the_border_does_not_turn_what_the_network_is_shown(axis: int) -> None:
     normal = torch.nn.functional.normalize(torch.tensor([[0.0, 0.5, 1.0]]), dim=1).roll(axis, 1)
     points = torch.tensor([[12.0, 0.0, 3.0], [0.0, 12.0, 3.0], [3.0, 0.0, 12.0]])
     for point in points:
-        field = Field(lattice, ((lattice.nodes() - point) * normal).sum(1), 4)
+        field = Field(lattice, ((lattice.nodes() - point) * normal).sum(1), 4, SOFT)
         shown = torch.nn.functional.normalize(field.gradient(point[None]), dim=1)
         assert (shown * normal).sum().item() > 0.998
 
@@ -126,7 +129,7 @@ def test_the_fit_shows_the_network_the_surface_as_it_is_by_then() -> None:
     generator = torch.Generator().manual_seed(0)
     field = fit(_Empty(), (lattice, ball), config, generator, lambda *_: None, lambda *_: None)
     points = torch.randn(50, 3, generator=generator) * 0.4
-    shown, start = field.gradient(points), Field(lattice, ball, 4).gradient(points)
+    shown, start = field.gradient(points), Field(lattice, ball, 4, SOFT).gradient(points)
     field.soften()
     torch.testing.assert_close(shown, field.gradient(points))
     assert (shown - start).abs().max() > 0.05

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -21,12 +22,16 @@ from robir.geometry import settling
 from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop, pixel_noise
+from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, checker, disc, drum
+
+CONFIG = GroundConfig()
+COVERED = CONFIG.backdrop.noise_coverage
 
 NOISE = 0.03
 """Standard deviation of the noise in the tests, display."""
@@ -96,9 +101,9 @@ def test_the_surface_is_fitted_to_photographs_of_one_exposure(
     spreads: list[float] = []
     sampler = settling.RaySampler
 
-    def recorded(photos: list[Photo], device: str, generator: torch.Generator) -> RaySampler:
+    def recorded(photos: list[Photo], *rest: Any) -> RaySampler:
         spreads.append(bottom_spread(photos))
-        return sampler(photos, device, generator)
+        return sampler(photos, *rest)
 
     class Told(Backdrop):
         def __init__(self, ground: Ground, photos: list[Photo]) -> None:
@@ -138,16 +143,16 @@ def test_noise_is_measured_whatever_the_shades_and_most_of_the_texture() -> None
     picture = shades.copy()
     picture[:, :60] += 0.15 * (-1.0) ** np.arange(60)[:, None]  # a half with stripes
     picture[:50, 60:] += 0.1 * np.random.default_rng(2).choice([-1.0, 1.0], (50, 60, 3))
-    assert pixel_noise([small_photo(picture)]) < 0.002
+    assert pixel_noise([small_photo(picture)], COVERED) < 0.002
     rng = np.random.default_rng(3)
     spoilt = [noisy(small_photo(shades), rng) for _ in range(2)]
-    assert pixel_noise(spoilt) == pytest.approx(NOISE, rel=0.05)
-    assert pixel_noise([noisy(small_photo(picture), rng)]) == pytest.approx(NOISE, rel=0.3)
+    assert pixel_noise(spoilt, COVERED) == pytest.approx(NOISE, rel=0.05)
+    assert pixel_noise([noisy(small_photo(picture), rng)], COVERED) == pytest.approx(NOISE, rel=0.3)
 
 
 def test_noise_is_none_where_nothing_is_shown() -> None:
     empty = small_photo(np.zeros((20, 20, 3)))
-    assert pixel_noise([replace(empty, coverage=np.zeros((20, 20), np.float32))]) == 0.0
+    assert pixel_noise([replace(empty, coverage=np.zeros((20, 20), np.float32))], COVERED) == 0.0
 
 
 def test_the_picture_of_the_ground_is_known_through_noise() -> None:
@@ -161,9 +166,9 @@ def test_the_picture_of_the_ground_is_known_through_noise() -> None:
     shares = []
     for photos in (clean, [noisy(photo, rng) for photo in clean]):
         lattice, hull = carve(hull_of(photos, 48), 48)
-        plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
+        plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), CONFIG)
         assert plane is not None
-        backdrop = Backdrop(Ground(plane, photos, lattice, hull), photos)
+        backdrop = Backdrop(Ground(plane, photos, lattice, hull, CONFIG), photos)
         # what remains of the pixels that show ground where single ones are no proof
         masks = [binary_opening(mask, np.ones((3, 3), bool)) for mask in backdrop.shown()]
         shares.append(np.mean([mask.mean() for mask in masks]))

@@ -15,6 +15,7 @@ from robir.capture.store import save_capture
 from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit import held_out
+from robir.geometry.fit.config import HeldOutConfig
 from robir.geometry.fit.held_out import field_view
 from robir.geometry.stereo.config import StereoConfig
 from robir.jobs.context import StageContext
@@ -67,14 +68,13 @@ def test_the_stage_keeps_the_fields_own_pictures(tmp_path):
 @pytest.mark.parametrize("side", [400, 24])
 def test_pictures_are_as_large_as_asked_and_lie_where_the_pixels_do(monkeypatch, side):
     """A field that shows each ray's own direction."""
-    monkeypatch.setattr(held_out, "SIDE", side)
     monkeypatch.setattr(held_out, "RAYS", 100)
     view = capture_of(trimesh.creation.icosphere(radius=0.7), views=3, side=48).views[0]
 
     def render(origins, directions):
         return 0.5 + 0.5 * directions, torch.full((len(origins),), 0.6)
 
-    shown = field_view(view, render, "cpu")
+    shown = field_view(view, render, "cpu", HeldOutConfig(image_side=side))
     size = min(side, 48)
     assert shown.shape == (size, size, 4)
     camera = view.camera.resized(size, size)

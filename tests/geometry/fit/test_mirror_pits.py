@@ -8,13 +8,16 @@ import pytest
 import torch
 
 from robir.capture.camera import Camera
+from robir.geometry.fit.config import FieldConfig, MirrorPitsConfig
 from robir.geometry.fit.field import Field
-from robir.geometry.fit.mirror_pits import MIRRORING, Mirroring, change_with_view
+from robir.geometry.fit.mirror_pits import Mirroring, change_with_view
 from robir.geometry.lattice import Lattice
 from robir.maths.vectors import fibonacci_sphere
 
 LATTICE = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.05, shape=(41, 41, 41))
 RADIUS = 0.6
+CONFIG = MirrorPitsConfig()
+SOFT = FieldConfig().soft_passes
 
 
 class Colours(torch.nn.Module):
@@ -46,7 +49,7 @@ def pitted() -> Field:
 
 def marked(sdf: torch.Tensor) -> Field:
     """A field whose first feature is 1 about +x, else 0."""
-    field = Field(LATTICE, sdf, 4)
+    field = Field(LATTICE, sdf, 4, SOFT)
     field.place_features(torch.ones(LATTICE.count, dtype=torch.bool))
     with torch.no_grad():
         about = (LATTICE.nodes() - torch.tensor([RADIUS, 0.0, 0.0])).norm(dim=1) < 0.4
@@ -97,15 +100,15 @@ def cameras():
 
 
 def test_change_is_the_mean_difference_from_the_median(cameras):
-    field = Field(LATTICE, ball(), 4)
-    change = change_with_view(field, Colours(0.2, everywhere=True), cameras)
+    field = Field(LATTICE, ball(), 4, SOFT)
+    change = change_with_view(field, Colours(0.2, everywhere=True), cameras, CONFIG)
     near = ball().abs() < 0.5 * LATTICE.cell
     expected = []
     for point in torch.nn.functional.normalize(LATTICE.nodes()[near], dim=1):
         views = [torch.from_numpy(c.position).float() - RADIUS * point for c in cameras]
         towards = torch.stack([view / view.norm() for view in views])
         cosine = towards @ point
-        shown = 0.2 * (2 * cosine[:, None] * point - towards)[cosine > 0.3, 0]
+        shown = 0.2 * (2 * cosine[:, None] * point - towards)[cosine > CONFIG.least_cosine, 0]
         expected.append((shown - shown.median()).abs().mean())
     # a region's mean differs from a spot's
     assert float((change[near] - torch.stack(expected)).mean().abs()) < 0.004
@@ -113,7 +116,7 @@ def test_change_is_the_mean_difference_from_the_median(cameras):
 
 def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG).filled(
         field, Colours(0.3)
     )
     assert depth(field.sdf, LATTICE) > 2.5
@@ -123,8 +126,8 @@ def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
 
 def test_a_pit_in_paint_stays(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
-        field, Colours(0.2 * MIRRORING)
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG).filled(
+        field, Colours(0.2 * CONFIG.mirroring)
     )
     assert torch.equal(filled, field.sdf.detach())
 
@@ -132,7 +135,7 @@ def test_a_pit_in_paint_stays(cameras):
 @pytest.mark.parametrize("is_proven", [False, True])
 def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
     field, verdict = pitted(), Verdict(is_proven)
-    mirroring = Mirroring(cameras, (LATTICE, ball()), verdict)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), verdict, CONFIG)
     filled = mirroring.filled(field, Colours(0.3, everywhere=True))
     assert verdict.asked == [pytest.approx(0.0, abs=0.75)], "of the filled surface, once"
     assert depth(filled, LATTICE) < 0.75 if is_proven else torch.equal(filled, field.sdf.detach())
@@ -143,7 +146,7 @@ def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
 @pytest.mark.parametrize(("mirrors", "prefers"), [(False, True), (True, False), (True, True)])
 def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefers):
     field = pitted()
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers))
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers), CONFIG)
     filled = mirroring.filled(field, Colours(0.075, everywhere=True))
     assert (depth(filled, LATTICE) < 0.75) == (mirrors and prefers)
 
@@ -151,7 +154,7 @@ def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefe
 def test_a_finer_level_is_filled_where_the_coarse_one_mirrors(cameras):
     coarse = pitted()
     finer = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.04, shape=(51, 51, 51))
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False))
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG)
     mirroring.filled(coarse, Colours(0.3))
     field = coarse.refined(finer)
     filled = mirroring.filled(field, Colours(0.0))

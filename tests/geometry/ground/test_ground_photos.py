@@ -14,7 +14,7 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.rays import Photo, reduce_view
-from robir.geometry.settling import GROUND_SIDE, ground_photos
+from robir.geometry.settling import ground_photos
 from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import ball, capture_of, disc, drum
 
@@ -24,7 +24,7 @@ def test_of_many_fine_photographs_a_few_coarse_ones_tell_the_ground() -> None:
     config = GeometryConfig(image_side=240, hull_views=12)
     photos = ground_photos(capture, config)
     assert len(photos) == 12
-    assert {max(photo.coverage.shape) for photo in photos} == {GROUND_SIDE}
+    assert {max(photo.coverage.shape) for photo in photos} == {config.ground.image_side}
     eyes = np.stack([photo.camera.position for photo in photos])
     middle = np.stack([view.camera.position for view in capture.train]).mean(0)
     assert np.linalg.norm(eyes.mean(0) - middle) < 0.5  # from all around

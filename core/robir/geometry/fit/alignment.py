@@ -28,33 +28,11 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.fit.field_preview import Renderer
+from robir.geometry.fit.config import AlignmentConfig
+from robir.geometry.fit.field_preview import RAYS, Renderer
 from robir.geometry.rays import Photo, reduce_view
 
 Array = NDArray[np.float64]
-
-SIDE = 200
-"""Longer side of the photographs that are compared, pixels; finer ones show no more of a coarse
-field."""
-
-PIXELS = 600
-"""Pixels of a photograph that are compared, drawn where it changes most."""
-
-BLUR = 0.7
-"""Standard deviation, pixels, of the filter under which a photograph's slopes are taken."""
-
-BORDER = 2
-"""Pixels along a picture's border that are left out."""
-
-PRIOR = np.radians(1.0)
-"""Standard deviation, radians, that is expected of a given camera about each of its axes; it only
-holds what the photograph does not tell, as the roll about a plain ball."""
-
-CHUNK = 1 << 15
-"""Rays that are rendered at once."""
-
-ROBUST_ROUNDS = 8
-"""Rounds of reweighting by which the motion of the world is found without the worst cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,16 +58,20 @@ class Alignment:
     Args:
         views: Photographs, unit frame.
         seed: Of the choice of pixels.
+        config: What is compared, and how.
 
     Attributes:
         turns: (V, 3) rotation vectors in each camera's own axes, radians.
     """
 
-    def __init__(self, views: Sequence[View], seed: int) -> None:
+    def __init__(self, views: Sequence[View], seed: int, config: AlignmentConfig) -> None:
         rng = np.random.default_rng(seed)
-        self._samples = [_sample(reduce_view(view, SIDE), rng) for view in views]
+        self._config = config
+        self._samples = [
+            _sample(reduce_view(view, config.image_side), rng, config) for view in views
+        ]
         self.turns: Array = np.zeros((len(views), 3))
-        self._frame = _Frame([sample.camera for sample in self._samples])
+        self._frame = _Frame([sample.camera for sample in self._samples], config.frame_rounds)
 
     @property
     def cameras(self) -> list[Camera]:
@@ -113,18 +95,19 @@ class Alignment:
             values.
         """
         shown = self._rendered(render, device)
+        prior = np.radians(self._config.prior)
         steps, misfits = np.zeros_like(self.turns), np.zeros(len(shown))
         for number, (sample, rendered) in enumerate(zip(self._samples, shown, strict=True)):
             residual = rendered - sample.wanted
             size = np.sqrt((residual**2).sum(1))
             misfits[number] = np.median(size)
             # Cauchy's weights: what the field does not show yet must not turn the camera
-            scale = 3.0 * misfits[number] + 2e-3
+            scale = self._config.tolerance * misfits[number] + 2e-3
             weight = 1.0 / (1.0 + (size / scale) ** 2)
             motion = np.einsum(
                 "pcx,pxw->pcw", sample.slope, image_motion_of_turns(sample.camera, sample.pixels)
             )
-            stiffness = (0.5 * scale / PRIOR) ** 2
+            stiffness = (0.5 * scale / prior) ** 2
             matrix = np.einsum("pci,pcj,p->ij", motion, motion, weight) + stiffness * np.eye(3)
             side = np.einsum("pci,pc,p->i", motion, residual, weight)
             steps[number] = np.linalg.solve(matrix, side - stiffness * self.turns[number])
@@ -138,7 +121,7 @@ class Alignment:
             for camera, sample in zip(self.cameras, self._samples, strict=True)
         ]
         origins, directions = (
-            torch.from_numpy(np.concatenate(part)).float().to(device).split(CHUNK)
+            torch.from_numpy(np.concatenate(part)).float().to(device).split(RAYS)
             for part in zip(*rays, strict=True)
         )
         shown = []
@@ -190,16 +173,17 @@ def _turning(camera: Camera, local: Array) -> Array:
     return image_motion(camera, local, motion)
 
 
-def _sample(photo: Photo, rng: np.random.Generator) -> _Sample:
+def _sample(photo: Photo, rng: np.random.Generator, config: AlignmentConfig) -> _Sample:
     """Pixels of a photograph, drawn in proportion to its slope there."""
     layers = np.dstack([photo.premultiplied_display, photo.coverage]).astype(np.float64)
-    soft = gaussian_filter(layers, (BLUR, BLUR, 0.0))
+    soft = gaussian_filter(layers, (config.blur, config.blur, 0.0))
     down, right = np.gradient(soft, axis=(0, 1))
     steep = np.sqrt((down**2 + right**2).sum(2))
     inner = np.zeros(steep.shape, bool)
-    inner[BORDER:-BORDER, BORDER:-BORDER] = True
+    within = slice(config.border, -config.border)
+    inner[within, within] = True
     steep = np.where(inner, steep, 0.0).ravel()
-    count = min(PIXELS, int((steep > 0.0).sum()))
+    count = min(config.pixels, int((steep > 0.0).sum()))
     chosen = rng.choice(len(steep), count, replace=False, p=steep / steep.sum())
     row, column = np.unravel_index(chosen, inner.shape)
     return _Sample(
@@ -215,9 +199,11 @@ class _Frame:
 
     Args:
         cameras: V cameras as given, unit frame.
+        rounds: Of reweighting by which a motion of the world is found.
     """
 
-    def __init__(self, cameras: list[Camera]) -> None:
+    def __init__(self, cameras: list[Camera], rounds: int) -> None:
+        self._rounds = rounds
         # points about the middle of the object stand for it
         points = 0.5 * np.concatenate([np.eye(3), -np.eye(3)])
         spun = [np.cross(axis, points) for axis in np.eye(3)]
@@ -248,7 +234,7 @@ class _Frame:
         moved = np.einsum("vkw,vw->vk", self._turning, turns)
         weight = np.ones(len(turns))
         shared = np.zeros(self._moving.shape[2])
-        for _ in range(ROBUST_ROUNDS):
+        for _ in range(self._rounds):
             matrix = np.einsum("vka,vkb,v->ab", self._moving, self._moving, weight)
             side = np.einsum("vka,vk,v->a", self._moving, moved, weight)
             shared = np.linalg.solve(matrix, side)

@@ -9,20 +9,15 @@ import torch
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from robir.geometry.fit.config import CleanConfig
 from robir.geometry.fit.field import Field
 from robir.geometry.lattice import taken
 from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler
 
-CHECKED_BATCHES = 40
-"""Batches of 2048 rays that are searched for missing parts."""
 
-LEAST_SHARE = 0.02
-"""Pieces with less than this share of the largest piece's area are removed."""
-
-
-def largest_pieces(mesh: Mesh) -> Mesh:
+def largest_pieces(mesh: Mesh, config: CleanConfig) -> Mesh:
     """Keep the pieces that are not small against the largest one."""
     faces = mesh.faces
     graph = scipy.sparse.coo_matrix(
@@ -34,10 +29,10 @@ def largest_pieces(mesh: Mesh) -> Mesh:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     of_face = piece[faces[:, 0]]
     area = np.bincount(of_face, weights=np.linalg.norm(cross, axis=1))
-    return compacted(mesh.vertices, faces[area[of_face] >= LEAST_SHARE * area.max()])
+    return compacted(mesh.vertices, faces[area[of_face] >= config.least_share * area.max()])
 
 
-def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
+def restore_missing(field: Field, hull: Tensor, sampler: RaySampler, config: CleanConfig) -> Tensor:
     """Bring back from the hull what the fit lost although the masks show it.
 
     A thin part that is smoothed away at a coarse level leaves no surface that a gradient could
@@ -47,6 +42,7 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
         field: Field of the present level.
         hull: (N,) signed distance of the visual hull on the field's lattice.
         sampler: Source of rays.
+        config: How long is searched.
 
     Returns:
         The new signed distances (N,).
@@ -54,7 +50,7 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
     lattice, sdf = field.lattice, field.sdf.detach()
     marked = torch.zeros(lattice.count, dtype=torch.bool, device=sdf.device)
     steps = torch.arange(0.0, 2.2, 1.4 * lattice.cell, device=sdf.device)
-    for _ in range(CHECKED_BATCHES):
+    for _ in range(config.batches):
         origins, directions, target = sampler.draw(2048)
         solid = target[:, 3] > 0.95
         origins, directions = origins[solid], directions[solid]

@@ -9,17 +9,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from robir.geometry.fit.config import FieldConfig
 from robir.geometry.fit.regularise import smoothed
 from robir.geometry.fit.sampling import Intervals
 from robir.geometry.lattice import Lattice, interpolate, resample, taken
 from robir.maths.volume import log_survival_between, weights
-
-OCTAVES = (2.0, 4.0, 8.0)
-"""Frequencies, radians, at which the mirrored direction is shown to the network as well."""
-
-
-SOFT_PASSES = 6
-"""Passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps."""
 
 
 class ColourNetwork(nn.Module):
@@ -33,13 +27,14 @@ class ColourNetwork(nn.Module):
 
     Args:
         features: Features C of a node, at least 3.
-        width: Units of a hidden layer.
+        config: Its size, and what it sees.
     """
 
-    def __init__(self, features: int, width: int = 64) -> None:
+    def __init__(self, features: int, config: FieldConfig) -> None:
         super().__init__()
+        width, self._octaves = config.width, config.octaves
         self.layers = nn.Sequential(
-            nn.Linear(features + 10 + 6 * len(OCTAVES), width),
+            nn.Linear(features + 10 + 6 * len(self._octaves), width),
             nn.ReLU(inplace=True),
             nn.Linear(width, width),
             nn.ReLU(inplace=True),
@@ -61,13 +56,22 @@ class ColourNetwork(nn.Module):
         """
         cosine = (normals * directions).sum(1, keepdim=True)
         mirrored = directions - 2.0 * cosine * normals
-        waves = [wave(octave * mirrored) for octave in OCTAVES for wave in (torch.sin, torch.cos)]
+        waves = [
+            wave(octave * mirrored) for octave in self._octaves for wave in (torch.sin, torch.cos)
+        ]
         inputs = torch.cat([features, normals, directions, mirrored, cosine, *waves], dim=1)
         return torch.sigmoid(features[:, :3] + self.last(self.layers(inputs)))
 
 
 class Field:
     """Distance field and colour features of one level.
+
+    Args:
+        lattice: Nodes.
+        sdf: (N,) signed distances, unit frame; they are copied.
+        features: Colour features C of a node.
+        soft_passes: Passes of the (1, 2, 1) / 4 filter under which the network is told of the
+            surface; none where no network is.
 
     Attributes:
         lattice: Nodes.
@@ -77,8 +81,9 @@ class Field:
         row: (N,) int32, row of each node's features.
     """
 
-    def __init__(self, lattice: Lattice, sdf: Tensor, features: int) -> None:
+    def __init__(self, lattice: Lattice, sdf: Tensor, features: int, soft_passes: int = 0) -> None:
         self.lattice = lattice
+        self._soft_passes = soft_passes
         self.sdf = sdf.clone().requires_grad_()
         self.features = torch.zeros(1, features, device=sdf.device).requires_grad_()
         self.row = torch.zeros(lattice.count, dtype=torch.int32, device=sdf.device)
@@ -91,7 +96,7 @@ class Field:
         and what it cannot tell digs the lump further.
         """
         # beyond the border the filter finds 0, which shortens gradients but does not turn them
-        self._soft = smoothed(self.sdf.detach(), self.lattice, SOFT_PASSES)
+        self._soft = smoothed(self.sdf.detach(), self.lattice, self._soft_passes)
 
     def place_features(self, wanted: Tensor) -> Tensor:
         """Give the wanted nodes features, keep those that have some, drop the others.
@@ -117,7 +122,8 @@ class Field:
 
     def refined(self, lattice: Lattice) -> Field:
         """The field on a finer lattice."""
-        finer = Field(lattice, resample(self.sdf.detach(), self.lattice, lattice), 1)
+        sdf = resample(self.sdf.detach(), self.lattice, lattice)
+        finer = Field(lattice, sdf, 1, self._soft_passes)
         nodes = lattice.nodes(str(self.sdf.device))
         row = self.row[self.lattice.nearest(nodes)]
         wanted = (row > 0).nonzero()[:, 0]

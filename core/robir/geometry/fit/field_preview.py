@@ -34,6 +34,9 @@ class Present(NamedTuple):
     surface: Sampled
 
 
+RAYS = 1 << 13
+"""Rays that are drawn at a time where there are many; memory limits them."""
+
 SIDE = 96
 """Longer side of the rendering, pixels."""
 

@@ -3,7 +3,7 @@
 
 On polished metal every photograph shows another colour, and before the network has learnt what is
 mirrored, a pit explains the photographs better than a smooth surface. Later gradients are weak
-there and contradict each other, and the pit stays: the gold of a bottle lay three cells too deep.
+there and contradict each other, and the pit stays.
 The network knows by then where colours change with the direction of view. There nothing is to be
 dug that the masks do not demand, and hollows are filled, up to the visual hull. The next level
 starts from the filled surface, with a network that knows reflections.
@@ -19,45 +19,16 @@ from torch import Tensor
 from torch.nn.functional import max_pool3d, normalize
 
 from robir.capture.camera import Camera
+from robir.geometry.fit.config import MirrorPitsConfig
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.regularise import neighbour_mean, smoothed
 from robir.geometry.lattice import Lattice, Sampled, interpolate, resample
 from robir.maths.vectors import farthest_points
 
-NEAR = 0.7
-"""Nodes within so many cells of the surface are asked, each about the surface next to it."""
 
-FACING = 0.3
-"""Least cosine under which a camera is asked."""
-
-LEAST_VIEWS, MOST_VIEWS = 4, 16
-"""Cameras that must face a spot, and that are asked at all."""
-
-REGION_PASSES = 12
-"""Passes of the (1, 2, 1) / 4 filter over what single spots show: five cells across."""
-
-DULL, MIRRORING = 0.042, 0.05
-"""Mean change of display colour with the direction, over a region of the coarsest level, up to
-which nothing is filled and from which hollows are filled at full speed: more than glossy paint
-shows, less than metal."""
-
-PROVEN = 0.018, 0.026
-"""The same where photographs prove that something is mirrored: less than glossy paint shows. What
-is filled by it must let them predict each other better."""
-
-MOST_MIRRORING = 0.25
-"""Share of the surface above which another light in some photographs, or cameras that are off, may
-be the cause instead of metal, and what is mirrored must be proven."""
-
-REACH = 4
-"""Cells of the coarsest level by which such a region is widened: a pit hides from the network what
-dug it."""
-
-ROUNDS = 200
-"""Steps of the filling: a hollow of nine cells across is filled."""
-
-
-def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]) -> Tensor:
+def change_with_view(
+    field: Field, network: ColourNetwork, cameras: list[Camera], config: MirrorPitsConfig
+) -> Tensor:
     """How much the fitted colour of a region changes with the direction of view.
 
     Args:
@@ -65,13 +36,14 @@ def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]
         network: Its colour network.
         cameras: From where it is looked at; what hides the surface is not asked, for the network
             knows only directions.
+        config: What is asked of it.
 
     Returns:
         (N,) mean difference from the median over the cameras, display units, mean over a region
         about each node; 0 far from the surface.
     """
     lattice, sdf = field.lattice, field.sdf.detach()
-    near = (sdf.abs() < NEAR * lattice.cell).nonzero()[:, 0]
+    near = (sdf.abs() < config.near * lattice.cell).nonzero()[:, 0]
     points = lattice.nodes(str(sdf.device))[near]
     normals = normalize(field.gradient(points), dim=1, eps=1e-4)
     points = points - sdf[near, None] * normals
@@ -82,13 +54,14 @@ def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]
         for own, camera in zip(shown, cameras, strict=True):
             eye = torch.from_numpy(camera.position).to(points)
             towards = normalize(eye - points, dim=1)
-            facing = ((towards * normals).sum(1) > FACING).nonzero()[:, 0]
+            cosine = (towards * normals).sum(1)
+            facing = (cosine > config.least_cosine).nonzero()[:, 0]
             own[facing] = network(features[facing], normals[facing], -towards[facing])
     apart = (shown - shown.nanmedian(0).values).abs().nanmean(dim=(0, 2))
-    known = shown[..., 0].isfinite().sum(0) >= LEAST_VIEWS
+    known = shown[..., 0].isfinite().sum(0) >= config.least_views
     total, count = (torch.zeros(lattice.count, device=sdf.device) for _ in range(2))
     total[near[known]], count[near[known]] = apart[known], 1.0
-    total, count = (smoothed(values, lattice, REGION_PASSES) for values in (total, count))
+    total, count = (smoothed(values, lattice, config.region_passes) for values in (total, count))
     return total / count.clamp(min=1e-6)
 
 
@@ -125,12 +98,15 @@ class Mirroring:
         cameras: From where it may be looked at.
         hull: What bounds the surface, signed distances on their lattice.
         judge: Tells by photographs whether a surface mirrors, and which one is better.
+        config: What counts as mirroring, and how far it is filled.
     """
 
-    def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:
+    def __init__(
+        self, cameras: list[Camera], hull: Sampled, judge: Judge, config: MirrorPitsConfig
+    ) -> None:
         positions = np.stack([camera.position for camera in cameras])
-        self._cameras = [cameras[k] for k in farthest_points(positions, MOST_VIEWS)]
-        self._hull, self._judge = hull, judge
+        self._cameras = [cameras[k] for k in farthest_points(positions, config.most_views)]
+        self._hull, self._judge, self._config = hull, judge, config
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
@@ -143,19 +119,20 @@ class Mirroring:
         Returns:
             The new signed distances (N,).
         """
-        lattice = field.lattice
+        lattice, config = field.lattice, self._config
         if self._learnt is not None:
             return self._filled(field, _at(self._learnt, lattice))
-        change = change_with_view(field, network, self._cameras)
-        share, more = _mirrors(change, DULL, MIRRORING), _mirrors(change, *PROVEN)
+        change = change_with_view(field, network, self._cameras, config)
+        share = _mirrors(change, config.dull, config.mirroring)
+        more = _mirrors(change, config.proven_dull, config.proven_mirroring)
         tried = self._tried(field, share)
-        if _common(field, more) > 0.0:
+        if self._common(field, more) > 0.0:
             mirror = Field(lattice, tried.values, 1)
             if self._judge.is_mirror(mirror):
                 further = self._tried(field, more)
                 if self._judge.is_better(Field(lattice, further.values, 1), mirror):
                     tried = further
-            elif _common(field, share) > MOST_MIRRORING:
+            elif self._common(field, share) > config.most_mirroring:
                 tried = self._tried(field, torch.zeros_like(share))
         self._learnt = Sampled(lattice, tried.share)
         return tried.values
@@ -163,10 +140,10 @@ class Mirroring:
     def _tried(self, field: Field, share: Tensor) -> _Tried:
         """Fill where the surroundings (N,) of nodes mirror."""
         # off the surface a single spot may speak for a region: alone that is no metal
-        if _common(field, share) == 0.0:
+        if self._common(field, share) == 0.0:
             return _Tried(torch.zeros_like(share), field.sdf.detach())
-        grid = share.view(field.lattice.shape)[None]
-        share = max_pool3d(grid, 2 * REACH + 1, stride=1, padding=REACH).view(-1)
+        grid, reach = share.view(field.lattice.shape)[None], self._config.reach
+        share = max_pool3d(grid, 2 * reach + 1, stride=1, padding=reach).view(-1)
         return _Tried(share, self._filled(field, share.view(field.lattice.shape)))
 
     def _filled(self, field: Field, share: Tensor) -> Tensor:
@@ -180,20 +157,20 @@ class Mirroring:
         box = tuple(slice(max(a - 1, 0), b + 2) for a, b in zip(low, high, strict=True))
         part, share = sdf[box], share[box]
         least = torch.minimum(_at(self._hull, lattice)[box].to(part.device), part)
-        for _ in range(ROUNDS):
+        for _ in range(self._config.rounds):
             step = (neighbour_mean(part) - part).clamp_(max=0.0)
             part.copy_(torch.maximum(part + share * step, least))
         return sdf.view(-1)
+
+    def _common(self, field: Field, share: Tensor) -> float:
+        """Mean share of the surface that mirrors."""
+        near = self._config.near * field.lattice.cell
+        return float(share[field.sdf.detach().abs() < near].mean())
 
 
 def _mirrors(change: Tensor, low: float, high: float) -> Tensor:
     """How far regions mirror, (N,) in [0, 1], whose colours change so much with the view."""
     return ((change - low) / (high - low)).clamp_(0.0, 1.0)
-
-
-def _common(field: Field, share: Tensor) -> float:
-    """Mean share of the surface that mirrors."""
-    return float(share[field.sdf.detach().abs() < NEAR * field.lattice.cell].mean())
 
 
 def _at(values: Sampled, lattice: Lattice) -> Tensor:

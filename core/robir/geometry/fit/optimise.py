@@ -11,7 +11,8 @@ from torch import Tensor
 
 from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.descent import BETAS, Descent
+from robir.geometry.fit.config import FitConfig, OptimiseConfig
+from robir.geometry.fit.descent import Descent
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.field_preview import Present
 from robir.geometry.fit.regularise import laplacian_step
@@ -19,40 +20,6 @@ from robir.geometry.fit.sampling import Occupancy, march
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
-
-SHARPNESS = (30.0, 160.0)
-"""NeuS steepness at the start and at the end, for an object of longest side 2."""
-
-MASK_WEIGHT = 0.2
-"""Weight of the coverage's cross-entropy against the colour."""
-
-REFRESH = 25
-"""Steps between updates of the occupancy and of the nodes that carry features."""
-
-SMOOTH_EVERY = 10
-"""Steps between the proximal steps on the field."""
-
-SMOOTHING = 0.5
-"""Share of the way towards its neighbours' mean that such a step moves a node at the start; it
-falls to 0. Early steps are large and noisy, and lumps that stay where the colour decides little, on
-metal and on plain surfaces, are dug further by the colours learnt on them. But smoothing shrinks
-what is round."""
-
-FAIRING = 0.25
-"""Share of the way that every such step moves a node there and back, which takes what is rough
-and leaves what is round (Taubin 1995, "A signal processing approach to fair surface design")."""
-
-DISTANCE_RATE = 0.375
-"""Rate of the distances where gradients agree, cells a step."""
-
-HASTE = 4.0 / 3.0
-"""By how much faster they move at the coarsest level, which has to leave the visual hull."""
-
-FEATURE_RATE = 0.3
-"""Adam's rate of the features."""
-
-NETWORK_RATE = 0.01
-"""Adam's rate of the network: reflections must be learnt before the surface is dug for them."""
 
 _FEATURES = 0
 """Where Adam keeps the features."""
@@ -65,13 +32,18 @@ class _Optimiser:
         field: Field of the present level.
         network: Colour network.
         rate: Rate of the distances, cells a step.
+        config: The other rates, and their decays.
     """
 
-    def __init__(self, field: Field, network: ColourNetwork, rate: float) -> None:
-        self._descent = Descent(field.sdf, field.lattice)
+    def __init__(
+        self, field: Field, network: ColourNetwork, rate: float, config: FitConfig
+    ) -> None:
+        self._descent = Descent(field.sdf, field.lattice, config.descent)
         self._reach = rate * field.lattice.cell
-        self._rates = (FEATURE_RATE, *(NETWORK_RATE for _ in network.parameters()))
-        self._adam = Adam([field.features, *network.parameters()], BETAS)
+        of_network = config.optimise.network_rate
+        self._rates = (config.optimise.feature_rate, *(of_network for _ in network.parameters()))
+        decays = (config.descent.first_decay, config.descent.second_decay)
+        self._adam = Adam([field.features, *network.parameters()], decays)
 
     def follow(self, field: Field, wanted: Tensor, old_rows: Tensor) -> None:
         """Go on with the nodes that carry features; moments go along."""
@@ -85,19 +57,21 @@ class _Optimiser:
         self._adam.step([factor * rate for rate in self._rates])
 
 
-def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
+def smooth(sdf: Tensor, lattice: Lattice, share: float, config: OptimiseConfig) -> None:
     """The proximal step, in place.
 
     Args:
         sdf: (N,) signed distances.
         lattice: Nodes.
         share: Share of all steps of the fit that are done.
+        config: How far.
     """
-    for amount in (SMOOTHING * (1.0 - share) ** 2, FAIRING, -FAIRING):
+    first = config.smoothing * (1.0 - share) ** 2
+    for amount in (first, config.fairing, -config.fairing):
         laplacian_step(sdf, lattice, amount)
 
 
-def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
+def _loss(predicted: tuple[Tensor, Tensor], target: Tensor, config: OptimiseConfig) -> Tensor:
     """Robust colour loss (Charbonnier) plus cross-entropy of the coverage.
 
     The colour is compared at the photograph's own coverage: a surface that lets a little light
@@ -107,27 +81,35 @@ def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
     rgb, coverage = predicted
     wanted = target[:, 3]
     colour = ((rgb * wanted[:, None] - target[:, :3]) ** 2 + 1e-4).sqrt().mean()
-    full = 0.98
+    full = config.full_coverage
     mask = torch.nn.functional.binary_cross_entropy(
         coverage.clamp(1e-3, full), wanted.clamp(max=full)
     )
-    return colour + MASK_WEIGHT * mask
+    return colour + config.mask_weight * mask
 
 
-def _steepness(share: float, longest: float) -> float:
+def _steepness(share: float, longest: float, config: OptimiseConfig) -> float:
     """NeuS steepness at a share of the fit, 1 / unit frame, by the object's longest side."""
-    growth = (SHARPNESS[1] / SHARPNESS[0]) ** min(share / 0.85, 1.0)
-    return SHARPNESS[0] * growth * 2.0 / longest
+    first, last = config.first_sharpness, config.last_sharpness
+    growth = (last / first) ** min(share / config.sharpest_at, 1.0)
+    return first * growth * 2.0 / longest
 
 
-def _occupied(field: Field, inv_std: float) -> Occupancy:
+def _rate_factor(share: float, config: OptimiseConfig) -> float:
+    """What is left of all rates at a share of the fit."""
+    late = max(0.0, (share - config.decay_from) / (1.0 - config.decay_from))
+    return math.exp(math.log(config.last_rate) * late)
+
+
+def _occupied(field: Field, inv_std: float, config: FitConfig) -> Occupancy:
     """Where the soft surface of a field may be."""
-    return Occupancy.of(field.lattice, field.sdf.detach(), 5.0 / inv_std + field.lattice.cell)
+    band = config.optimise.band / inv_std + field.lattice.cell
+    return Occupancy.of(field.lattice, field.sdf.detach(), band, config.sampling)
 
 
-def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
+def _refresh(field: Field, optimiser: _Optimiser, inv_std: float, config: FitConfig) -> Occupancy:
     """Update the band around the surface and the nodes that carry features."""
-    occupancy = _occupied(field, inv_std)
+    occupancy = _occupied(field, inv_std, config)
     wanted = field.lattice.dilated(occupancy.near, 1)
     optimiser.follow(field, wanted, field.place_features(wanted))
     return occupancy
@@ -172,11 +154,12 @@ def fit(
     """
     lattice, sdf = start
     device = str(sdf.device)
+    rules = config.fit.optimise
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 31, (1,), generator=generator)))
-        network = ColourNetwork(config.features).to(device)
+        network = ColourNetwork(config.features, config.fit.field).to(device)
     total, done = sum(config.level_steps), 0
-    field = Field(lattice, sdf, config.features)
+    field = Field(lattice, sdf, config.features, config.fit.field.soft_passes)
     longest = float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell
     for cells, steps in zip(config.level_cells, config.level_steps, strict=True):
         level = Lattice.around(
@@ -185,30 +168,30 @@ def fit(
             cells,
         )
         field = field.refined(level)
-        optimiser = _Optimiser(field, network, DISTANCE_RATE * (1.0 if done else HASTE))
+        rate = rules.distance_rate if done else rules.first_distance_rate
+        optimiser = _Optimiser(field, network, rate, config.fit)
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
-            inv_std = _steepness(share, longest)
-            factor = math.exp(math.log(0.05) * max(0.0, (share - 0.3) / 0.7))
-            if occupancy is None or step % REFRESH == 0:
-                occupancy = _refresh(field, optimiser, inv_std)
+            inv_std = _steepness(share, longest, rules)
+            if occupancy is None or step % rules.refresh == 0:
+                occupancy = _refresh(field, optimiser, inv_std, config.fit)
                 progress(share, _present(field, network, occupancy, inv_std))
             origins, directions, target = sampler.draw(config.rays)
             jitter = torch.rand(len(origins), generator=generator).to(device)
             intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
             predicted = field.render(intervals, network, (origins, directions), inv_std)
-            loss = _loss(predicted, target)
-            optimiser.step(loss, factor)
+            loss = _loss(predicted, target, rules)
+            optimiser.step(loss, _rate_factor(share, rules))
             done += 1
-            if done % SMOOTH_EVERY == 0:
+            if done % rules.smooth_every == 0:
                 if not math.isfinite(loss.item()):
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
-                    smooth(field.sdf, level, done / total)
+                    smooth(field.sdf, level, done / total, rules)
                     field.soften()
         if settle(field, network):
             return field
-    inv_std = _steepness(1.0, longest)
-    progress(1.0, _present(field, network, _occupied(field, inv_std), inv_std))
+    inv_std = _steepness(1.0, longest, rules)
+    progress(1.0, _present(field, network, _occupied(field, inv_std, config.fit), inv_std))
     return field

@@ -22,29 +22,11 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
 from robir.geometry.fit.alignment import Alignment, turned
+from robir.geometry.fit.config import FitConfig
 from robir.geometry.fit.field_preview import Renderer
 from robir.geometry.rays import RaySampler
 
 Array = NDArray[np.float64]
-
-TRIAL_STEP = 75
-"""Step of the fit at which the cameras are tried. Shorter fits try none."""
-
-LAST_STEP = 150
-"""Step after which the fit begins anew with the cameras that were turned until then."""
-
-POLISH_EVERY, LAST_POLISH = 100, 500
-"""Steps between the turns of cameras that stood the test, and the last step for one."""
-
-LEAST_SHIFT = 0.13
-"""Pixels, root mean square of the training views, that the first step must move the photographs to
-count: more than it moves exact cameras."""
-
-LEAST_GAIN = 0.02
-"""Share by which the photographs' difference from the rendering must fall."""
-
-MOST_ROUNDS = 3
-"""How often at most the fit begins anew with turned cameras."""
 
 
 class CamerasChangedError(Exception):
@@ -58,6 +40,7 @@ class PoseTrial:
         capture: As given, unit frame.
         seed: Of the choice of pixels.
         device: Torch device of the rays.
+        config: When they are tried, and how they are turned.
 
     Attributes:
         capture: With the cameras that the fit shall use.
@@ -65,23 +48,24 @@ class PoseTrial:
             camera's axes, radians; zeros where they are as given.
     """
 
-    def __init__(self, capture: Capture, seed: int, device: str) -> None:
+    def __init__(self, capture: Capture, seed: int, device: str, config: FitConfig) -> None:
         self.capture = capture
         self.turns: Array = np.zeros((len(capture.views), 3))
         self._given = capture
         self._seed = seed
         self._device = device
+        self._config, self._aligning = config.pose_trial, config.alignment
         self._is_trained = np.array([view.split == "train" for view in capture.views])
         self._misfit = np.inf
         self._before = self.turns
         self._rounds = 0
         self._state: Literal["trial", "moving", "polish", "given"] = "trial"
-        self._due: float = TRIAL_STEP
+        self._due: float = self._config.trial_step
 
     @cached_property
     def _alignment(self) -> Alignment:
         # not at the start: where nothing is tried, no photograph need be reduced and sampled for it
-        return Alignment(self._given.views, self._seed)
+        return Alignment(self._given.views, self._seed, self._aligning)
 
     def look(self, step: int, render: Renderer, sampler: RaySampler) -> None:
         """Try, turn or leave the cameras.
@@ -103,21 +87,21 @@ class PoseTrial:
             return
         cameras = self._alignment.cameras
         sampler.follow([cameras[number] for number in np.flatnonzero(self._is_trained)])
-        if self._state == "moving" and step >= LAST_STEP:
+        if self._state == "moving" and step >= self._config.last_step:
             self._begin_anew()
         if self._state == "polish":
             self._take(self._alignment.turns)
-            self._due = step + POLISH_EVERY
-            if self._due > LAST_POLISH:
+            self._due = step + self._config.polish_every
+            if self._due > self._config.last_polish:
                 self._due = math.inf
 
     def _judge(self, misfit: float) -> None:
         """At the trial's step: whether the present cameras stay, move on or are given up."""
-        if misfit > (1.0 - LEAST_GAIN) * self._misfit:
+        if misfit > (1.0 - self._config.least_gain) * self._misfit:
             self._give_up()
         shift = self._alignment.shifts(self._alignment.turns - self.turns)[self._is_trained]
-        is_off = np.sqrt((shift**2).mean()) > LEAST_SHIFT
-        if is_off and self._rounds < MOST_ROUNDS:
+        is_off = np.sqrt((shift**2).mean()) > self._config.least_shift
+        if is_off and self._rounds < self._config.most_rounds:
             self._state = "moving"
             self._misfit, self._before = misfit, self.turns
         elif self.turns.any():
@@ -129,7 +113,7 @@ class PoseTrial:
         """Let the fit begin anew with the cameras as they were turned, on trial."""
         self._take(self._alignment.turns)
         self._rounds += 1
-        self._state, self._due = "trial", TRIAL_STEP
+        self._state, self._due = "trial", self._config.trial_step
         raise CamerasChangedError
 
     def _give_up(self) -> None:

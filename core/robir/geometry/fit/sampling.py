@@ -13,18 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d, pad
 
+from robir.geometry.fit.config import SamplingConfig
 from robir.geometry.lattice import Lattice, taken
 from robir.maths.volume import log_survival_between, weights
-
-BLOCK = 2
-"""Cells along the edge of a block of the coarse occupancy."""
-
-LEAST_STEPS, MOST_STEPS = 3, 5
-"""Fewest and most steps a ray takes along such an edge. In between, no step is longer than the
-width of the soft surface, 1 / inv_std: early on that is soft, and shorter ones find no more."""
-
-LEAST_WEIGHT = 2e-4
-"""Intervals that contribute less than this to their pixel are dropped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,23 +27,31 @@ class Occupancy:
         near: (N,) bool, nodes within the band around the surface.
         blocks: Blocks of cells that hold such a node or touch one that does, flat bool.
         block_shape: Number of blocks along x, y and z.
+        config: Of the steps that rays take in it.
     """
 
     lattice: Lattice
     near: Tensor
     blocks: Tensor
     block_shape: tuple[int, int, int]
+    config: SamplingConfig
 
     @classmethod
-    def of(cls, lattice: Lattice, sdf: Tensor, band: float) -> Occupancy:
+    def of(cls, lattice: Lattice, sdf: Tensor, band: float, config: SamplingConfig) -> Occupancy:
         """Occupancy of the band |sdf| < `band` around the surface."""
         near = sdf.abs() < band
         grid = near.view(lattice.shape).float()[None, None]
-        fill = [(-n) % BLOCK for n in lattice.shape]
-        blocks = max_pool3d(pad(grid, (0, fill[2], 0, fill[1], 0, fill[0])), BLOCK)
+        fill = [(-n) % config.block for n in lattice.shape]
+        blocks = max_pool3d(pad(grid, (0, fill[2], 0, fill[1], 0, fill[0])), config.block)
         blocks = max_pool3d(blocks, 3, stride=1, padding=1)[0, 0] > 0
         shape = (int(blocks.shape[0]), int(blocks.shape[1]), int(blocks.shape[2]))
-        return cls(lattice=lattice, near=near, blocks=blocks.reshape(-1), block_shape=shape)
+        return cls(
+            lattice=lattice,
+            near=near,
+            blocks=blocks.reshape(-1),
+            block_shape=shape,
+            config=config,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,9 +123,9 @@ def _occupied_steps(
     Returns:
         Ray (S,), step number on the ray (S,), distance at step 0 (R,), and the length of a step.
     """
-    lattice = occupancy.lattice
-    long_step = BLOCK * lattice.cell
-    steps = min(max(math.ceil(long_step * inv_std), LEAST_STEPS), MOST_STEPS)
+    lattice, config = occupancy.lattice, occupancy.config
+    long_step = config.block * lattice.cell
+    steps = min(max(math.ceil(long_step * inv_std), config.least_steps), config.most_steps)
     step = long_step / steps
     lower, upper = origins.new_tensor(lattice.lower), origins.new_tensor(lattice.upper)
     inverse = 1.0 / torch.where(directions.abs() < 1e-9, 1e-9, directions)
@@ -138,9 +137,8 @@ def _occupied_steps(
     # coordinates in rows, and the few steps of a block in a column: short last axes are slow
     begin = lattice.scaled(origins + enter[:, None] * directions).T.contiguous()
     slope = (directions / lattice.cell).T.contiguous()
-    blocks = _flat_index(
-        begin[..., None] / BLOCK, slope[..., None] / BLOCK, middle, occupancy.block_shape, 0.0
-    )
+    first, along = (rows[..., None] / config.block for rows in (begin, slope))
+    blocks = _flat_index(first, along, middle, occupancy.block_shape, 0.0)
     hit = taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
     ray, long_number = hit.nonzero(as_tuple=True)
@@ -206,7 +204,7 @@ def march(
     points = origins.T.contiguous().index_select(1, ray)
     points += distance * directions.T.contiguous().index_select(1, ray)
     log_step = log_survival_between(lattice.trilinear(sdf, points.T), inv_std) * ~late[:-1]
-    keep = weights(log_step, _first_of_runs(ray)[:-1]) > LEAST_WEIGHT
+    keep = weights(log_step, _first_of_runs(ray)[:-1]) > occupancy.config.least_weight
     ends = torch.zeros_like(ray, dtype=torch.bool)
     ends[:-1] |= keep
     ends[1:] |= keep

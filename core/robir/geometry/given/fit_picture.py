@@ -11,17 +11,12 @@ from PIL import Image
 
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
+from robir.geometry.given.config import FitPictureConfig
 from robir.geometry.given.placing import first_hits
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.jobs.paths import replacing
 from robir.maths.similarity import Similarity
 from robir.maths.vectors import farthest_points
-
-SHOWN = 4
-"""Photographs in the picture of a mesh that does not fit."""
-
-TILE = 240
-"""Longer side of each of them, pixels."""
 
 
 def show_fit(
@@ -29,6 +24,7 @@ def show_fit(
     places: Sequence[Similarity],
     views: Sequence[View],
     picture: Path,
+    config: FitPictureConfig,
 ) -> None:
     """Write photographs with the mesh over them, red.
 
@@ -37,11 +33,14 @@ def show_fit(
         places: Where it is shown, a row of pictures each.
         views: Photographs to choose from.
         picture: The PNG.
+        config: Of this picture.
     """
-    chosen = farthest_points(np.stack([view.camera.position for view in views]), SHOWN)
-    sheet = Image.new("RGB", (TILE * len(chosen), TILE * len(places)))
+    side = config.side
+    positions = np.stack([view.camera.position for view in views])
+    chosen = farthest_points(positions, config.photographs)
+    sheet = Image.new("RGB", (side * len(chosen), side * len(places)))
     for column, view in enumerate(views[k] for k in chosen):
-        size = size_within((view.camera.width, view.camera.height), TILE)
+        size = size_within((view.camera.width, view.camera.height), side)
         small = view.camera.resized(*size)
         photo = np.array(Image.fromarray(view.image_display).resize(size))
         rays = small.rays(small.pixel_centres())
@@ -49,6 +48,6 @@ def show_fit(
             shown = first_hits(tracer, place, rays).face.reshape(photo.shape[:2]) >= 0
             over = photo.copy()
             over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
-            sheet.paste(Image.fromarray(over), (TILE * column, TILE * row))
+            sheet.paste(Image.fromarray(over), (side * column, side * row))
     with replacing(picture) as temporary:
         sheet.save(temporary, format="PNG")

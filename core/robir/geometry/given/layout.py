@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.mesh_file import Given
+from robir.geometry.given.config import LayoutConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tiles import (
     ACROSS,
@@ -24,21 +25,6 @@ from robir.geometry.mesh.tiles import (
     within,
 )
 from robir.geometry.mesh.unwrap import rasterise_atlas
-
-OUTSIDE = 1e-3
-"""Of a tile's side: as far as texture coordinates may leave it by rounding."""
-
-OVERLAP = 0.03
-"""Share of a tile's layout that may lie on itself: charts' rims do."""
-
-SMALLEST = 1e-3
-"""Share of a tile below which a layout is none."""
-
-ATLAS = 1024
-"""Texels along a side by which a layout is judged, each tile by itself."""
-
-MOST_TILES = 100
-"""Tiles beyond which a texture would have too few texels of those that memory holds."""
 
 FAR = 1e4
 """Tiles from 0..1 beyond which texture coordinates are none."""
@@ -65,11 +51,12 @@ class Layout:
     notes: tuple[str, ...] = ()
 
 
-def own_layout(given: Given) -> Layout | str:
+def own_layout(given: Given, config: LayoutConfig) -> Layout | str:
     """The mesh's own layout, or why it cannot be used, as the end of a sentence.
 
     Args:
         given: The mesh; it may stand anywhere.
+        config: Of this step.
     """
     uvs = given.uvs.astype(np.float32)
     used = uvs[np.unique(given.faces)]
@@ -78,22 +65,24 @@ def own_layout(given: Given) -> Layout | str:
         return "it has none"
     if not known.all():
         return f"{(~known).mean():.0%} of its corners have none"
-    if used.min() < -OUTSIDE or used.max() > 1 + OUTSIDE:
-        layout = _tiled(uvs, given.faces)
+    if used.min() < -config.outside or used.max() > 1 + config.outside:
+        layout = _tiled(uvs, given.faces, config)
     else:
         layout = Layout(uvs=np.nan_to_num(uvs).clip(0, 1), uv_faces=given.faces)
-    return layout if isinstance(layout, str) else _fault(given, layout) or layout
+    return layout if isinstance(layout, str) else _fault(given, layout, config) or layout
 
 
-def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
+def _tiled(
+    uvs: NDArray[np.float32], faces: NDArray[np.int32], config: LayoutConfig
+) -> Layout | str:
     """A layout over tiles or over another unit square, or why it is neither."""
     corners = uvs[faces].astype(np.float64)
     where = f"its own lie outside 0..1 (from {corners.min():.2f} to {corners.max():.2f})"
     if np.abs(corners).max() > FAR:
         return f"{where}, where no tiles are"
-    tile = _tile_of(corners)
+    tile = _tile_of(corners, config.outside)
     places = corners - tile[:, None]
-    astray = ((places < -OUTSIDE) | (places > 1 + OUTSIDE)).any(axis=(1, 2))
+    astray = ((places < -config.outside) | (places > 1 + config.outside)).any(axis=(1, 2))
     if astray.any():
         return f"{where} and {astray.sum()} of its faces reach from one tile into the next"
     found, index = np.unique(tile[:, ::-1], axis=0, return_inverse=True)  # by rows, as the numbers
@@ -104,8 +93,8 @@ def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
         return f"{where} and below 0 there are no tiles"
     if found[:, 0].max() >= ACROSS or found[:, 1].max() >= ROWS:
         return f"{where} and tiles end at u = {ACROSS} and v = {ROWS}"
-    if len(found) > MOST_TILES:
-        return f"{where}, on {len(found)} tiles, and textures are made for {MOST_TILES} at most"
+    if len(found) > (most := config.most_tiles):
+        return f"{where}, on {len(found)} tiles, and textures are made for {most} at most"
     middle = places.mean(axis=1)
     is_near = (np.minimum(middle, 1 - middle) < RIM).any(axis=1)
     inset = np.where(is_near, 2 * RIM, 0.0)[:, None, None]
@@ -122,11 +111,15 @@ def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
     )
 
 
-def _tile_of(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+def _tile_of(corners: NDArray[np.float64], outside: float) -> NDArray[np.int64]:
     """Lower left corner (Nf, 2) of the unit square that each face's middle lies in.
 
     Faces without an area may lie on a border whole; they go to the square before it where the
     others of the mesh leave the one behind it empty.
+
+    Args:
+        corners: (Nf, 3, 2).
+        outside: How far corners may leave a square by rounding.
     """
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     is_flat = np.abs(ax * by - ay * bx) < 1e-12
@@ -135,7 +128,7 @@ def _tile_of(corners: NDArray[np.float64]) -> NDArray[np.int64]:
     if not is_flat.any() or is_flat.all():
         return tile
     keys = np.array([1, 1 << 20])  # no two squares within FAR have the same
-    own, before = tile[is_flat], np.floor(middle[is_flat] - OUTSIDE).astype(np.int64)
+    own, before = tile[is_flat], np.floor(middle[is_flat] - outside).astype(np.int64)
     filled = np.unique(tile[~is_flat] @ keys)
     opens = ~np.isin(own @ keys, filled) & np.isin(before @ keys, filled)
     tile[is_flat] = np.where(opens[:, None], before, own)
@@ -154,29 +147,29 @@ def _shifted(
     return Layout(uvs=moved, uv_faces=faces, notes=(note,))
 
 
-def _fault(given: Given, layout: Layout) -> str | None:
+def _fault(given: Given, layout: Layout, config: LayoutConfig) -> str | None:
     """What is wrong with a layout within its tiles, or None."""
     count = len(layout.tiles)
     a, b, c = (layout.uvs[layout.uv_faces[:, k]].astype(np.float64) for k in range(3))
     (ax, ay), (bx, by) = (b - a).T, (c - a).T
     areas = 0.5 * np.abs(ax * by - ay * bx) * cells_along(count) ** 2
-    if areas.sum() < SMALLEST:
+    if areas.sum() < config.smallest:
         return "its own cover next to nothing of a texture"
     tile = tile_of_faces(layout.uvs, layout.uv_faces, count)
     mesh = replace(plain_mesh(given.vertices, given.faces), uvs=layout.uvs)
     for index in range(max(1, count)):
         of_tile = tile == index
         area = areas[of_tile].sum()
-        if area < SMALLEST:
+        if area < config.smallest:
             continue
         uv_faces = layout.uv_faces[of_tile]
         if count:
             corners = layout.uvs[uv_faces].reshape(-1, 2)
             mesh = replace(mesh, uvs=within(corners, np.full(len(corners), index), count))
             uv_faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), ATLAS)
+        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), config.atlas_side)
         covered = float((face >= 0).mean())
-        if covered < (1 - OVERLAP) * area:
+        if covered < (1 - config.overlap) * area:
             place = f" in tile {layout.tiles[index]}" if count else ""
             return (
                 f"{1 - covered / area:.0%} of its own overlap{place}, so that places share texels"

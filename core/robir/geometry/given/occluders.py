@@ -35,62 +35,12 @@ from scipy.ndimage import (
 
 from robir.capture.capture import View
 from robir.capture.images.loading import resize_view
+from robir.geometry.given.config import OccludersConfig
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.tone_curve import linear_from_srgb, srgb_from_linear
 
 Array = NDArray[np.float64]
-
-SIDE = 160
-"""Longer side at which photographs are compared, pixels."""
-
-POINTS = 30_000
-"""Points of the surface that are compared."""
-
-LEAST_VIEWS = 8
-"""Photographs that see a point, from which their median says what it looks like."""
-
-COSINE = 0.35
-"""To the normal, from which a photograph is believed."""
-
-DARK = 0.03
-"""Added to codes in [0, 1] before their log, so that noise in the dark is none there."""
-
-NOISE = 0.04
-"""Least spread of that log."""
-
-UNLIKE = 5.0
-"""Spreads from the median that are something else."""
-
-ASKED, AMONG, ABOUT = 3, 10, 30.0
-"""Photographs that see a point which are asked about it, of so many from the nearest directions,
-degrees."""
-
-LIKE = 0.5
-"""Of a photograph's distance from the median: one as near as that shows the same."""
-
-SHARE = 0.5
-"""Of the points about a place that must be so."""
-
-MOST = 0.5
-"""Of a photograph's points; above it this is no thing in front but another light or a wrong camera,
-or one so large that the photograph's exposure is told by it."""
-
-BLUR = 1.5
-"""Width about such a place, pixels."""
-
-THIN, HIDDEN = 0.02, 4
-"""Points a pixel below which a place cannot be told, and pixels within which it goes with a patch
-beside it."""
-
-LEAST_AREA = 0.008
-"""Of what a photograph shows of the object; smaller patches are gloss or an error of the mesh."""
-
-GROWN = 3
-"""Pixels by which a patch grows: its rim is mixed with the object."""
-
-LIFT = 1e-3
-"""Distance above the surface at which rays begin, unit frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,31 +71,32 @@ class Cleared:
         )
 
 
-def cleared(mesh: Mesh, views: Sequence[View]) -> Cleared:
+def cleared(mesh: Mesh, views: Sequence[View], config: OccludersConfig) -> Cleared:
     """Leave out of the photographs' masks what other photographs contradict.
 
     Args:
         mesh: Of the object, unit frame.
         views: With the outline of the mesh as mask.
+        config: Of this step.
     """
-    position, normal = _points(mesh)
+    position, normal = _points(mesh, config.points)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    small = [resize_view(view, SIDE) for view in views]
+    small = [resize_view(view, config.side) for view in views]
     code = np.full((len(position), len(views), 3), np.nan, np.float32)
     around = code.copy(), code.copy()
     places = np.zeros((len(position), len(views), 2), np.int16)
     for number, view in enumerate(small):
-        shown, pixel = _seen(tracer, position, normal, view)
+        shown, pixel = _seen(tracer, position, normal, view, config)
         x, y = pixel.T
         picture = view.image_display / 255
         code[shown, number] = picture[y, x]
         for part, bound in zip(around, (minimum_filter, maximum_filter), strict=True):
             part[shown, number] = bound(picture, size=(3, 3, 1))[y, x]
         places[shown, number] = pixel
-    far = _unlike(code, around, _neighbours(views))
+    far = _unlike(code, around, _neighbours(views, config), config)
     out, lost, total = [], {}, 0
     for number, (view, little) in enumerate(zip(views, small, strict=True)):
-        patch = _patch(places[:, number], far[:, number], little)
+        patch = _patch(places[:, number], far[:, number], little, config)
         height, width = view.mask.shape
         rows = np.arange(height) * patch.shape[0] // height
         columns = np.arange(width) * patch.shape[1] // width
@@ -159,44 +110,44 @@ def cleared(mesh: Mesh, views: Sequence[View]) -> Cleared:
     return Cleared(views=tuple(out), pixels=lost, share=sum(lost.values()) / max(total, 1))
 
 
-def _points(mesh: Mesh) -> tuple[Array, Array]:
-    """Points (N, 3) spread over a mesh by area, and the normals (N, 3) of their faces."""
+def _points(mesh: Mesh, count: int) -> tuple[Array, Array]:
+    """So many points (N, 3) spread over a mesh by area, and the normals (N, 3) of their faces."""
     rng = np.random.default_rng(0)
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     doubled = np.cross(b - a, c - a)
     area = np.linalg.norm(doubled, axis=1)
-    face = rng.choice(len(area), POINTS, p=area / area.sum())
-    root, share = np.sqrt(rng.random((POINTS, 1))), rng.random((POINTS, 1))
+    face = rng.choice(len(area), count, p=area / area.sum())
+    root, share = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
     a, b, c = a[face], b[face], c[face]
     position = (1 - root) * a + root * (1 - share) * b + root * share * c
     return position, doubled[face] / area[face, None]
 
 
 def _seen(
-    tracer: EmbreeTracer, position: Array, normal: Array, view: View
+    tracer: EmbreeTracer, position: Array, normal: Array, view: View, config: OccludersConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of the points that a photograph shows, and their pixels (x, y)."""
     towards = view.camera.position - position
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    shown = np.flatnonzero((towards * normal).sum(1) > COSINE)
+    shown = np.flatnonzero((towards * normal).sum(1) > config.least_cosine)
     pixels, depth = view.camera.project(position[shown])
     inside = view.camera.in_picture(pixels, depth)
     shown, pixel = shown[inside], np.floor(pixels[inside]).astype(np.int64)
     whole = view.mask[pixel[:, 1], pixel[:, 0]] == 255
     shown, pixel = shown[whole], pixel[whole]
-    start = (position[shown] + LIFT * normal[shown]).astype(np.float32)
+    start = (position[shown] + config.lift * normal[shown]).astype(np.float32)
     free = ~tracer.is_blocked(start, towards[shown].astype(np.float32))
     return shown[free], pixel[free]
 
 
-def _neighbours(views: Sequence[View]) -> list[list[int]]:
+def _neighbours(views: Sequence[View], config: OccludersConfig) -> list[list[int]]:
     """Of each photograph those from nearly the same direction, the nearest first."""
     place = np.array([view.camera.position for view in views])
     towards = place / np.linalg.norm(place, axis=1, keepdims=True)
     cosine = towards @ towards.T
     np.fill_diagonal(cosine, -1.0)
-    near = cosine > np.cos(np.radians(ABOUT))
-    order = np.argsort(-cosine, axis=1, kind="stable")[:, :AMONG]
+    near = cosine > np.cos(np.radians(config.about))
+    order = np.argsort(-cosine, axis=1, kind="stable")[:, : config.among]
     return [[other for other in row if near[one, other]] for one, row in enumerate(order.tolist())]
 
 
@@ -204,6 +155,7 @@ def _unlike(
     code: NDArray[np.float32],
     around: tuple[NDArray[np.float32], NDArray[np.float32]],
     neighbours: Sequence[Sequence[int]],
+    config: OccludersConfig,
 ) -> NDArray[np.float32]:
     """How far (N, V), in spreads, a photograph is from the median of a point; NaN where unknown.
 
@@ -211,12 +163,14 @@ def _unlike(
         code: (N, V, 3) in [0, 1], NaN where a photograph does not show a point.
         around: The lowest and the highest code, (N, V, 3) each, within a pixel.
         neighbours: Of each photograph.
+        config: Of this step.
     """
+    dark = config.dark
     far = np.full(code.shape[:2], np.nan, np.float32)
-    many = np.isfinite(code[..., 0]).sum(1) >= LEAST_VIEWS
+    many = np.isfinite(code[..., 0]).sum(1) >= config.least_views
     if not many.any():
         return far
-    log = np.log(code[many] + DARK)
+    log = np.log(code[many] + dark)
     gain = np.zeros((1, *log.shape[1:]), np.float32)
     for _ in range(2):  # exposures by medians, and medians without exposures
         median = np.nanmedian(log - gain, axis=1, keepdims=True)
@@ -224,16 +178,18 @@ def _unlike(
             gain[0, number] = np.nanmedian((log - median)[:, number], axis=0)
     log -= gain
     median = np.nanmedian(log, axis=1, keepdims=True)
-    spread = np.hypot(1.4826 * np.nanmedian(np.abs(log - median), axis=1, keepdims=True), NOISE)
-    low, high = (np.log(part[many] + DARK) - gain for part in around)
+    spread = 1.4826 * np.nanmedian(np.abs(log - median), axis=1, keepdims=True)
+    spread = np.hypot(spread, config.noise)
+    low, high = (np.log(part[many] + dark) - gain for part in around)
     # the mirror image of a light adds about as much to every channel, before the tone curve
-    added = (_linear(low) - _linear(median)).min(axis=2, keepdims=True).clip(0)
-    least, most = (_encoded((_linear(part) - added).clip(0)) for part in (low, high))
+    added = (_linear(low, dark) - _linear(median, dark)).min(axis=2, keepdims=True).clip(0)
+    least, most = (_encoded((_linear(part, dark) - added).clip(0), dark) for part in (low, high))
     result = _apart(median, least, most, spread)
     for view, others in enumerate(neighbours):
-        odd = np.flatnonzero(result[:, view] > UNLIKE / 2)
+        odd = np.flatnonzero(result[:, view] > config.unlike / 2)
         own = low[odd, view], high[odd, view], spread[odd, 0]
-        shown = _shown_beside(log[odd], own, others) < LIKE * _apart(median[odd, 0], *own)
+        beside = _shown_beside(log[odd], own, others, config.asked)
+        shown = beside < config.like * _apart(median[odd, 0], *own)
         result[odd[shown], view] = 0.0
     far[many] = result
     return far
@@ -253,6 +209,7 @@ def _shown_beside(
     log: NDArray[np.float32],
     own: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     others: Sequence[int],
+    most: int,
 ) -> NDArray[np.float32]:
     """Distance (N,), in spreads, to the likest of those few of other photographs that see a point.
 
@@ -260,26 +217,29 @@ def _shown_beside(
         log: (N, V, 3), NaN where a photograph does not show a point.
         own: The photograph's lowest and highest within a pixel, and the spreads, (N, 3) each.
         others: Numbers of the other photographs, those to be asked first in front.
+        most: Those of them that are asked about a point.
     """
     least, asked = np.full(len(log), np.inf, np.float32), np.zeros(len(log), int)
     for other in others:
-        sees = np.isfinite(log[:, other, 0]) & (asked < ASKED)
+        sees = np.isfinite(log[:, other, 0]) & (asked < most)
         least[sees] = np.minimum(least, _apart(log[:, other], *own))[sees]
         asked += sees
     return least
 
 
-def _linear(log: NDArray[np.float32]) -> NDArray[np.float32]:
+def _linear(log: NDArray[np.float32], dark: float) -> NDArray[np.float32]:
     """Light that the logarithms of codes stand for, by the sRGB curve."""
-    return linear_from_srgb(torch.from_numpy((np.exp(log) - DARK).clip(0))).numpy()
+    return linear_from_srgb(torch.from_numpy((np.exp(log) - dark).clip(0))).numpy()
 
 
-def _encoded(light: NDArray[np.float32]) -> NDArray[np.float32]:
+def _encoded(light: NDArray[np.float32], dark: float) -> NDArray[np.float32]:
     """Logarithms of the codes that light has by the sRGB curve; undoes `_linear`."""
-    return np.log(srgb_from_linear(torch.from_numpy(light)).numpy() + DARK)
+    return np.log(srgb_from_linear(torch.from_numpy(light)).numpy() + dark)
 
 
-def _patch(place: NDArray[np.int16], far: NDArray[np.float32], view: View) -> NDArray[np.bool_]:
+def _patch(
+    place: NDArray[np.int16], far: NDArray[np.float32], view: View, config: OccludersConfig
+) -> NDArray[np.bool_]:
     """Pixels of a small photograph that something in front covers."""
     shape = view.mask.shape
     known = np.isfinite(far)
@@ -287,22 +247,23 @@ def _patch(place: NDArray[np.int16], far: NDArray[np.float32], view: View) -> ND
     def density(chosen: NDArray[np.bool_]) -> Array:
         row, column = place[chosen, 1].astype(np.int64), place[chosen, 0].astype(np.int64)
         count = np.bincount(row * shape[1] + column, minlength=shape[0] * shape[1])
-        return gaussian_filter(count.reshape(shape).astype(np.float64), BLUR)
+        return gaussian_filter(count.reshape(shape).astype(np.float64), config.blur)
 
-    odd = known & (far > UNLIKE)
-    if not odd.any() or odd.sum() > MOST * known.sum():
+    odd = known & (far > config.unlike)
+    if not odd.any() or odd.sum() > config.most * known.sum():
         return np.zeros(shape, bool)
     inside = view.mask > 127
     all_known = density(known)
-    core = binary_opening((density(odd) > SHARE * all_known) & inside, np.ones((3, 3)))
+    least = config.share * all_known
+    core = binary_opening((density(odd) > least) & inside, np.ones((3, 3)))
     parts, number = label(core)
     area = np.bincount(parts.ravel(), minlength=number + 1)
-    large = area >= LEAST_AREA * inside.sum()
+    large = area >= config.least_area * inside.sum()
     large[0] = False
     core = large[parts]
     if not core.any():
         return core
-    doubtful = (density(known & (far > UNLIKE / 2)) > SHARE * all_known) & inside
+    doubtful = (density(known & (far > config.unlike / 2)) > least) & inside
     found = binary_propagation(core, mask=binary_opening(doubtful, np.ones((3, 3))) | core)
-    about = binary_dilation(found, iterations=HIDDEN) & (all_known < THIN)
-    return binary_fill_holes(binary_dilation(found | about, iterations=GROWN))
+    about = binary_dilation(found, iterations=config.hidden) & (all_known < config.thin)
+    return binary_fill_holes(binary_dilation(found | about, iterations=config.grown))

@@ -18,36 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
+from robir.geometry.given.config import PlacingConfig
 from robir.geometry.mesh.tracer import EmbreeTracer, Hits
 from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
-
-VIEWS = 12
-"""Photographs that are looked at."""
-
-COARSE, FINE = 28, 80
-"""Pixels along a photograph's longer side that are looked at, to search and to judge."""
-
-PAD = 0.5
-"""Of a photograph's sides: how far beyond its cut the mesh is looked for as well."""
-
-TURNS = 500
-"""Turns of all kinds that are tried, about 25 degrees from each other."""
-
-FOLLOWED = 5
-"""Of them, those that are followed downhill."""
-
-ROUNDS = 2
-"""How often each of them is scaled and shifted to suit the masks where its size is not known."""
-
-FITS = 0.9
-"""Share of outline and mask that both have, from which a mesh stands right; of its own masks a mesh
-of ours has 0.97."""
-
-BETTER = 0.05
-"""Of that share: by how much another place has to be better to be believed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,14 +49,15 @@ class Outlines:
     Args:
         views: Training views, unit frame.
         side: Pixels along the longer side that are looked at.
+        config: Of this step.
     """
 
-    def __init__(self, views: Sequence[View], side: int) -> None:
-        chosen = farthest_points(np.stack([view.camera.position for view in views]), VIEWS)
+    def __init__(self, views: Sequence[View], side: int, config: PlacingConfig) -> None:
+        chosen = farthest_points(np.stack([view.camera.position for view in views]), config.views)
         origins, directions, masks, owners = [], [], [], []
         for number, index in enumerate(chosen):
             view = views[index]
-            places, mask = _looked_at(view, side)
+            places, mask = _looked_at(view, side, config.pad)
             origin, direction = view.camera.rays(places)
             origins.append(origin)
             directions.append(direction)
@@ -165,7 +142,12 @@ def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array
 
 
 def better_place(
-    vertices: Array, tracer: EmbreeTracer, views: Sequence[View], *, is_lost: bool = False
+    vertices: Array,
+    tracer: EmbreeTracer,
+    views: Sequence[View],
+    config: PlacingConfig,
+    *,
+    is_lost: bool = False,
 ) -> tuple[Similarity, Agreement]:
     """The similarity that brings a mesh where its outline fits the masks best.
 
@@ -173,40 +155,46 @@ def better_place(
         vertices: (N, 3) of the mesh, unit frame.
         tracer: Of the mesh where it is.
         views: Training views, unit frame.
+        config: Of this step.
         is_lost: Whether the unit sphere is only roughly the mesh's own, and the mesh's own place
             tells nothing.
 
     Returns:
         What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
     """
-    coarse, fine = Outlines(views, COARSE), Outlines(views, FINE)
+    coarse = Outlines(views, config.coarse_side, config)
+    fine = Outlines(views, config.fine_side, config)
     centre, radius = enclosing_sphere(vertices)
     found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
-    if (
-        best.share > 0.5 and not is_lost
-    ):  # nearly right: what is off by a little is not searched for far away
-        found, best = _finished(found, tracer, fine)
+    if best.share > config.nearly and not is_lost:
+        # what is off by a little is not searched for far away
+        found, best = _finished(found, tracer, fine, config)
     for handed in (1.0, -1.0):
-        if best.share >= FITS:
+        if best.share >= config.fits:
             break
         tried = [
             Similarity(turn=turn, scale=scale, shift=-scale * turn @ centre)
-            for turn in handed * _turns()
+            for turn in handed * _turns(config.turns)
             for scale in [1 / (MARGIN * radius)]
         ]
-        for _ in range(ROUNDS if is_lost else 0):
+        for _ in range(config.balances if is_lost else 0):
             tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
-        followed = [downhill(tried[k], tracer, coarse) for k in np.argsort(-shares)[:FOLLOWED]]
+        first = np.argsort(-shares)[: config.followed]
+        followed = [downhill(tried[k], tracer, coarse, config) for k in first]
         start = max(followed, key=lambda pair: pair[1])[0]
-        place, agreement = _finished(start, tracer, fine)
-        if agreement.share > best.share + BETTER:
+        place, agreement = _finished(start, tracer, fine, config)
+        if agreement.share > best.share + config.better:
             found, best = place, agreement
     return found, best
 
 
 def downhill(
-    start: Similarity, tracer: EmbreeTracer, outlines: Outlines, reach: float = 1.0
+    start: Similarity,
+    tracer: EmbreeTracer,
+    outlines: Outlines,
+    config: PlacingConfig,
+    reach: float = 1.0,
 ) -> tuple[Similarity, float]:
     """The best place near another, and the share there (Nelder and Mead 1965).
 
@@ -214,8 +202,8 @@ def downhill(
         start: The other.
         tracer: Of the mesh.
         outlines: The masks.
-        reach: Share of the first steps, of 9 degrees, a tenth of its size and .08 of the unit
-            sphere's radius, that are made; with less there are fewer steps as well.
+        config: Of this step.
+        reach: Share of the first steps that are made; with less there are fewer steps as well.
     """
 
     def moved(x: Array) -> Similarity:
@@ -227,9 +215,10 @@ def downhill(
             shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
         )
 
-    steps = reach * np.diag([0.15] * 3 + [0.1] + [0.08] * 3)
+    first = [config.first_turn] * 3 + [config.first_scale] + [config.first_shift] * 3
+    steps = reach * np.diag(first)
     simplex = np.concatenate([np.zeros((1, 7)), steps])
-    most = int(250 * reach**0.5)
+    most = int(config.evaluations * reach**0.5)
     found = minimize(
         lambda x: -outlines.of(tracer, moved(x)).share,
         np.zeros(7),
@@ -247,13 +236,13 @@ def _nearest(origins: Array, directions: Array) -> Array:
     return np.linalg.lstsq(across.sum(axis=0), right, rcond=None)[0]
 
 
-def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:
+def _looked_at(view: View, side: int, pad: float) -> tuple[Array, NDArray[np.bool_]]:
     """Centres (N, 2) of pixels in and about a photograph, and whether they show the object."""
     camera = view.camera
     height, width = view.mask.shape
     step = max(1, max(height, width) // side)
     rows, columns = (
-        np.arange(-int(PAD * n) // step * step + step // 2, n + int(PAD * n), step)
+        np.arange(-int(pad * n) // step * step + step // 2, n + int(pad * n), step)
         for n in (height, width)
     )
     row, column = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
@@ -265,14 +254,14 @@ def _looked_at(view: View, side: int) -> tuple[Array, NDArray[np.bool_]]:
     return places[known], mask[known]
 
 
-def _turns() -> Array:
-    """Turns that are tried, (N, 3, 3): all that bring axes onto axes, and many others."""
+def _turns(others: int) -> Array:
+    """Turns that are tried, (N, 3, 3): all that bring axes onto axes, and so many others."""
     axes = Rotation.create_group("O").as_matrix()
-    return np.concatenate([axes, Rotation.random(TURNS, random_state=0).as_matrix()])
+    return np.concatenate([axes, Rotation.random(others, random_state=0).as_matrix()])
 
 
 def _finished(
-    start: Similarity, tracer: EmbreeTracer, fine: Outlines
+    start: Similarity, tracer: EmbreeTracer, fine: Outlines, config: PlacingConfig
 ) -> tuple[Similarity, Agreement]:
-    place, _ = downhill(start, tracer, fine)
+    place, _ = downhill(start, tracer, fine, config)
     return place, fine.of(tracer, place)

@@ -20,20 +20,8 @@ from robir.geometry.mesh.tiles import tile_of_faces
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
 
-LIGHT_FACES = 4
-"""Faces of the copy on which light is solved, over the face budget of a surface of our own."""
-
-THINNED = 8
-"""Faces, over those of that copy, to which a mesh of more is thinned quickly first."""
-
-OUTWARD = 0.99
-"""Share of the faces whose normals are on the side of their front, in a mesh with a normal map."""
-
 FLAT = np.full((4, 4, 3), (128, 128, 255), np.uint8)
 """Normal map without bumps, for a tile whose materials have none."""
-
-NORMAL_SCALE = 0.25
-"""Distance, unit frame, that counts as much as two normals one unit apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,37 +54,41 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
         config: Of the stage.
         warn: Told what is given up while unwrapping.
     """
-    budget = LIGHT_FACES * config.face_budget
+    own = config.given.ready
+    budget = own.light_faces * config.face_budget
     vertices, faces = welded(given)
     few = plain_mesh(vertices, faces)
     if is_dense := len(faces) > budget:
-        few = thinned(compacted(vertices, faces[_have_area(vertices, faces)]), THINNED * budget)
+        whole = compacted(vertices, faces[_have_area(vertices, faces)])
+        few = thinned(whole, own.thinned * budget)
     calm, noise = without_noise(
-        few.vertices.astype(np.float64) if is_dense else vertices, few.faces
+        few.vertices.astype(np.float64) if is_dense else vertices, few.faces, config.given.noise
     )
     notes = (_told(noise),) if noise else ()
     few = plain_mesh(calm, few.faces)
-    layout = own_layout(given)
-    detail, lost = _detail(given, layout)
+    layout = own_layout(given, config.given.layout)
+    detail, lost = _detail(given, layout, own.outward)
     notes = (*notes, *lost)
     if is_dense:
-        few = with_creases(decimate(few, budget))
+        few = with_creases(decimate(few, budget, config.mesh.simplify), config.mesh.simplify)
     if isinstance(layout, str):
         note = f"The mesh gets new texture coordinates: {layout}."
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
-        made = with_creases(unwrap(_rewelded(few), config.unwrap_seconds, warn))
+        made = unwrap(_rewelded(few), config.unwrap_seconds, warn, config.mesh)
+        made = with_creases(made, config.mesh.simplify)
         is_copy = is_dense or len(made.faces) != len(faces)
         mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
     else:
         notes = (*notes, *layout.notes)
-        made = few if is_dense else with_creases(_laid_out(few, layout))
+        creased = config.mesh.simplify
+        made = few if is_dense else with_creases(_laid_out(few, layout), creased)
         if detail:
             mesh = _with_own_normals(given, layout)
         elif is_dense:
             mesh = _laid_out(plain_mesh(vertices, faces), layout)
-            mesh = replace(mesh, normals=_normals_of(made, mesh))
+            mesh = replace(mesh, normals=_normals_of(made, mesh, own.normal_scale))
         else:
             mesh = _moved_back(made, vertices[faces]) if noise else made
     return Ready(
@@ -110,9 +102,15 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
 
 
 def _detail(
-    given: Given, layout: Layout | str
+    given: Given, layout: Layout | str, least_outward: float
 ) -> tuple[tuple[NDArray[np.uint8], ...], tuple[str, ...]]:
-    """The normal maps that the result can have, and a sentence where it loses the mesh's."""
+    """The normal maps that the result can have, and a sentence where it loses the mesh's.
+
+    Args:
+        given: The mesh.
+        layout: Its own, or why it is not kept.
+        least_outward: Share of the faces whose normals must be on the side of their front.
+    """
     if given.detail is None or given.normals is None:
         return (), ()
     why = "it belongs to texture coordinates that are not kept"
@@ -120,7 +118,7 @@ def _detail(
         a, b, c = (given.vertices[given.faces[:, k]] for k in range(3))
         outward = np.cross(b - a, c - a)
         own = given.normals[given.faces].sum(1)
-        if ((own * outward).sum(1) >= 0).mean() > OUTWARD:
+        if ((own * outward).sum(1) >= 0).mean() > least_outward:
             maps = _of_tiles(given.detail, layout)
             if not isinstance(maps, str):
                 return maps, ()
@@ -197,10 +195,16 @@ def _rewelded(mesh: Mesh) -> Mesh:
     return plain_mesh(vertices, index.reshape(-1)[mesh.faces])
 
 
-def _normals_of(light: Mesh, mesh: Mesh) -> NDArray[np.float32]:
-    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest."""
+def _normals_of(light: Mesh, mesh: Mesh, scale: float) -> NDArray[np.float32]:
+    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest.
+
+    Args:
+        light: The coarser one.
+        mesh: The fine one.
+        scale: Distance, unit frame, that counts as much as two normals one unit apart.
+    """
     points, query = (
-        np.concatenate([one.vertices, NORMAL_SCALE * one.normals], axis=1) for one in (light, mesh)
+        np.concatenate([one.vertices, scale * one.normals], axis=1) for one in (light, mesh)
     )
     distance, index = cKDTree(points).query(query, k=3, eps=0.1)
     weight = 1 / (distance + 1e-4)

@@ -14,33 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from robir.geometry.given.placing import COARSE, FINE, Agreement, Outlines, downhill
+from robir.geometry.given.config import GivenConfig, SymmetryConfig
+from robir.geometry.given.placing import Agreement, Outlines, downhill
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity, turn_about, turn_in_words
 
 Array = NDArray[np.float64]
-
-STEP = 30
-"""Degrees between turns about an axis."""
-
-ALIKE = 0.04
-"""Share of outline and mask that a turn may cost, before it is followed downhill, to be one that
-masks hardly tell: those that are guessed are wrong by about as much."""
-
-TOLD = 0.02
-"""The same after that, from which outlines tell in any case."""
-
-SURE = 3.0
-"""Standard errors over the photographs from which outlines tell by less than that as well."""
-
-FOLLOWED = 4
-"""Turns that are followed."""
-
-REACH = 0.3
-"""Of the first steps of a search downhill: what is followed at FINE pixels is nearly right."""
-
-APART = 15.0
-"""Degrees by which turns differ at least that count as two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +71,8 @@ def best_turned(
     place: Similarity,
     surface: tuple[Array, NDArray[np.int32]],
     tracer: EmbreeTracer,
-    outlines: dict[int, Outlines],
+    outlines: tuple[Outlines, Outlines],
+    config: GivenConfig,
 ) -> Standing:
     """The best of a place and its turns that outlines hardly tell from it, and what those are.
 
@@ -100,30 +80,32 @@ def best_turned(
         place: Where the mesh fits.
         surface: Vertices (Nv, 3) and faces (Nf, 3) of the mesh.
         tracer: Of the mesh.
-        outlines: The masks at COARSE and FINE pixels.
+        outlines: The masks, coarse and fine.
+        config: Of what is done with the mesh.
     """
-    fine = outlines[FINE]
+    coarse, fine = outlines
+    own, placing = config.symmetry, config.placing
     middle, axes = _axes(*surface)
     share = fine.of(tracer, place).share
-    turns = _turns(axes)
+    turns = _turns(axes, own.turns)
     tried = [place.after(turn_about(turn, middle)) for turn in turns]
     shares = np.array([fine.of(tracer, one).share for one in tried])
-    alike = shares >= share - ALIKE
-    per_axis = 360 // STEP - 1
+    alike = shares >= share - own.alike
+    per_axis = own.turns - 1
     about = alike[: 3 * per_axis].reshape(3, -1).all(axis=1)
     order = [k for k in np.argsort(-shares) if alike[k]]
     # about an axis of something round all are the same, and the best of them is enough
     same = [k for k in order if k < 3 * per_axis and about[k // per_axis]]
-    order = [k for k in order if k not in same[1:]][:FOLLOWED]
-    found = [place, *(downhill(tried[k], tracer, outlines[COARSE])[0] for k in order)]
-    found = [downhill(one, tracer, fine, REACH)[0] for one in found]
+    order = [k for k in order if k not in same[1:]][: own.followed]
+    found = [place, *(downhill(tried[k], tracer, coarse, placing)[0] for k in order)]
+    found = [downhill(one, tracer, fine, placing, own.reach)[0] for one in found]
     agreements = [fine.of(tracer, one) for one in found]
     best = max(range(len(found)), key=lambda k: agreements[k].share)
     others: list[tuple[Similarity, float]] = []
     for k in sorted(range(len(found)), key=lambda k: -agreements[k].share):
         near = [found[best], *(one for one, _ in others)]
-        is_new = all(_is_another(found[k], one, axes.T[about]) for one in near)
-        if is_new and _is_as_good(agreements[k], agreements[best]):
+        is_new = all(_is_another(found[k], one, axes.T[about], own.apart) for one in near)
+        if is_new and _is_as_good(agreements[k], agreements[best], own):
             others.append((found[k], agreements[k].share))
     return Standing(
         place=found[best],
@@ -145,9 +127,9 @@ def _axes(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Array]:
     return middle, axes * np.sign(np.linalg.det(axes))
 
 
-def _turns(axes: Array) -> Array:
-    """Turns that are tried, (N, 3, 3): those about each axis first, axis by axis."""
-    angles = np.radians(np.arange(STEP, 360, STEP))
+def _turns(axes: Array, count: int) -> Array:
+    """Turns that are tried, (N, 3, 3): `count - 1` about each axis first, axis by axis."""
+    angles = np.radians(360.0 / count * np.arange(1, count))
     about = [Rotation.from_rotvec(a * axis).as_matrix() for axis in axes.T for a in angles]
     between = [
         axes @ turn @ axes.T
@@ -157,18 +139,18 @@ def _turns(axes: Array) -> Array:
     return np.array([*about, *between])
 
 
-def _is_as_good(one: Agreement, best: Agreement) -> bool:
+def _is_as_good(one: Agreement, best: Agreement, config: SymmetryConfig) -> bool:
     """Whether the best place is not surely better than another, photograph by photograph."""
     lead = best.shares - one.shares
     error = lead.std(ddof=1) / len(lead) ** 0.5 if len(lead) > 1 else np.inf
-    return bool(lead.mean() < min(TOLD, SURE * error + 1e-9))
+    return bool(lead.mean() < min(config.told, config.sure * error + 1e-9))
 
 
-def _is_another(one: Similarity, other: Similarity, round_about: Array) -> bool:
-    """Whether two places differ by more than a little and a turn about one of these axes (A, 3)."""
+def _is_another(one: Similarity, other: Similarity, round_about: Array, apart: float) -> bool:
+    """Whether two places differ by `apart` degrees and by no turn about these axes (A, 3)."""
     between = Rotation.from_matrix(one.turn.T @ other.turn)
-    if np.degrees(between.magnitude()) < APART:
+    if np.degrees(between.magnitude()) < apart:
         return False
     moved = between.apply(round_about) if len(round_about) else np.zeros((0, 3))
     cosine = np.einsum("ad,ad->a", moved, round_about)
-    return bool((np.degrees(np.arccos(cosine.clip(-1, 1))) > APART).all())
+    return bool((np.degrees(np.arccos(cosine.clip(-1, 1))) > apart).all())

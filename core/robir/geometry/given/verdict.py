@@ -3,34 +3,32 @@
 
 from __future__ import annotations
 
-from robir.geometry.given.placing import FITS, Agreement
-
-UNRELATED = 0.5
-"""Share of outline and mask that both have, below which a mesh shows something else."""
-
-MOST_APART = 0.8
-"""Share of the masks that a mesh within them may lack, or of it that may lie beyond them all."""
-
-LIKELY = 0.75
-"""Share that a place has at least which is proposed."""
+from robir.geometry.given.config import GivenConfig
+from robir.geometry.given.placing import Agreement
 
 
-def is_related(agreement: Agreement) -> bool:
+def is_related(agreement: Agreement, config: GivenConfig) -> bool:
     """Whether a mesh shows the object, or a part of it, or it and more, at the right place."""
     wrong = sorted((agreement.missing, agreement.beyond))
-    return agreement.share >= UNRELATED or (wrong[0] <= 1 - FITS and wrong[1] < MOST_APART)
+    is_part = wrong[0] <= 1 - config.placing.fits and wrong[1] < config.verdict.most_apart
+    return agreement.share >= config.verdict.unrelated or is_part
 
 
-def poor_fit(agreement: Agreement) -> tuple[str, ...]:
-    """What is to be said of a mesh that stands right and yet is not what the masks show."""
-    if agreement.share >= FITS:
+def poor_fit(agreement: Agreement, fits: float) -> tuple[str, ...]:
+    """What is to be said of a mesh that stands right and yet is not what the masks show.
+
+    Args:
+        agreement: Of its outlines with the masks.
+        fits: Share from which it is.
+    """
+    if agreement.share >= fits:
         return ()
     parts = []
-    if agreement.missing > 1 - FITS:
+    if agreement.missing > 1 - fits:
         parts.append(
             f"it lacks {agreement.missing:.0%} of what the masks show, of which nothing is made"
         )
-    if agreement.beyond > 1 - FITS:
+    if agreement.beyond > 1 - fits:
         parts.append(
             f"{agreement.beyond:.0%} of its outline lies beyond the masks; that part only shades"
         )

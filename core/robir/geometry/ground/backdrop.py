@@ -30,9 +30,10 @@ from scipy.stats import norm
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
+from robir.geometry.ground.config import BackdropConfig, GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.photo_consistency import colours_at, hidden, hue_of
-from robir.geometry.ground.pixel_rays import PIXEL_STEP, PixelRays, Solid, pixels_of
+from robir.geometry.ground.pixel_rays import PixelRays, Solid, pixels_of
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
@@ -40,113 +41,76 @@ from robir.geometry.rays import Photo
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BINS = 20
-"""Steps of a display channel in the palette of the ground."""
 
-DARKEST = 0.25
-"""Display value of the ground in deep shadow against that in light."""
-
-SAME = 0.06
-"""Mean difference of two display colours that count as the same."""
-
-SPREAD = 0.05
-"""How far a pixel may lie outside the range of the ground's colours about its spot, display."""
-
-NOISE_WIDTH = 3.0
-"""How far it may in any case, in standard deviations of the photographs' noise."""
-
-COVERED = 0.99
-"""Coverage from which a pixel shows nothing but what the mask encloses."""
-
-LEAST_VIEWS = 3
-"""Photographs that must show a spot of ground, and that must see through a freed point."""
-
-LEAST_PART = 0.08
-"""Share of a spot's photographs that must show ground there; things may hide it from the rest."""
-
-DOUBT = 0.25
-"""Share of the pixels that reach a spot and show another colour at which it is no ground."""
-
-HUE = 0.08
-"""Difference of hue from the colours of certain ground beyond which a spot is no shaded ground."""
-
-DIM = 0.35
-"""Display value against that of certain ground below which hue tells nothing: most light that
-arrives below a thing comes from it and has its hue."""
-
-LEAST_HUE = 0.02
-"""Share of certain ground that must have a hue: single columns may be certain wrongly."""
-
-WINDOW = 5
-"""Nodes along the edge of the cube whose photographs decide about the node in the middle."""
-
-ROUNDS = 2
-"""How often the picture of the ground is checked against what was freed with it."""
-
-
-def ground_palette(colours: NDArray[np.floating]) -> Mask:
+def ground_palette(colours: NDArray[np.floating], config: BackdropConfig) -> Mask:
     """Display colours the ground may have, those seen and their darker shades.
 
     Args:
         colours: (N, 3) display colours of spots known to be ground.
+        config: Of this step.
 
     Returns:
-        (BINS, BINS, BINS) bool, one step wider than the colours on every side.
+        (bins, bins, bins) bool, one step wider than the colours on every side.
     """
-    step = np.clip((colours * BINS).astype(int), 0, BINS - 1)
-    count = np.zeros((BINS,) * 3)
+    bins = config.bins
+    step = np.clip((colours * bins).astype(int), 0, bins - 1)
+    count = np.zeros((bins,) * 3)
     np.add.at(count, tuple(step.T), 1)
-    seen = (np.argwhere(count > max(3.0, 2e-4 * len(colours))) + 0.5) / BINS
-    palette = np.zeros((BINS,) * 3, bool)
-    for shade in np.linspace(DARKEST, 1.0, 16):
-        palette[tuple((seen * shade * BINS).astype(int).T)] = True
+    seen = (np.argwhere(count > max(3.0, config.rarest * len(colours))) + 0.5) / bins
+    palette = np.zeros((bins,) * 3, bool)
+    for shade in np.linspace(config.darkest, 1.0, config.shades):
+        palette[tuple((seen * shade * bins).astype(int).T)] = True
     return binary_dilation(palette, np.ones((3, 3, 3), bool))
 
 
-def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
+def common_colour(colours: NDArray[np.floating], palette: Mask, config: GroundConfig) -> Array:
     """The colour that most photographs agree on at each spot, of those the palette holds.
 
     Args:
         colours: (V, K, 3) display colours; NaN where a photograph does not show the spot.
         palette: Result of `ground_palette`.
+        config: Of the ground.
 
     Returns:
         (K, 3), NaN where too few photographs agree.
     """
+    own, same = config.backdrop, config.photo_consistency.same_colour
     shown = np.isfinite(colours[..., 0])
-    step = np.clip((np.nan_to_num(colours) * BINS).astype(int), 0, BINS - 1)
+    step = np.clip((np.nan_to_num(colours) * own.bins).astype(int), 0, own.bins - 1)
     likely = shown & palette[step[..., 0], step[..., 1], step[..., 2]]
     values = np.where(likely[..., None], colours, 9.0)
     votes = np.stack(
         [
-            (np.abs(values - one).mean(-1) < SAME).sum(0) * own
-            for one, own in zip(values, likely, strict=True)
+            (np.abs(values - one).mean(-1) < same).sum(0) * is_likely
+            for one, is_likely in zip(values, likely, strict=True)
         ]
     )
     best, spots = votes.argmax(0), np.arange(colours.shape[1])
-    near = likely & (np.abs(values - values[best, spots]).mean(-1) < SAME)
+    near = likely & (np.abs(values - values[best, spots]).mean(-1) < same)
     total = np.where(near[..., None], values, 0.0).sum(0)
     common = total / np.maximum(near.sum(0), 1)[:, None]
-    enough = votes[best, spots] >= np.maximum(LEAST_VIEWS, LEAST_PART * shown.sum(0))
+    enough = votes[best, spots] >= np.maximum(own.least_views, own.least_share * shown.sum(0))
     return np.where(enough[:, None], common, np.nan)
 
 
-def hues_held(colours: Array, certain: Array) -> Mask:
+def hues_held(colours: Array, certain: Array, config: GroundConfig) -> Mask:
     """Whether colours may be those of a ground, lit or shaded: light shade keeps the hue, nearly.
 
     Args:
         colours: (K, 3) display colours, finite.
         certain: (N, 3) display colours of spots known to be ground.
+        config: Of the ground.
 
     Returns:
         (K,); all False without certain ground.
     """
     if not len(certain):
         return np.zeros(len(colours), bool)
-    own, held = hue_of(colours), hue_of(certain)
-    number = int(np.ceil(LEAST_HUE * len(held)))
-    distance, _ = cKDTree(held).query(own, k=[number], p=np.inf, distance_upper_bound=HUE)
-    dim = colours.mean(1) < DIM * np.median(certain.mean(1))
+    own, dark = config.backdrop, config.photo_consistency.dark
+    hues, held = hue_of(colours, dark), hue_of(certain, dark)
+    number = int(np.ceil(own.least_hue * len(held)))
+    distance, _ = cKDTree(held).query(hues, k=[number], p=np.inf, distance_upper_bound=own.hue)
+    dim = colours.mean(1) < own.dim * np.median(certain.mean(1))
     return dim | np.isfinite(distance[:, 0])
 
 
@@ -167,7 +131,7 @@ def colours_about(picture: Array, side: int, slack: float) -> tuple[Array, Array
     return low, high
 
 
-def pixel_noise(photos: list[Photo]) -> float:
+def pixel_noise(photos: list[Photo], least_coverage: float) -> float:
     """Standard deviation of what pixels differ by from their neighbours for no reason, display.
 
     What a second difference along both axes leaves is free of shades and of straight edges
@@ -176,6 +140,7 @@ def pixel_noise(photos: list[Photo]) -> float:
 
     Args:
         photos: Photographs.
+        least_coverage: Above which a pixel shows nothing but what the mask encloses.
 
     Returns:
         At least 0; 0 where no photograph shows nine pixels in a square.
@@ -183,7 +148,7 @@ def pixel_noise(photos: list[Photo]) -> float:
     second = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
     left = []
     for photo in photos:
-        inner = binary_erosion(photo.coverage > COVERED, np.ones((3, 3), bool))
+        inner = binary_erosion(photo.coverage > least_coverage, np.ones((3, 3), bool))
         planes = np.moveaxis(photo.premultiplied_display, 2, 0)
         left += [np.abs(convolve(plane, second))[inner] for plane in planes]
     values = np.concatenate(left)
@@ -249,7 +214,8 @@ def freed(
     ]
     carver = HullCarver([photo.camera for photo in photos], silhouettes)
     outside = torch.stack(list(carver.by_view(points)))
-    seen_through = outside.topk(min(LEAST_VIEWS, len(photos)), dim=0).values[-1]
+    enough = min(ground.config.backdrop.least_views, len(photos))
+    seen_through = outside.topk(enough, dim=0).values[-1]
     room = torch.minimum(seen_through, torch.from_numpy(height).float())
     free = sdf.clone()
     free[where] = torch.maximum(sdf[where], room)
@@ -275,26 +241,31 @@ class Backdrop:
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
         self.ground = ground
         self.photos = photos
-        self.rays = [PixelRays(ground.columns, photo) for photo in photos]
-        self.spread = max(SPREAD, NOISE_WIDTH * pixel_noise(photos))
-        columns = ground.columns
+        columns, config = ground.columns, ground.config
+        self._config = own = config.backdrop
+        self.rays = [PixelRays(columns, photo, config.pixel_rays) for photo in photos]
+        noise = pixel_noise(photos, own.noise_coverage)
+        self.spread = max(own.spread, own.noise_width * noise)
         bare, shape = ground.start, columns.shape
         spots = np.column_stack([columns.feet, np.zeros(len(columns.feet))])
-        colours = colours_at(columns, spots, photos)
+        colours = colours_at(columns, spots, photos, config.photo_consistency)
         certain = np.flatnonzero(bare)
         blocks = np.where(bare | ~np.isfinite(ground.tops), -1.0, ground.tops)
         floor, plain = np.zeros(len(certain)), np.full_like(colours, np.nan)
         for number, photo in enumerate(photos):
-            free = certain[~hidden(columns, blocks, floor, spots[certain], photo)]
+            is_hidden = hidden(
+                columns, blocks, floor, spots[certain], photo, config.photo_consistency
+            )
+            free = certain[~is_hidden]
             plain[number, free] = colours[number, free]
         known = np.isfinite(plain[..., 0])
-        picture = common_colour(colours, ground_palette(plain[known]))
-        proven = known.sum(0) > LEAST_VIEWS
+        picture = common_colour(colours, ground_palette(plain[known], own), config)
+        proven = known.sum(0) > own.least_views
         picture[proven] = np.nanmedian(plain[:, proven], axis=0)
         picture[~(columns.inside.ravel() | proven)] = np.nan
         found = np.isfinite(picture[:, 0])
         self.foreign = np.zeros(shape, bool)
-        held = hues_held(picture[found], picture[found & bare.ravel()])
+        held = hues_held(picture[found], picture[found & bare.ravel()], config)
         self.foreign.ravel()[found] = ~held
         self.picture = picture.reshape(*shape, 3)
         self._keep(np.ones(shape, bool))
@@ -325,7 +296,7 @@ class Backdrop:
         """
         near = near_ground(self.ground, lattice, sdf)
         kept = torch.zeros_like(near)
-        for _ in range(ROUNDS):
+        for _ in range(self._config.rounds):
             masks = self.shown()
             free = self._cut(lattice, sdf, near & ~kept, masks)
             reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
@@ -340,7 +311,8 @@ class Backdrop:
                 np.add.at(wrong.reshape(-1), rays.column[pixels[~mask.ravel()[pixels]]], 1.0)
             kept |= self._doubted(lattice, (sdf < 0) & (free >= 0), through, masks)
             reached, wrong = 9.0 * uniform_filter(reached, 3), 9.0 * uniform_filter(wrong, 3)
-            believed = (wrong <= DOUBT * reached) | (wrong < LEAST_VIEWS - 0.5)
+            believed = wrong <= self._config.doubt * reached
+            believed |= wrong < self._config.least_views - 0.5
             self._keep(believed & ~self.foreign)
         return self._cut(lattice, sdf, near & ~kept, self.shown())
 
@@ -366,7 +338,7 @@ class Backdrop:
         good, bad = np.zeros(len(points)), np.zeros(len(points))
         for photo, open_pixels, mask in zip(self.photos, through, masks, strict=True):
             # the nearest of the pixels that were looked at
-            pixel = pixels_of(photo.camera, points, PIXEL_STEP)
+            pixel = pixels_of(photo.camera, points, self.ground.config.pixel_rays.step)
             is_open = (pixel >= 0) & open_pixels.ravel()[pixel]
             fits = mask.ravel()[pixel]
             good += is_open & fits
@@ -374,5 +346,6 @@ class Backdrop:
         # single pixels err along silhouettes: the nodes about are asked as well
         votes = torch.zeros(2, lattice.count)
         votes[:, freed] = torch.from_numpy(np.stack([good + bad, bad])).float()
-        votes = avg_pool3d(votes.view(2, *lattice.shape), WINDOW, stride=1, padding=WINDOW // 2)
-        return ((votes[1] > DOUBT * votes[0]) & (votes[1] > 0)).reshape(-1)
+        reach = self._config.vote_reach
+        votes = avg_pool3d(votes.view(2, *lattice.shape), 2 * reach + 1, stride=1, padding=reach)
+        return ((votes[1] > self._config.doubt * votes[0]) & (votes[1] > 0)).reshape(-1)

@@ -16,35 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.geometry.ground.config import FarEdgeConfig
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
-
-KNOTS = 36
-"""Points between which the edge's distance from the middle is linear in the angle about it."""
-
-STIFFNESS = 0.3
-"""Weight of the difference between neighbouring knots against one ray."""
-
-LEAST_RISE = 0.3
-"""Least upward part of an outline's outward normal: upright things and near edges, below which the
-ground shows its side, have less."""
-
-LEAST_FALL = 0.05
-"""Least downward part of a ray's direction; flatter ones meet the plane anywhere."""
-
-ALONG = 0.9
-"""Least cosine between an outline's normal, within the plane, and the direction from the middle:
-outlines of what stands before the edge run across it."""
-
-ROUNDS = 10
-"""Linear solutions."""
-
-WIDE_ROUNDS = 3
-"""How many of them take rays at the full width; the later ones at NARROW of it."""
-
-NARROW = 0.35
-"""Share of the width at which a ray counts as stray in the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +38,12 @@ class OutlineRays:
 
 
 def level(
-    rays: OutlineRays, touching: NDArray[np.int64], middle: Array, normal: Array, width: float
+    rays: OutlineRays,
+    touching: NDArray[np.int64],
+    middle: Array,
+    normal: Array,
+    width: float,
+    config: FarEdgeConfig,
 ) -> float:
     """How far to raise a plane so that all photographs see the same far edge in it.
 
@@ -76,24 +56,26 @@ def level(
         middle: (3,) point of the plane within the edge, unit frame.
         normal: (3,) unit normal of the plane, towards the cameras.
         width: How far a ray may miss the edge at first, and the plane move, unit frame.
+        config: Of this step.
 
     Returns:
         The rise, unit frame; 0 where too few rays agree on an edge or none is near.
     """
     weight = np.zeros(len(rays.origins))
     weight[touching] = 1.0
-    system = _System(rays, middle, normal)
+    knots, narrow = config.knots, config.narrowing * width
+    system = _System(rays, middle, normal, config)
     edge = system.solve(weight)
-    rise = edge[KNOTS]
-    for number in range(ROUNDS):
+    rise = edge[knots]
+    for number in range(config.rounds):
         # the unknowns are those of the last height: the edge is the same, the rise is done
-        edge[KNOTS] = 0.0
-        system = _System(rays, middle + rise * normal, normal)
-        weight = system.weights(edge, width if number < WIDE_ROUNDS else NARROW * width)
+        edge[knots] = 0.0
+        system = _System(rays, middle + rise * normal, normal, config)
+        weight = system.weights(edge, width if number < config.wide_rounds else narrow)
         edge = system.solve(weight)
-        rise += edge[KNOTS]
+        rise += edge[knots]
     agreeing = (weight[system.usable] > 0.5).sum()
-    return rise if agreeing > 5 * KNOTS and abs(rise) < width else 0.0
+    return rise if agreeing > config.rays_a_knot * knots and abs(rise) < width else 0.0
 
 
 class _System:
@@ -106,32 +88,36 @@ class _System:
         rays: Outlines P.
         middle: (3,) point of the plane.
         normal: (3,) unit.
+        config: Of this step.
 
     Attributes:
         usable: (P,) bool, rays that may touch a far edge.
     """
 
-    def __init__(self, rays: OutlineRays, middle: Array, normal: Array) -> None:
+    def __init__(
+        self, rays: OutlineRays, middle: Array, normal: Array, config: FarEdgeConfig
+    ) -> None:
+        self._config, knots = config, config.knots
         first, second = tangents(normal)
         rising = rays.outward @ normal
-        falling = np.maximum(-(rays.directions @ normal), 0.5 * LEAST_FALL)
+        falling = np.maximum(-(rays.directions @ normal), 0.5 * config.least_fall)
         reach = ((rays.origins - middle) @ normal) / falling
         spot = rays.origins + reach[:, None] * rays.directions - middle
         along, aside = spot @ first, spot @ second
         self._radius = np.maximum(np.hypot(along, aside), 1e-9)
         across = (rays.outward * spot).sum(1) / self._radius
-        self.usable = across > ALONG * np.sqrt(np.maximum(1.0 - rising**2, 0.0))
-        self.usable &= (rising > LEAST_RISE) & (falling > LEAST_FALL)
-        turn = (np.arctan2(aside, along) / (2.0 * np.pi)) % 1.0 * KNOTS
-        knot, part, row = turn.astype(int) % KNOTS, turn % 1.0, np.arange(len(turn))
-        self._matrix = np.zeros((len(turn), KNOTS + 2))
+        self.usable = across > config.least_along * np.sqrt(np.maximum(1.0 - rising**2, 0.0))
+        self.usable &= (rising > config.least_rise) & (falling > config.least_fall)
+        turn = (np.arctan2(aside, along) / (2.0 * np.pi)) % 1.0 * knots
+        knot, part, row = turn.astype(int) % knots, turn % 1.0, np.arange(len(turn))
+        self._matrix = np.zeros((len(turn), knots + 2))
         self._matrix[row, knot] = 1.0 - part
-        self._matrix[row, (knot + 1) % KNOTS] = part
+        self._matrix[row, (knot + 1) % knots] = part
         # a higher plane is met earlier
-        self._matrix[:, KNOTS] = (rays.directions * spot).sum(1) / (self._radius * falling)
+        self._matrix[:, knots] = (rays.directions * spot).sum(1) / (self._radius * falling)
         # a circle's tangent with normal (sin e, cos e) passes its topmost level (1 - cos e) / sin e
         # radii outside its middle
-        self._matrix[:, KNOTS + 1] = (1.0 - rising) / np.maximum(across, 0.05)
+        self._matrix[:, knots + 1] = (1.0 - rising) / np.maximum(across, 0.05)
 
     def weights(self, edge: Array, width: float) -> Array:
         """Geman-McClure weights (P,) of the rays given the unknowns (K + 2,)."""
@@ -141,8 +127,10 @@ class _System:
     def solve(self, weight: Array) -> Array:
         """Unknowns (K + 2,) by least squares with weights (P,)."""
         root = np.sqrt(weight * self.usable)
-        stiff = np.zeros((KNOTS, KNOTS + 2))
-        stiff[:, :KNOTS] = STIFFNESS * (np.roll(np.eye(KNOTS), 1, axis=1) - np.eye(KNOTS))
+        knots = self._config.knots
+        stiff = np.zeros((knots, knots + 2))
+        stiff[:, :knots] = np.roll(np.eye(knots), 1, axis=1) - np.eye(knots)
+        stiff[:, :knots] *= self._config.stiffness
         matrix = np.concatenate([root[:, None] * self._matrix, stiff])
-        wanted = np.concatenate([root * self._radius, np.zeros(KNOTS)])
+        wanted = np.concatenate([root * self._radius, np.zeros(knots)])
         return np.linalg.lstsq(matrix, wanted, rcond=None)[0]

@@ -10,7 +10,8 @@ from scipy.ndimage import binary_fill_holes, binary_opening, distance_transform_
 from torch import Tensor
 
 from robir.geometry.ground.columns import Columns
-from robir.geometry.ground.photo_consistency import STANDING, feet_agree
+from robir.geometry.ground.config import GroundConfig
+from robir.geometry.ground.photo_consistency import feet_agree
 from robir.geometry.ground.plane import SupportPlane, project_outline, within
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
@@ -18,32 +19,19 @@ from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
 
-SPECK = 9
-"""Columns of the largest doubtful piece that joins the ground enclosing it."""
 
-RIM = 0.93
-"""Size of the part of the outline, towards its middle, that must prove to be ground."""
-
-DEEPEST = 0.2
-"""How far below the plane half of a ground may lie once a level is fitted, cells. What is flat
-came out between .4 and .5 above it at the first level, a plate at -.4."""
-
-HIGHEST = 0.6
-"""Height above the plane, unit frame, up to which columns are searched for a surface."""
-
-
-def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice) -> Array:
-    """Height to which the hull of the bare ground bulges over each column."""
+def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice, highest: float) -> Array:
+    """Height, up to `highest`, to which the hull of the bare ground bulges over each column."""
     cameras = [photo.camera for photo in photos]
     bare = [project_outline(columns.plane, c).astype(np.float32) for c in cameras]
     shown = [k for k, area in enumerate(bare) if area.any()]
     carver = HullCarver([cameras[k] for k in shown], [bare[k] for k in shown])
     nodes = lattice.nodes()
     local = columns.plane.local(nodes.numpy().astype(np.float64))
-    near = np.abs(local[:, 2]) < 0.4
+    near = np.abs(local[:, 2]) < highest + 2.0 * lattice.cell
     value = torch.full((lattice.count,), 1.0)
     value[torch.from_numpy(near)] = carver(nodes[torch.from_numpy(near)])
-    return columns.tops(lattice, value, 0.3)
+    return columns.tops(lattice, value, highest)
 
 
 class Ground:
@@ -58,36 +46,48 @@ class Ground:
         photos: Photographs.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
+        config: Of the ground.
 
     Attributes:
+        config: Of the ground.
         columns: Columns over the plane.
         tops: Height of the hull over each column, -inf where it has none.
         start: Columns that are bare ground for certain.
     """
 
     def __init__(
-        self, plane: SupportPlane, photos: list[Photo], lattice: Lattice, hull: Tensor
+        self,
+        plane: SupportPlane,
+        photos: list[Photo],
+        lattice: Lattice,
+        hull: Tensor,
+        config: GroundConfig,
     ) -> None:
+        self.config, own = config, config.flatten
         self.columns = Columns(plane, lattice.cell)
         self._photos = photos
-        lens = lens_heights(self.columns, photos, lattice)
+        lens = lens_heights(self.columns, photos, lattice, own.highest_lens)
         self.tops = top = self.heights(lattice, hull)
-        self._bare = self.columns.inside & (top <= lens + 0.6 * lattice.cell)
-        inner = within(plane.outline * RIM, self.columns.feet).reshape(self.columns.shape)
+        self._bare = self.columns.inside & (top <= lens + own.lens_slack * lattice.cell)
+        inner = within(plane.outline * own.rim, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
         tops = np.where(self._bare, 0.0, top)
-        agree = feet_agree(self.columns, self._bare, tops, photos)
+        agree = self._feet_agree(self._bare, tops)
         self.start = self._spread(self._bare & agree)
 
     def above(self, points: Array) -> Array:
         """Height of points (P, 3) of the unit frame above the ground."""
         return self.columns.plane.local(points)[:, 2]
 
+    def _feet_agree(self, wanted: NDArray[np.bool_], tops: Array) -> NDArray[np.bool_]:
+        return feet_agree(self.columns, wanted, tops, self._photos, self.config.photo_consistency)
+
     def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Ground that spreads from the rim over passable columns, specks it encloses included."""
         ground = self.joined(passable)
         rest, _ = label(~ground)
-        return ground | (self.columns.inside & (np.bincount(rest.ravel())[rest] <= SPECK))
+        is_speck = np.bincount(rest.ravel())[rest] <= self.config.flatten.speck
+        return ground | (self.columns.inside & is_speck)
 
     def joined(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Passable columns joined to the rim by ways no narrower than three, and the rim."""
@@ -97,7 +97,7 @@ class Ground:
 
     def heights(self, lattice: Lattice, sdf: Tensor) -> Array:
         """Height of a surface (N,) over each column, -inf where it has none."""
-        return self.columns.tops(lattice, sdf, HIGHEST)
+        return self.columns.tops(lattice, sdf, self.config.flatten.highest)
 
     def settled(self, top: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Columns that are ground given the present surface.
@@ -110,9 +110,9 @@ class Ground:
         Returns:
             The columns' shape.
         """
-        low = self.columns.inside & (top < STANDING)
-        flat = low & (np.abs(top) < 0.8 * self.columns.spacing)
-        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
+        low = self.columns.inside & (top < self.config.flatten.standing)
+        flat = low & (np.abs(top) < self.config.flatten.flat * self.columns.spacing)
+        agree = self._feet_agree(low & ~flat & known, top)
         return self._spread((self.start & known & low) | flat | agree)
 
     def nearly(self, top: Array, settled: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
@@ -136,7 +136,7 @@ class Ground:
             top: Height of the surface over each column.
             settled: Result of `settled` for it.
         """
-        return bool(np.median(top[settled]) > -DEEPEST * cell)
+        return bool(np.median(top[settled]) > -self.config.flatten.deepest * cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the ground over its columns, and fill pits below it.
@@ -161,7 +161,7 @@ class Ground:
         )
         height = self.above(nodes)
         before = sdf.detach().cpu().numpy()
-        searched = np.minimum(height, HIGHEST - height)
+        searched = np.minimum(height, self.config.flatten.highest - height)
         cut = np.maximum(before, np.minimum(searched, reach))
         # pits are filled, but the rim itself is left to the masks
         inner = columns.spacing * 2.0 - below

@@ -22,18 +22,13 @@ from skimage.measure import find_contours
 from torch import Tensor
 
 from robir.capture.camera import Camera
+from robir.geometry.ground.config import GroundConfig, PlaneConfig
 from robir.geometry.ground.far_edge import OutlineRays, level
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
-
-CONTOUR_POINTS = 120
-"""Outline points used of a photograph."""
-
-RAY_STEPS = 240
-"""Steps along an outline point's ray through the bounding sphere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +54,7 @@ class SupportPlane:
         return local @ self.axes + self.origin
 
 
-def _outline_rays(photo: Photo) -> OutlineRays:
+def _outline_rays(photo: Photo, config: PlaneConfig) -> OutlineRays:
     """Rays through a mask's outline, unit frame."""
     padded = np.pad(photo.coverage, 1)
     curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
@@ -74,7 +69,7 @@ def _outline_rays(photo: Photo) -> OutlineRays:
     height, width = photo.coverage.shape
     border = (image < 1.5).any(1) | (image > [width - 1.5, height - 1.5]).any(1)
     image, tangent = image[~border], tangent[~border]
-    every = max(1, len(image) // CONTOUR_POINTS)
+    every = max(1, len(image) // config.contour_points)
     image, tangent = image[::every], tangent[::every]
     # outwards is across the tangent, to the side where the coverage falls
     across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
@@ -89,9 +84,9 @@ def _outline_rays(photo: Photo) -> OutlineRays:
     return OutlineRays(np.broadcast_to(origins, directions.shape), directions, outward)
 
 
-def outlines(photos: list[Photo]) -> OutlineRays:
+def outlines(photos: list[Photo], config: PlaneConfig) -> OutlineRays:
     """Rays through the outlines of all masks, unit frame."""
-    rays = [_outline_rays(photo) for photo in photos]
+    rays = [_outline_rays(photo, config) for photo in photos]
     return OutlineRays(
         np.concatenate([r.origins for r in rays]),
         np.concatenate([r.directions for r in rays]),
@@ -100,7 +95,7 @@ def outlines(photos: list[Photo]) -> OutlineRays:
 
 
 def touching_points(
-    rays: OutlineRays, lattice: Lattice, hull: Tensor
+    rays: OutlineRays, lattice: Lattice, hull: Tensor, config: PlaneConfig
 ) -> tuple[Array, NDArray[np.int64]]:
     """Surface points that the outlines of the masks pin down.
 
@@ -108,6 +103,7 @@ def touching_points(
         rays: Rays through the outlines.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
+        config: Of this step.
 
     Returns:
         Points (P, 3), unit frame, and the rays (P,) that they lie on.
@@ -116,25 +112,29 @@ def touching_points(
     if len(origins) == 0:
         return origins, np.zeros(0, np.int64)
     middle = -(origins * directions).sum(1)
-    steps = np.linspace(-1.1, 1.1, RAY_STEPS)
+    steps = np.linspace(-1.1, 1.1, config.ray_steps)
     distance = middle[:, None] + steps
     points = origins[:, None] + distance[..., None] * directions[:, None]
     flat = torch.from_numpy(points.reshape(-1, 3)).float()
     value = lattice.trilinear(hull, flat).numpy()
-    value = value.reshape(len(origins), RAY_STEPS)
+    value = value.reshape(len(origins), config.ray_steps)
     best = value.argmin(axis=1)
     lowest = value[np.arange(len(best)), best]
-    near = value < np.maximum(lowest, 0.0)[:, None] + 0.6 * lattice.cell
+    near = value < np.maximum(lowest, 0.0)[:, None] + config.near_hull * lattice.cell
     length = near.sum(axis=1) * (steps[1] - steps[0])
     weight = near / np.maximum(near.sum(axis=1, keepdims=True), 1)
     centre = (weight * distance).sum(axis=1)
-    sharp = (length < 0.12) & (lowest < lattice.cell)
+    sharp = (length < config.longest_stretch) & (lowest < lattice.cell)
     found = origins + centre[:, None] * directions
     return found[sharp], np.flatnonzero(sharp)
 
 
 def detect(
-    photos: list[Photo], lattice: Lattice, hull: Tensor, generator: torch.Generator
+    photos: list[Photo],
+    lattice: Lattice,
+    hull: Tensor,
+    generator: torch.Generator,
+    config: GroundConfig,
 ) -> SupportPlane | None:
     """Find the flat ground under the object, if the capture shows one.
 
@@ -143,41 +143,46 @@ def detect(
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
         generator: Source of the random triples, on the CPU.
+        config: Of the ground.
 
     Returns:
         The plane, or None where the masks show no flat ground.
     """
-    rays = outlines(photos)
-    points, of_ray = touching_points(rays, lattice, hull)
-    if len(points) < 100:
+    own, cell = config.plane, lattice.cell
+    rays = outlines(photos, own)
+    points, of_ray = touching_points(rays, lattice, hull, own)
+    if len(points) < own.least_touching:
         return None
     eyes = np.stack([photo.camera.position for photo in photos])
-    found = _consensus(points, eyes, 0.5 * lattice.cell, generator)
+    found = _consensus(points, eyes, cell, generator, own)
     if found is None:
         return None
     normal, offset = found
     # the upper edge is what bears things: outline points whose surface faces up
     height = points @ normal - offset
-    upper = (np.abs(height) < 2.0 * lattice.cell) & (rays.outward[of_ray] @ normal > 0.5)
-    if upper.sum() >= 60:
-        normal, offset = _refit(points[upper], normal, 0.4 * lattice.cell)
+    upper = np.abs(height) < 2.0 * cell
+    upper &= rays.outward[of_ray] @ normal > own.least_upward
+    if upper.sum() >= own.least_agreeing:
+        width = own.fit_width * cell
+        normal, offset = _refit(points[upper], normal, width, own.fit_rounds)
         middle = np.median(points[upper], axis=0)
         middle += (offset - middle @ normal) * normal
-        offset += level(rays, of_ray[upper], middle, normal, 0.4 * lattice.cell)
+        offset += level(rays, of_ray[upper], middle, normal, width, config.far_edge)
     height = points @ normal - offset
-    rim = points[np.abs(height) < 1.2 * lattice.cell]
+    rim = points[np.abs(height) < own.rim_width * cell]
     plane = _outlined(rim, normal, offset)
-    if plane is None or not _is_ground(plane, rim, photos, lattice, hull):
+    if plane is None or not _is_ground(plane, rim, photos, Sampled(lattice, hull), own):
         return None
     return plane
 
 
 def _consensus(
-    points: Array, eyes: Array, tolerance: float, generator: torch.Generator
+    points: Array, eyes: Array, cell: float, generator: torch.Generator, config: PlaneConfig
 ) -> tuple[Array, float] | None:
     """Plane with most points near it and the cameras on one side (Fischler and Bolles 1981)."""
     best, best_count = None, 0
-    triples = torch.randint(len(points), (600, 3), generator=generator).numpy()
+    tolerance = config.tolerance * cell
+    triples = torch.randint(len(points), (config.trials, 3), generator=generator).numpy()
     for triple in points[triples]:
         normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
         length = np.linalg.norm(normal)
@@ -188,22 +193,22 @@ def _consensus(
         side = eyes @ normal - offset
         if side.mean() < 0:
             normal, offset, side = -normal, -offset, -side
-        if (side > 0).mean() < 0.9:
+        if (side > 0).mean() < config.least_in_front:
             continue
         count = int((np.abs(points @ normal - offset) < tolerance).sum())
         if count > best_count:
             best, best_count = (normal, offset), count
-    if best is None or best_count < 60:
+    if best is None or best_count < config.least_agreeing:
         return None
     near = np.abs(points @ best[0] - best[1]) < 2.0 * tolerance
-    return _refit(points[near], best[0], tolerance)
+    return _refit(points[near], best[0], tolerance, config.fit_rounds)
 
 
-def _refit(points: Array, normal: Array, width: float) -> tuple[Array, float]:
+def _refit(points: Array, normal: Array, width: float, rounds: int) -> tuple[Array, float]:
     """Plane through points by reweighted least squares (Geman-McClure weights)."""
     weight = np.ones(len(points))
     offset = float(np.median(points @ normal))
-    for _ in range(10):
+    for _ in range(rounds):
         middle = (weight[:, None] * points).sum(0) / weight.sum()
         spread = (points - middle) * weight[:, None]
         _, _, axes = np.linalg.svd(spread.T @ (points - middle))
@@ -227,20 +232,22 @@ def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
 
 
 def _is_ground(
-    plane: SupportPlane, rim: Array, photos: list[Photo], lattice: Lattice, hull: Tensor
+    plane: SupportPlane, rim: Array, photos: list[Photo], hull: Sampled, config: PlaneConfig
 ) -> bool:
     """Whether a plane is ground: its rim runs all round, it carries all, and masks contain it."""
     local = plane.local(rim)[:, :2]
     turn = np.sort(np.arctan2(local[:, 1], local[:, 0]))
     gap = np.diff(np.append(turn, turn[0] + 2.0 * np.pi)).max()
-    inside = lattice.nodes()[hull < 0].numpy().astype(np.float64)
+    inside = hull.lattice.nodes()[hull.values < 0].numpy().astype(np.float64)
     spot = plane.local(inside)
-    carried = within(plane.outline * 1.04, spot[:, :2]).mean()
+    carried = within(plane.outline * config.outline_growth, spot[:, :2]).mean()
     shares = []
     for photo in photos:
         area = project_outline(plane, photo.camera)
         shares.append((photo.coverage[area] > 0.5).mean() if area.any() else 0.0)
-    return bool(gap < np.radians(60) and carried > 0.97 and np.mean(shares) > 0.97)
+    least = config.least_share
+    is_round = gap < np.radians(config.widest_gap)
+    return bool(is_round and carried > least and np.mean(shares) > least)
 
 
 def project_outline(plane: SupportPlane, camera: Camera) -> NDArray[np.bool_]:

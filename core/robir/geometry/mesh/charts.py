@@ -3,27 +3,25 @@
 
 from __future__ import annotations
 
+import json
 import math
 from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-ATLAS_SIZE = 1024
-"""Pixels of the atlas the charts are packed for; sets the gutter between them."""
-
-GUTTER = 3
-"""Pixels between charts in that atlas."""
+from robir.geometry.mesh.config import ChartsConfig
 
 
 def xatlas_charts(
-    vertices: NDArray[np.float32], faces: NDArray[np.int32]
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], config: ChartsConfig
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Charts by xatlas; runs as long as it takes.
 
     Args:
         vertices: (Nv, 3).
         faces: (Nf, 3).
+        config: Of the atlas.
 
     Returns:
         Texture coordinates (Nu, 2) in [0, 1], v upwards, and their indices (Nf, 3).
@@ -34,10 +32,10 @@ def xatlas_charts(
     atlas.add_mesh(vertices, faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
     charts.max_iterations = 1
-    charts.max_cost = 8.0
+    charts.max_cost = config.most_cost
     packing = xatlas.PackOptions()
-    packing.resolution = ATLAS_SIZE
-    packing.padding = GUTTER
+    packing.resolution = config.atlas_size
+    packing.padding = config.gutter
     packing.bilinear = True
     packing.bruteForce = False
     atlas.generate(chart_options=charts, pack_options=packing)
@@ -45,7 +43,7 @@ def xatlas_charts(
     return uvs.astype(np.float32), uv_faces.astype(np.int32)
 
 
-def main(source: str, target: str, seconds: str) -> None:
+def main(source: str, target: str, seconds: str, settings: str) -> None:
     """Entry of the child process: read vertices and faces, write texture coordinates.
 
     On a busy machine a second of the clock says nothing, so the system ends the process by its
@@ -57,5 +55,6 @@ def main(source: str, target: str, seconds: str) -> None:
         limit = math.ceil(float(seconds))
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     with np.load(source, allow_pickle=False) as arrays:
-        uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"])
+        config = ChartsConfig(**json.loads(settings))
+        uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"], config)
     np.savez(target, uvs=uvs, uv_faces=uv_faces)

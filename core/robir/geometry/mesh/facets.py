@@ -18,53 +18,13 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from robir.geometry.mesh.config import FacetsConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.smoothing import face_geometry, neighbour_mean
 from robir.geometry.mesh.triangles import Mesh
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-NEAR = 0.75
-"""Largest distance of a facet's own vertices from its plane, cells."""
-
-TILT = np.cos(np.radians(20.0))
-"""Cosine of the largest angle between their normals and the plane's."""
-
-LEAST_SIDE = 12.0
-"""A facet is at least as large as a square of this side, cells."""
-
-PIECE = 0.25
-"""Least area of a connected piece of a facet, in such squares."""
-
-MOST = 30
-"""Facets that are looked for."""
-
-FAILURES = 30
-"""Candidates that may fail before the search ends."""
-
-SEEDS, VOTERS = 150, 5000
-"""Vertices that propose a plane, and vertices that vote on each."""
-
-ROUGH = 0.33
-"""Largest root mean square distance of the facet's vertices from the plane, cells."""
-
-BOWED = 0.12
-"""Largest root mean square height of a paraboloid fitted to these distances, cells."""
-
-ESCAPE, ESCAPE_RINGS, ESCAPE_TILT = 0.5, 6, np.cos(np.radians(45.0))
-"""Most area, against the facet's, of what leaves its plane within so many rings of neighbours
-while its normal is still near the plane's: more of that means a curved surface."""
-
-REACH, REACH_RINGS, REACH_TILT = 1.7, 3, np.cos(np.radians(60.0))
-"""Vertices within so many cells of the plane, rings of the facet, and this angle's cosine are
-moved onto it: the cut-off edges."""
-
-LIMIT = 2.0
-"""Vertices that would move further than this stay, cells."""
-
-SAME_SIDE = 0.5
-"""Of planes whose normals have a larger cosine, only the nearest claims a vertex."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,10 +52,12 @@ class _Skin:
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from.
+        config: What is looked for.
     """
 
-    def __init__(self, mesh: Mesh, cell: float) -> None:
-        self.cell = cell
+    def __init__(self, mesh: Mesh, cell: float, config: FacetsConfig) -> None:
+        self.cell, self.config = cell, config
+        self.tilt = np.cos(np.radians(config.tilt))
         self.vertices = mesh.vertices.astype(np.float64)
         self._mean = neighbour_mean(mesh.faces, len(mesh.vertices))
         self._own_normals = mesh.normals.astype(np.float64)
@@ -104,8 +66,8 @@ class _Skin:
             mesh.faces.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=len(mesh.vertices)
         )
         self._edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
-        self.least = (LEAST_SIDE * cell) ** 2
-        self.normals = self.smooth_normals(6)
+        self.least = (config.least_side * cell) ** 2
+        self.normals = self.smooth_normals(config.normal_passes)
 
     def smooth_normals(self, passes: int) -> Array:
         """Unit vertex normals (Nv, 3), averaged with the neighbours' so many times."""
@@ -129,35 +91,36 @@ class _Skin:
 
     def near(self, free: Mask, normal: Array, offset: float) -> Mask:
         """The free vertices that belong to a plane, without its small pieces."""
-        inside = free & (np.abs(self.vertices @ normal - offset) < NEAR * self.cell)
-        inside &= self.normals @ normal > TILT
+        inside = free & (np.abs(self.vertices @ normal - offset) < self.config.near * self.cell)
+        inside &= self.normals @ normal > self.tilt
         links = self._edges[inside[self._edges].all(axis=1)]
         count = len(self.vertices)
         graph = scipy.sparse.coo_matrix((np.ones(len(links)), links.T), shape=(count, count))
         pieces, piece = connected_components(graph, directed=False)
         size = np.bincount(piece, weights=self.areas * inside, minlength=pieces)
-        return inside & (size[piece] >= PIECE * self.least)
+        return inside & (size[piece] >= self.config.least_piece * self.least)
 
 
-def find_facets(mesh: Mesh, cell: float) -> list[Facet]:
+def find_facets(mesh: Mesh, cell: float, config: FacetsConfig) -> list[Facet]:
     """The large flat parts of a mesh, largest support first.
 
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from, the scale of its noise.
+        config: What counts as one.
 
     Returns:
         The facets; their members do not overlap.
     """
-    return _search(_Skin(mesh, cell))
+    return _search(_Skin(mesh, cell, config))
 
 
 def _search(skin: _Skin) -> list[Facet]:
     """See `find_facets`."""
+    most, failures = skin.config.most_facets, 0
     free = np.ones(len(skin.vertices), bool)
     found: list[Facet] = []
-    failures = 0
-    while len(found) < MOST and failures < FAILURES and skin.areas[free].sum() >= skin.least:
+    while len(found) < most and skin.areas[free].sum() >= skin.least:
         seed = _best_seed(skin, free)
         facet = _settled(skin, free, seed)
         free &= ~facet.members
@@ -166,16 +129,19 @@ def _search(skin: _Skin) -> list[Facet]:
         else:
             free[seed] = False
             failures += 1
+            if failures == skin.config.most_failures:
+                break
     return found
 
 
 def _best_seed(skin: _Skin, free: Mask) -> int:
     """The free vertex whose tangent plane most of the free surface lies near to."""
-    voters = skin.spread(free, VOTERS)
-    seeds = skin.spread(free, SEEDS)
+    voters = skin.spread(free, skin.config.voters)
+    seeds = skin.spread(free, skin.config.seeds)
     normals, points = skin.normals[seeds], skin.vertices[seeds]
     height = skin.vertices[voters] @ normals.T - (points * normals).sum(axis=1)
-    agrees = (np.abs(height) < NEAR * skin.cell) & (skin.normals[voters] @ normals.T > TILT)
+    agrees = np.abs(height) < skin.config.near * skin.cell
+    agrees &= skin.normals[voters] @ normals.T > skin.tilt
     return int(seeds[agrees.sum(axis=0).argmax()])
 
 
@@ -184,7 +150,7 @@ def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
     normal = skin.normals[seed]
     offset = float(skin.vertices[seed] @ normal)
     members = skin.near(free, normal, offset)
-    for _ in range(4):
+    for _ in range(skin.config.fits):
         if skin.areas[members].sum() < skin.least:
             break
         weight = skin.areas[members, None]
@@ -192,7 +158,7 @@ def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
         apart = skin.vertices[members] - middle
         _, _, axes = np.linalg.svd((weight * apart).T @ apart)
         fitted = axes[2] * np.sign(axes[2] @ normal)
-        if fitted @ normal < TILT:
+        if fitted @ normal < skin.tilt:
             break
         normal, offset = fitted, float(middle @ fitted)
         members = skin.near(free, normal, offset)
@@ -201,10 +167,11 @@ def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
 
 def _is_flat(skin: _Skin, facet: Facet) -> bool:
     """Whether a facet is flat up to noise and ends at edges: not a piece of something curved."""
+    config = skin.config
     weight = skin.areas[facet.members]
     height = facet.height(skin.vertices[facet.members])
     variance = (weight * height**2).sum() / weight.sum()
-    if np.sqrt(variance) > ROUGH * skin.cell:
+    if np.sqrt(variance) > config.rough * skin.cell:
         return False
     apart = skin.vertices[facet.members] - skin.vertices[facet.members].mean(axis=0)
     _, _, axes = np.linalg.svd(facet.normal[None])
@@ -213,42 +180,44 @@ def _is_flat(skin: _Skin, facet: Facet) -> bool:
     root = np.sqrt(weight)
     bow, *_ = np.linalg.lstsq(terms * root[:, None], height * root, rcond=None)
     bowed = (weight * (terms @ bow) ** 2).sum() / weight.sum()
-    if np.sqrt(bowed) > BOWED * skin.cell:
+    if np.sqrt(bowed) > config.bowed * skin.cell:
         return False
-    about = skin.grown(facet.members, ESCAPE_RINGS) & ~facet.members
-    about &= np.abs(facet.height(skin.vertices)) > NEAR * skin.cell
-    about &= skin.normals @ facet.normal > ESCAPE_TILT
-    return bool(skin.areas[about].sum() < ESCAPE * weight.sum())
+    about = skin.grown(facet.members, config.escape_rings) & ~facet.members
+    about &= np.abs(facet.height(skin.vertices)) > config.near * skin.cell
+    about &= skin.normals @ facet.normal > np.cos(np.radians(config.escape_tilt))
+    return bool(skin.areas[about].sum() < config.escape * weight.sum())
 
 
-def flattened(mesh: Mesh, cell: float) -> Mesh:
+def flattened(mesh: Mesh, cell: float, config: FacetsConfig) -> Mesh:
     """The mesh with its facets made flat, and sharp where two of them meet.
 
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from.
+        config: What counts as a facet, and what is moved.
 
     Returns:
         A mesh with the same faces.
     """
-    skin = _Skin(mesh, cell)
+    skin = _Skin(mesh, cell, config)
     facets = _search(skin)
     if not facets:
         return mesh
-    normals = skin.smooth_normals(2)
+    normals = skin.smooth_normals(config.reach_passes)
     distance = np.abs(np.stack([facet.height(skin.vertices) for facet in facets]))
-    near = np.stack([skin.grown(f.members, REACH_RINGS) for f in facets])
-    near &= distance < REACH * cell
-    near &= np.stack([normals @ facet.normal > REACH_TILT for facet in facets])
+    near = np.stack([skin.grown(f.members, config.reach_rings) for f in facets])
+    near &= distance < config.reach * cell
+    tilt = np.cos(np.radians(config.reach_tilt))
+    near &= np.stack([normals @ facet.normal > tilt for facet in facets])
     claims = near.copy()
     for one, facet in enumerate(facets):
         for two, other in enumerate(facets):
-            if one != two and facet.normal @ other.normal > SAME_SIDE:
+            if one != two and facet.normal @ other.normal > config.same_side:
                 claims[one] &= ~(near[two] & (distance[two] < distance[one]))
     placed = skin.vertices.copy()
     for _ in range(12):  # alternating projections end on the planes' intersection
         for facet, claimed in zip(facets, claims, strict=True):
             placed[claimed] -= facet.height(placed[claimed])[:, None] * facet.normal
-    far = np.linalg.norm(placed - skin.vertices, axis=1) > LIMIT * cell
+    far = np.linalg.norm(placed - skin.vertices, axis=1) > config.limit * cell
     placed[far] = skin.vertices[far]
     return plain_mesh(placed, mesh.faces)

@@ -3,27 +3,27 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robir.errors import StorageError
-from robir.geometry.mesh.charts import ATLAS_SIZE, GUTTER
+from robir.geometry.mesh.config import ChartsConfig, MeshConfig
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.triangles import Mesh
 
-CLOCK_FACTOR = 8
-"""Seconds of the clock that a second of processor time may take on a busy machine."""
 
-
-def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
+def _in_child(
+    mesh: Mesh, seconds: float, config: MeshConfig
+) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
     """Charts made in a child process, or None if it takes too long or fails."""
     with tempfile.TemporaryDirectory(prefix="robir-unwrap-") as folder:
         source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
@@ -31,15 +31,16 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
         command = [
             sys.executable,
             "-c",
-            "import sys; sys.path[:0] = sys.argv[4:]; from robir.geometry.mesh.charts import main; "
-            "main(*sys.argv[1:4])",
+            "import sys; sys.path[:0] = sys.argv[5:]; from robir.geometry.mesh.charts import main; "
+            "main(*sys.argv[1:5])",
             str(source),
             str(target),
             str(seconds),
+            json.dumps(asdict(config.charts)),
             *[entry for entry in sys.path if entry],
         ]
         try:
-            patience = seconds * CLOCK_FACTOR
+            patience = seconds * config.unwrap.clock_factor
             ended = subprocess.run(command, timeout=patience, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return None
@@ -51,11 +52,14 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
     return (uvs, uv_faces) if usable else None
 
 
-def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def triangle_charts(
+    count: int, config: ChartsConfig
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """An atlas without charts: two triangles share each square of a regular grid.
 
     Args:
         count: Number of triangles.
+        config: Of the atlas.
 
     Returns:
         Texture coordinates (3 count, 2) in [0, 1] and their indices (count, 3).
@@ -64,7 +68,7 @@ def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]
     face = np.arange(count)
     square, second = face // 2, face % 2
     corner = np.stack([square % squares, square // squares], axis=1)
-    gap = min(0.2, GUTTER * squares / ATLAS_SIZE / 2)
+    gap = min(0.2, config.gutter * squares / config.atlas_size / 2)
     low = np.array([[gap, gap], [1.0 - 3 * gap, gap], [gap, 1.0 - 3 * gap]])
     shape = np.where(second[:, None, None] == 0, low, 1.0 - low)
     uvs = (corner[:, None, :] + shape) / squares
@@ -72,18 +76,19 @@ def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]
     return uvs.reshape(-1, 2).astype(np.float32), indices
 
 
-def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
+def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None], config: MeshConfig) -> Mesh:
     """Give a mesh texture coordinates, whatever it takes.
 
     Args:
         mesh: Mesh without texture coordinates.
         seconds: Longest processor time of one attempt.
         warn: Told what was given up.
+        config: Of the atlas, and of a mesh with fewer faces.
 
     Returns:
         The unwrapped mesh; decimated further if the first attempts took too long.
     """
-    charts = _in_child(mesh, seconds)
+    charts = _in_child(mesh, seconds, config)
     for _ in range(2):
         if charts is not None:
             break
@@ -92,14 +97,14 @@ def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
             f"Unwrapping {len(mesh.faces)} faces did not end within {seconds:g} s; "
             f"trying again with {budget} faces."
         )
-        mesh = decimate(mesh, budget)
-        charts = _in_child(mesh, seconds)
+        mesh = decimate(mesh, budget, config.simplify)
+        charts = _in_child(mesh, seconds, config)
     if charts is None:
         warn(
             "Unwrapping failed three times; every triangle got its own place in the texture. "
             "The asset renders as usual, but its texture is hard to paint on."
         )
-        charts = triangle_charts(len(mesh.faces))
+        charts = triangle_charts(len(mesh.faces), config.charts)
     return replace(mesh, uvs=charts[0], uv_faces=charts[1])
 
 

@@ -20,7 +20,7 @@ from torch.nn.functional import grid_sample
 from robir.capture.camera import Camera
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.refine.config import RefineConfig
+from robir.geometry.refine.config import CorrelationConfig, RefineConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.maths.vectors import orthonormal_frame
 
@@ -28,12 +28,6 @@ Floats = NDArray[np.float32]
 
 CHUNK = 2048
 """Vertices that are judged at a time: their patches then take 100 MB."""
-
-LEAST_COSINE = 0.25
-"""Cosine between normal and view from which a photograph judges a vertex."""
-
-EDGE = 3.0
-"""Distance from a picture's border below which it judges nothing, pixels."""
 
 
 def projection(camera: Camera) -> Tensor:
@@ -46,7 +40,13 @@ def projection(camera: Camera) -> Tensor:
     return torch.from_numpy(whole).float()
 
 
-def seen_by(mesh: Mesh, tracer: EmbreeTracer, pictures: list[Picture], offset: float) -> Floats:
+def seen_by(
+    mesh: Mesh,
+    tracer: EmbreeTracer,
+    pictures: list[Picture],
+    offset: float,
+    config: CorrelationConfig,
+) -> Floats:
     """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
 
     Args:
@@ -54,6 +54,7 @@ def seen_by(mesh: Mesh, tracer: EmbreeTracer, pictures: list[Picture], offset: f
         tracer: Tracer of it.
         pictures: Photographs.
         offset: Distance that rays start above the surface.
+        config: Which photographs judge.
     """
     table = np.zeros((len(mesh.vertices), len(pictures)), np.float32)
     for index, picture in enumerate(pictures):
@@ -61,10 +62,11 @@ def seen_by(mesh: Mesh, tracer: EmbreeTracer, pictures: list[Picture], offset: f
         towards = camera.position - mesh.vertices
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         cosine = np.einsum("nd,nd->n", towards, mesh.normals)
-        rows = np.flatnonzero(cosine > LEAST_COSINE)
+        rows = np.flatnonzero(cosine > config.least_cosine)
         places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
         size = np.array([camera.width, camera.height])
-        held = (depth > 0) & (places > EDGE).all(1) & (places < size - EDGE).all(1)
+        held = (depth > 0) & (places > config.border).all(1)
+        held &= (places < size - config.border).all(1)
         rows, pixel = rows[held], places[held].astype(int)
         rows = rows[picture.whole[pixel[:, 1], pixel[:, 0]]]
         start = mesh.vertices[rows] + offset * mesh.normals[rows]

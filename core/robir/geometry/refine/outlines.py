@@ -10,19 +10,11 @@ from robir.geometry.hull import mask_distance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-
-GRAZING = 0.2
-"""Cosine between normal and view below which a vertex lies on an outline."""
-
-NEAR = 3.0
-"""Distance of an outline in the picture up to which it is the vertex' own, pixels."""
-
-CLEARANCE = 2.5
-"""Pixels above the surface at which rays along the view must be free on both sides."""
+from robir.geometry.refine.config import OutlinesConfig
 
 
 def outline_shifts(
-    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float
+    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float, config: OutlinesConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shifts along the normals that put vertices on the outlines they form.
 
@@ -31,6 +23,7 @@ def outline_shifts(
         tracer: Tracer of it.
         photos: Photographs with their masks.
         pixel: Width of a pixel there, unit frame.
+        config: Which vertices lie on an outline.
 
     Returns:
         Mean shift (Nv,), and the number of photographs (Nv,) in whose outline a vertex lies.
@@ -40,15 +33,17 @@ def outline_shifts(
         camera = photo.camera
         towards = camera.position - mesh.vertices
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        rows = np.flatnonzero(np.abs(np.einsum("nd,nd->n", towards, mesh.normals)) < GRAZING)
+        cosine = np.abs(np.einsum("nd,nd->n", towards, mesh.normals))
+        rows = np.flatnonzero(cosine < config.grazing)
         places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
         size = np.array([camera.width, camera.height])
         held = (depth > 0) & (places > 1).all(1) & (places < size - 1).all(1)
         rows, depth, pixels = rows[held], depth[held], places[held].astype(int)
         away = -mask_distance(photo.coverage)[pixels[:, 1], pixels[:, 0]]
-        near = np.abs(away) < NEAR
+        near = np.abs(away) < config.near
         rows, depth, away = rows[near], depth[near], away[near]
-        start = (mesh.vertices[rows] + CLEARANCE * pixel * mesh.normals[rows]).astype(np.float32)
+        above = config.clearance * pixel * mesh.normals[rows]
+        start = (mesh.vertices[rows] + above).astype(np.float32)
         ray = towards[rows].astype(np.float32)
         alone = ~tracer.is_blocked(start, ray) & ~tracer.is_blocked(start, -ray)
         total[rows[alone]] += away[alone] * depth[alone] / camera.fx

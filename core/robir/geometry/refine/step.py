@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from robir.capture.capture import View
+from robir.geometry.config import GeometryConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.smoothing import neighbour_mean, taubin
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -29,19 +30,6 @@ from robir.geometry.stereo.semiglobal import refined_minimum
 from robir.geometry.stereo.sweep import Picture
 
 Array = NDArray[np.float64]
-
-FAIR_ROUNDS = 10
-"""Rounds of Taubin smoothing before normals are taken: patches must be tilted as the surface is."""
-
-EDGE_PIXELS = 2.0
-"""Length of the mesh's edges, pixels, above which it is subdivided."""
-
-LOOSE = 0.5
-"""How far from the smooth surface a vertex may look at first: the weight of its distance, in
-reaches squared, is one over twice this, and doubles every round."""
-
-MOST_ITERATIONS = 80
-"""Of conjugate gradients a round; each round begins where the last one ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,30 +47,31 @@ class Evidence:
     outline: tuple[Array, Array]
 
 
-def refine(mesh: Mesh, views: tuple[View, ...], config: RefineConfig) -> Mesh:
+def refine(mesh: Mesh, views: tuple[View, ...], settings: GeometryConfig) -> Mesh:
     """Move a mesh to where photographs agree.
 
     Args:
         mesh: Without texture coordinates, unit frame.
         views: Training photographs.
-        config: Levels and weights.
+        settings: Of the stage: levels and weights.
 
     Returns:
         The mesh, finer where the photographs are.
     """
+    config, step = settings.refine, settings.refine.step
     reduced = {s: [reduce_view(view, s) for view in views] for s in set(config.image_sides)}
     for side in config.image_sides:
         photos = reduced[side]
-        pictures = [Picture.of(photo) for photo in photos]
+        pictures = [Picture.of(photo, settings.stereo.sweep) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
-        mesh = taubin(_subdivided(mesh, EDGE_PIXELS * pixel, config.most_vertices), FAIR_ROUNDS)
+        fine = _subdivided(mesh, step.most_edge * pixel, config.most_vertices)
+        mesh = taubin(fine, step.fair_rounds)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         shifts = np.linspace(-config.reach, config.reach, config.offsets) * pixel
-        cosine = seen_by(mesh, tracer, pictures, pixel)
+        cosine = seen_by(mesh, tracer, pictures, pixel, config.correlation)
         agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32), config)
-        evidence = Evidence(
-            shifts=shifts, cost=1 - agreed, outline=outline_shifts(mesh, tracer, photos, pixel)
-        )
+        outline = outline_shifts(mesh, tracer, photos, pixel, config.outlines)
+        evidence = Evidence(shifts=shifts, cost=1 - agreed, outline=outline)
         mesh = plain_mesh(best_vertices(mesh, evidence, pixel, config), mesh.faces)
     return mesh
 
@@ -113,13 +102,13 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float, config: RefineCo
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
     shifts, cost = evidence.shifts, evidence.cost
     reach, step = shifts[-1], shifts[1] - shifts[0]
-    plate = ThinPlate(mesh, config.crease * pixel)
+    plate = ThinPlate(mesh, config.crease * pixel, config.step.most_iterations)
     sure = np.clip(cost.max(1) - cost.min(1), 0, 1)
     outline, times = evidence.outline
     at_outline = config.outline * times / reach**2
     moved = np.zeros_like(start)
     for turn in range(config.rounds):
-        hold = 2.0**turn / LOOSE
+        hold = 2.0**turn / config.step.loose
         shift = np.einsum("nd,nd->n", moved, normals)
         total = cost + 0.5 * hold * ((shifts - shift[:, None]) / reach) ** 2
         exact = refined_minimum(total[:, None].astype(np.float32))[1][:, 0]
@@ -145,14 +134,15 @@ class ThinPlate:
     Args:
         mesh: Its connections.
         width: Laplacian at which a crease begins, unit frame.
+        iterations: Of a solution, at most.
     """
 
-    def __init__(self, mesh: Mesh, width: float) -> None:
+    def __init__(self, mesh: Mesh, width: float, iterations: int) -> None:
         count = len(mesh.vertices)
         self._laplacian = scipy.sparse.csr_matrix(
             scipy.sparse.identity(count) - neighbour_mean(mesh.faces, count)
         )
-        self._width = width
+        self._width, self._iterations = width, iterations
 
     def solve(
         self,
@@ -194,7 +184,7 @@ class ThinPlate:
             (pull - bending @ start).ravel(),
             x0=moved.ravel(),
             rtol=1e-3,
-            maxiter=MOST_ITERATIONS,
+            maxiter=self._iterations,
             M=scipy.sparse.diags(1 / diagonal.ravel()),
         )
         return solved.reshape(-1, 3)

@@ -3,9 +3,87 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
 from robir.errors import ConfigError
+from robir.settings import Within
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusionConfig:
+    """Which maps speak for each other.
+
+    Attributes:
+        witness: Angle at the object up to which another photograph's depths can confirm or deny
+            one.
+    """
+
+    witness: Annotated[float, Within(1, 180, "degrees")] = 40.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothestConfig:
+    """The solution for the smoothest distances.
+
+    Attributes:
+        coarsest: Nodes along a side below which a grid is not halved any more.
+        iterations: Of conjugate gradients on each grid; each begins with the solution on half of
+            its nodes.
+    """
+
+    coarsest: Annotated[int, Within(4, 256)] = 12
+    iterations: Annotated[int, Within(1, 10_000)] = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceChoiceConfig:
+    """Which photographs a photograph is compared with.
+
+    Attributes:
+        narrow: Spread of angles below the wanted one that will do, as a share of it.
+        wide: The same above it.
+        apart: Angle between two sources at which they count as two, as a share of the wanted one.
+        least_score: Sources that fit less are left out.
+    """
+
+    narrow: Annotated[float, Within(0.01, 10)] = 1 / 3
+    wide: Annotated[float, Within(0.01, 10)] = 5 / 6
+    apart: Annotated[float, Within(0.01, 10)] = 0.5
+    least_score: Annotated[float, Within(0, 0.99)] = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceConfig:
+    """What fused distances and the visual hull say together.
+
+    Attributes:
+        free: Share of the band's half width from which a distance says that a node is free, not how
+            far.
+        deep: Distance to the hull beyond which it says no more than inside or outside.
+        outside: Weight of the visual hull where it says that there is nothing.
+    """
+
+    free: Annotated[float, Within(0, 1)] = 0.98
+    deep: Annotated[float, Within(0.5, 100, "bands")] = 2.0
+    outside: Annotated[float, Within(0.1, 1000)] = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepConfig:
+    """The planes of a sweep.
+
+    Attributes:
+        fewest_planes: Planes of a sweep at least.
+        most_planes: And at most.
+        early: Matching cost of a depth before the visual hull: more than of any that disagrees.
+        whole: Coverage from which a pixel is object, for the refinement too.
+    """
+
+    fewest_planes: Annotated[int, Within(3, 1024)] = 16
+    most_planes: Annotated[int, Within(3, 1024)] = 128
+    early: Annotated[float, Within(0, 10)] = 1.5
+    whole: Annotated[float, Within(0.05, 0.999)] = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +111,11 @@ class StereoConfig:
         least_trust: Sum of the maps' trust below which a distance counts as unknown.
         anchor: Weight of the visual hull's distance inside it, where that is unknown.
         smoothness: Weight of the squared Laplacian of the distances, against a trust of 1.
+        fusion: Which maps speak for each other.
+        smoothest: The solution for the smoothest distances.
+        source_choice: Which photographs a photograph is compared with.
+        surface: What distances and hull say together.
+        sweep: The planes of a sweep.
     """
 
     image_side: int = 200
@@ -50,6 +133,11 @@ class StereoConfig:
     least_trust: float = 2.0
     anchor: float = 1e-5
     smoothness: float = 1.0
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    smoothest: SmoothestConfig = field(default_factory=SmoothestConfig)
+    source_choice: SourceChoiceConfig = field(default_factory=SourceChoiceConfig)
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    sweep: SweepConfig = field(default_factory=SweepConfig)
 
     def __post_init__(self) -> None:
         """Refuse values the step cannot work with."""

@@ -24,9 +24,6 @@ from robir.geometry.stereo.sources import angles_between, choose_sources
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
 from robir.maths.vectors import farthest_points
 
-WITNESS_DEGREES = 40.0
-"""Angle at the object up to which another photograph's depths can confirm or deny one."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fused:
@@ -54,9 +51,9 @@ def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[De
     Returns:
         Maps of those that have at least two photographs at a good angle.
     """
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [Picture.of(photo, config.sweep) for photo in photos]
     positions = np.stack([photo.camera.position for photo in photos])
-    sources = choose_sources(positions, config.sources, config.baseline_degrees)
+    sources = choose_sources(positions, config)
     tracer = EmbreeTracer(hull.vertices, hull.faces)
     maps = []
     for own in farthest_points(positions, config.views):
@@ -93,7 +90,7 @@ def confirmed(maps: list[DepthMap], tolerance: float, config: StereoConfig) -> l
         rows, columns = np.nonzero(one.correlation > config.least_correlation)
         points = points_at(one, rows, columns)
         votes = np.zeros(len(points), int)
-        for other in np.flatnonzero((angle[own] < WITNESS_DEGREES) & (angle[own] > 0)):
+        for other in np.flatnonzero((angle[own] < config.fusion.witness) & (angle[own] > 0)):
             depth, seen = _looked_up(maps[other], points)
             votes += np.abs(depth - seen) < tolerance
         depth = np.full_like(one.depth, np.nan)

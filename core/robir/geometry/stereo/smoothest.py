@@ -11,11 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool3d, interpolate, pad
 
-COARSEST = 12
-"""Nodes along a side below which a grid is not halved any more."""
-
-ITERATIONS = 60
-"""Of conjugate gradients on each grid; each begins with the solution on half of its nodes."""
+from robir.geometry.stereo.config import SmoothestConfig
 
 
 def laplacian(grid: Tensor) -> Tensor:
@@ -28,24 +24,29 @@ def laplacian(grid: Tensor) -> Tensor:
     return total
 
 
-def smoothest(measured: Tensor, weight: Tensor, smoothness: float) -> Tensor:
+def smoothest(
+    measured: Tensor, weight: Tensor, smoothness: float, config: SmoothestConfig
+) -> Tensor:
     """Grid with the least sum of weight (f - measured)^2 + smoothness (laplacian f)^2.
 
     Args:
         measured: (X, Y, Z).
         weight: (X, Y, Z), above 0.
         smoothness: Of the squared Laplacian, per cell.
+        config: Grids and iterations.
     """
-    if min(measured.shape) <= COARSEST:
-        return _solved(measured, weight, measured, smoothness)
+    if min(measured.shape) <= config.coarsest:
+        return _solved((measured, weight), measured, smoothness, config.iterations)
     # a cell of half the grid holds eight nodes, and twice the step is a sixteenth of the bending
     total = _halved(weight)
-    coarse = smoothest(_halved(weight * measured) / total, 8 * total, 8 / 16 * smoothness)
+    mean = _halved(weight * measured) / total
+    coarse = smoothest(mean, 8 * total, 8 / 16 * smoothness, config)
     finer = interpolate(coarse[None, None], scale_factor=2, mode="trilinear", align_corners=False)[
         0, 0
     ]
     width, height, depth = measured.shape
-    return _solved(measured, weight, finer[:width, :height, :depth], smoothness)
+    start = finer[:width, :height, :depth]
+    return _solved((measured, weight), start, smoothness, config.iterations)
 
 
 def _halved(grid: Tensor) -> Tensor:
@@ -54,8 +55,11 @@ def _halved(grid: Tensor) -> Tensor:
     return avg_pool3d(pad(grid[None, None], odd, mode="replicate"), 2)[0, 0]
 
 
-def _solved(measured: Tensor, weight: Tensor, start: Tensor, smoothness: float) -> Tensor:
-    """The minimum by conjugate gradients."""
+def _solved(
+    known: tuple[Tensor, Tensor], start: Tensor, smoothness: float, iterations: int
+) -> Tensor:
+    """The minimum by conjugate gradients, of what was measured and its weight."""
+    measured, weight = known
 
     def apply(grid: Tensor) -> Tensor:
         return weight * grid + smoothness * laplacian(laplacian(grid))
@@ -65,7 +69,7 @@ def _solved(measured: Tensor, weight: Tensor, start: Tensor, smoothness: float) 
     rest = weight * measured - apply(found)
     step = inverse * rest
     direction, before = step.clone(), (rest * step).sum()
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         applied = apply(direction)
         share = before / (direction * applied).sum().clamp(min=1e-20)
         found += share * direction

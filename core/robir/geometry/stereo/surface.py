@@ -13,15 +13,6 @@ from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse
 from robir.geometry.stereo.smoothest import smoothest
 
-FREE = 0.98
-"""Share of the band's half width from which a distance says that a node is free, not how far."""
-
-DEEP = 2.0
-"""Distance to the hull, bands, beyond which it says no more than inside or outside."""
-
-OUTSIDE = 1.0
-"""Weight of the visual hull where it says that there is nothing."""
-
 
 def stereo_surface(photos: list[Photo], hull: Sampled, config: StereoConfig) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
@@ -46,14 +37,15 @@ def stereo_surface(photos: list[Photo], hull: Sampled, config: StereoConfig) -> 
     kept = confirmed(maps, config.tolerance[0] * fine.cell, config)
     wide = resample(outer, lattice, fine)
     fused = fuse(kept, fine, wide, config)
-    reach = DEEP * fused.band
+    rule = config.surface
+    reach = rule.deep * fused.band
     limit = wide.clamp(-reach, reach)
-    is_free = fused.distance > FREE * fused.band
+    is_free = fused.distance > rule.free * fused.band
     told = torch.where(is_free, torch.maximum(fused.distance, limit), fused.distance)
     weight = (fused.weight - config.least_trust).clamp(min=0)
-    prior = config.anchor + OUTSIDE * (wide > 0)
+    prior = config.anchor + rule.outside * (wide > 0)
     total = weight + prior
     measured = (weight * told + prior * limit) / total
     shape = fine.shape
-    found = smoothest(measured.view(shape), total.view(shape), config.smoothness)
+    found = smoothest(measured.view(shape), total.view(shape), config.smoothness, config.smoothest)
     return Sampled(fine, found.reshape(-1))

@@ -19,19 +19,10 @@ from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
 from robir.geometry.rays import Photo
-from robir.geometry.stereo.config import StereoConfig
+from robir.geometry.stereo.config import StereoConfig, SweepConfig
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 
 Floats = NDArray[np.float32]
-
-FEWEST, MOST = 16, 128
-"""Planes of a sweep."""
-
-EARLY = 1.5
-"""Matching cost of a depth before the visual hull: more than of any that disagrees."""
-
-WHOLE = 0.95
-"""Coverage from which a pixel is object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,11 +40,12 @@ class Picture:
     whole: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, photo: Photo) -> Picture:
+    def of(cls, photo: Photo, config: SweepConfig) -> Picture:
         """A photograph without what lies around the object."""
         grey = photo.premultiplied_display.mean(axis=2) / np.maximum(photo.coverage, 0.05)
         kept = np.where(photo.coverage > 0.05, grey, 0.0).astype(np.float32)
-        return cls(camera=photo.camera, grey=torch.from_numpy(kept), whole=photo.coverage > WHOLE)
+        whole = photo.coverage > config.whole
+        return cls(camera=photo.camera, grey=torch.from_numpy(kept), whole=whole)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +123,9 @@ def seen_through_planes(
     return torch.stack([column, row], dim=-1), inside
 
 
-def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDArray[np.float64]:
+def plane_depths(
+    near: float, far: float, baseline: float, focal: float, config: SweepConfig
+) -> NDArray[np.float64]:
     """Depths of a sweep's planes, even in inverse depth, about a pixel of parallax apart.
 
     Args:
@@ -139,8 +133,10 @@ def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDAr
         far: Greatest depth.
         baseline: Distance to the other cameras.
         focal: Focal length, pixels.
+        config: How many there may be.
     """
-    count = int(np.clip(np.ceil((1 / near - 1 / far) * baseline * focal), FEWEST, MOST))
+    parallax = np.ceil((1 / near - 1 / far) * baseline * focal)
+    count = int(np.clip(parallax, config.fewest_planes, config.most_planes))
     return 1 / np.linspace(1 / near, 1 / far, count)
 
 
@@ -163,7 +159,8 @@ def sweep(
     inside = own.whole & np.isfinite(entry)
     apart = np.linalg.norm([o.camera.position - camera.position for o in others], axis=1)
     start = float(entry[inside].min())
-    depths = plane_depths(start, max(far, 1.01 * start), float(np.median(apart)), camera.fx)
+    baseline, far = float(np.median(apart)), max(far, 1.01 * start)
+    depths = plane_depths(start, far, baseline, camera.fx, config.sweep)
     agreed, grey = [], own.grey.numpy()[None]
     for other in others:
         places, is_seen = seen_through_planes(camera, other.camera, depths)
@@ -181,7 +178,7 @@ def sweep(
     best = torch.from_numpy(np.stack(agreed)).topk(kept, dim=0).values.mean(0).numpy()
     cost = np.ascontiguousarray(1 - best.transpose(1, 2, 0))
     step = (depths[1:] - depths[:-1]).max()
-    cost[depths < entry[..., None] - step] = EARLY
+    cost[depths < entry[..., None] - step] = config.sweep.early
     paths = aggregate(cost, config.penalties)
     label, exact = refined_minimum(paths)
     spread = label_spread(paths, config.temperature)
