@@ -29,12 +29,6 @@ from robir.steps import Course
 
 Reals = NDArray[np.floating[Any]]
 
-MARGIN = 2.0
-"""Standard errors by which another curve must lead: cameras have cameras' responses."""
-
-MOST_SAMPLES = 4000
-"""Of the samples that take part in the light solve, predicted."""
-
 
 def solved(
     tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course
@@ -55,7 +49,8 @@ def solved(
     rival = solve(camera.problem, camera.light, config, seed, course)
     proof = compared(rival, solution)
     leads = lead_in_errors(proof)
-    is_camera = leads <= MARGIN
+    margin = config.response.margin
+    is_camera = leads <= margin
     choice = Choice(
         choice="curve of a camera",
         chosen=(camera if is_camera else first).curve.name,
@@ -63,7 +58,7 @@ def solved(
         held_out_error=proof.plain if is_camera else proof.rich,
         why=f"under {first.curve.name}, which shadows ask for, views are predicted from others "
         f"with an error of {proof.rich:.2f} codes, under the response of cameras of "
-        f"{proof.plain:.2f}: {leads:+.1f} standard errors; more than {MARGIN:g} are asked for",
+        f"{proof.plain:.2f}: {leads:+.1f} standard errors; more than {margin:g} are asked for",
     )
     taken = rival if is_camera else solution
     if is_camera:
@@ -76,7 +71,7 @@ def compared(plain: Solution, rich: Solution) -> Proof:
     """What views say of two models of one scene, each predicting them from others."""
     scene = plain.problem.scene
     rows = scene.rows[plain.problem.radiance.seen.numpy()[scene.rows]]
-    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
+    rows = rows[:: -(-len(rows) // plain.config.response.num_samples) or 1]
     (before, views), (after, _) = (prediction_errors(model, rows) for model in (plain, rich))
     return Proof.of(before, after, (views,))
 

@@ -14,6 +14,7 @@ from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.material.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
 from robir.appearance.material.reflections import Reflections, view_rays
+from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
@@ -91,7 +92,8 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     weight = problem.scene.transport.observations.weight
     plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
     sharpest = torch.from_numpy(sharpest_views(weight) > 0)
-    darker = darker_view_weights(problem.linear, sharpest).numpy()[..., None]
+    darker = darker_view_weights(problem.linear, sharpest, StatisticsConfig())
+    darker = darker.numpy()[..., None]
     read = (problem.linear.numpy() * darker).sum(1)
     below = ((read - gloss.floor) / gloss.kept)[plastic]
     # the same without highlights view by view

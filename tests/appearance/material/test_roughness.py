@@ -20,6 +20,7 @@ from robir.appearance.material.roughness import (
     choose_roughness,
 )
 from robir.appearance.proof import Proof
+from robir.appearance.step_config import BlocksConfig
 
 VIEWS = 12.0
 
@@ -88,7 +89,7 @@ class FakeTrial:
         return np.array(rows)[sample] / VIEWS
 
     def proof(self, chosen, plain, rich):
-        block = block_numbers(self.position[chosen // int(VIEWS)])
+        block = block_numbers(self.position[chosen // int(VIEWS)], BlocksConfig())
         return Proof.of(plain, rich, (block,))
 
 

@@ -11,6 +11,7 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
@@ -199,9 +200,8 @@ def lit_floor(paints, is_second):
     views = tuple(photograph(tracer, shade, camera, str(k)) for k, camera in enumerate(cameras))
     seen = observe(tracer, surfels.position, surfels.normal, views, 0.003)
     transport = Transport(surfels=surfels, visibility=visibility, observations=seen)
-    scene = make_scene(
-        transport, tracer, 0.003, (1000, synthetic.NUM_SOFT), np.random.default_rng(0)
-    )
+    sizes, rng = (1000, synthetic.NUM_SOFT), np.random.default_rng(0)
+    scene = make_scene(transport, tracer, 0.003, sizes, AppearanceConfig(), rng)
     x, y = (grid.ravel() for grid in np.meshgrid(*2 * [np.linspace(-0.69, 0.69, 50)]))
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
     normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))

@@ -11,7 +11,6 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.blocks import mean_of
-from robir.appearance.light.lobes import MEAN_ALBEDO
 from robir.appearance.light.problem import blocks_of, make_problem
 from robir.appearance.photometry.statistics import Radiance
 from robir.appearance.tone.shoulder import PlainLead, mismatch_table
@@ -73,7 +72,7 @@ class Fake:
 def known(problem, log_irradiance, log_albedo, clipped=None):
     """The problem with given light and albedo of those samples that take part."""
     scene = problem.scene
-    linear = torch.full((len(scene.transport.surfels), 3), MEAN_ALBEDO)
+    linear = torch.full((len(scene.transport.surfels), 3), scene.config.light.lobes.mean_albedo)
     linear[scene.rows] = (log_irradiance + log_albedo).exp() / np.pi
     top = torch.zeros_like(linear, dtype=torch.bool)
     if clipped is not None:

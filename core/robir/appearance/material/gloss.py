@@ -36,6 +36,7 @@ from robir.appearance.material.reflections import (
 )
 from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
 from robir.appearance.material.trial import Trial
+from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights, texture_weights
 from robir.jobs.choice import Choice
 
@@ -120,7 +121,7 @@ def specular_towards(
 
 
 def _costs(
-    reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor
+    looked: tuple[Reflections, ViewRays, Seen, Tensor], config: StatisticsConfig
 ) -> tuple[Highlights, Floats]:
     """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
@@ -128,6 +129,7 @@ def _costs(
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
     sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
     """
+    reflections, rays, seen, valid = looked
     linear, sample = seen.linear, rays.sample
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
@@ -139,7 +141,7 @@ def _costs(
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
 
     def below(specular: Tensor, through: Tensor) -> Tensor:
-        return diffuse_below(linear, specular, through, (rays, valid))
+        return diffuse_below(linear, specular, through, (rays, valid), config)
 
     highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
     dielectric = torch.zeros(len(valid), len(LEVELS))
@@ -161,7 +163,8 @@ def _costs(
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(near_seen.error(low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
+    dull = low_mean(linear, rays, valid, config)[near_rays.sample]
+    plain = summed(near_seen.error(dull), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
     highlights = Highlights(
@@ -178,7 +181,11 @@ def _costs(
 
 
 def diffuse_below(
-    linear: Tensor, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
+    linear: Tensor,
+    specular: Tensor,
+    through: Tensor,
+    seen_by: tuple[ViewRays, Tensor],
+    config: StatisticsConfig,
 ) -> Tensor:
     """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
 
@@ -187,16 +194,17 @@ def diffuse_below(
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that the layer lets through.
         seen_by: The rays, and (U, V) which views show the samples.
+        config: Which of them are the darker ones.
     """
     rays, valid = seen_by
     diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
-    return low_mean(diffuse, rays, valid)[rays.sample] * through
+    return low_mean(diffuse, rays, valid, config)[rays.sample] * through
 
 
-def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor, config: StatisticsConfig) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (table * darker_view_weights(table, valid)[..., None]).sum(1)
+    return (table * darker_view_weights(table, valid, config)[..., None]).sum(1)
 
 
 def estimate_gloss(
@@ -226,8 +234,9 @@ def estimate_gloss(
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
     reflections, rays, shown, _ = looked
-    highlights, dielectric = _costs(*looked)
-    trial = Trial(reflections=reflections, rays=rays, seen=shown)
+    config = problem.scene.config
+    highlights, dielectric = _costs(looked, config.photometry.statistics)
+    trial = Trial(reflections=reflections, rays=rays, seen=shown, config=config.proof)
     features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
     normal, paint = surfels.normal[seen], features[:, :3]
     points = np.concatenate(
@@ -354,6 +363,7 @@ def _apply(
             (observations.weight[rows], observations.positions),
             surfels.position[rows],
             linear,
+            scene.config.photometry.statistics,
             below_gloss=not scene.by_camera,
         )[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()

@@ -143,8 +143,11 @@ class Painting:
         linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
         below_gloss = gloss.has_highlights and not problem.scene.by_camera
         observed = seen.weight, seen.positions
-        share = texture_weights(observed, texels.position, linear, below_gloss=below_gloss)
-        radiance = weighted_radiance(seen, linear, share)
+        statistics = problem.scene.config.photometry.statistics
+        share = texture_weights(
+            observed, texels.position, linear, statistics, below_gloss=below_gloss
+        )
+        radiance = weighted_radiance(seen, linear, share, statistics)
         shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
         nothing = np.zeros(len(soft), np.float32)
         return cls(
@@ -259,7 +262,8 @@ def _divide(state: Painting) -> Painting:
     sky = float(state.soft.mean())
     edge = on_edges(state.problem, state.light, state.texels, albedo, sky) & ~metallic
     certain = (state.coverage >= 2) & ~edge & ~state.clipped.any(1)
-    doubt = irradiance_doubt(torch.from_numpy(irradiance)).numpy()
+    shade = state.problem.scene.config.light.shade
+    doubt = irradiance_doubt(torch.from_numpy(irradiance), shade).numpy()
     known = np.sqrt(state.spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
     disagreement = np.where(state.coverage > 0, known, 1.0).clip(0.0, 1.0)
     reflected = GLOSS_ERROR * state.material.floor.mean(1) / state.below.mean(1)

@@ -22,7 +22,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 from robir.appearance.light.lobes import sky_radiance
-from robir.appearance.light.problem import SUN_SAMPLES, Problem
+from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels
 from robir.geometry.mesh.triangles import Mesh
@@ -99,7 +99,8 @@ def _log_slope(problem: Problem, light: Light, texels: Texels) -> Floats:
     blend = Blend(problem, texels)
     sun = light.amplitudes.sharp.numpy()
     points = (texels.position, texels.normal)
-    lit = scene.sharp_transfer_at(points, light.axes, light.sharpness, SUN_SAMPLES)
+    rays = 2 * scene.config.light.problem.sun_ray_pairs
+    lit = scene.sharp_transfer_at(points, light.axes, light.sharpness, rays)
     soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
     irradiance = (soft + lit @ sun).mean(1)
     facing = np.maximum(texels.normal @ light.axes.T, GRAZING)

@@ -17,7 +17,6 @@ from scipy.spatial import cKDTree
 
 from robir.appearance.light.problem import Problem, Scene
 from robir.appearance.light.solver import Light
-from robir.appearance.light.sunlight import EDGE_SHARPNESS
 from robir.appearance.texture.residual_shading import with_normals
 from robir.appearance.texture.texels import Texels, sun_transfer
 from robir.maths.vectors import orthonormal_frame
@@ -62,7 +61,8 @@ def on_edges(
     if not len(light.axes):
         return np.zeros(len(albedo), bool)
     strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
-    sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
+    edge_sharpness = problem.scene.config.light.sunlight.edge_sharpness
+    sharpness = np.full(len(light.axes), edge_sharpness, np.float32)
     wide = sun_transfer(problem, light, texels, sharpness, 12)
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     share = wide / np.maximum(facing, 1e-3)
@@ -74,8 +74,8 @@ def on_edges(
 def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
     """Whether points a mesh error away along the surface see a sun differently, (N, J).
 
-    The lobe of EDGE_SHARPNESS spans little where the blocker is near; contact shadows are found by
-    stepping aside instead.
+    The lobe of `edge_sharpness` spans little where the blocker is near; contact shadows are found
+    by stepping aside instead.
     """
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
     lit = []

@@ -56,7 +56,7 @@ def highlight_tables(
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
     material = clusters(log_albedo.numpy(), NUM_MATERIALS, seed)
     transport = problem.scene.transport
-    block = block_numbers(transport.surfels.position[rows])
+    block = block_numbers(transport.surfels.position[rows], problem.scene.config.blocks)
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
 
@@ -92,6 +92,7 @@ def _errors(
     reflections = Reflections(problem, light, rows)
     seen = seen_along(problem, rays, rows)
     valid = torch.from_numpy(problem.scene.transport.observations.weight[rows] > 0)
+    statistics = problem.scene.config.photometry.statistics
     near = reflections.near_highlight(rays)
     near_seen, sample = seen.of(near), torch.from_numpy(rays.sample)[near]
     blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
@@ -101,7 +102,7 @@ def _errors(
         sky = blurred if is_sharp else reflections.from_sky(rays, roughness)[:, 0]
         specular = sky + reflections.from_suns(rays, roughness)[:, 0]
         through = 1 - reflected_share(rays, roughness)[:, None]
-        diffuse = diffuse_below(seen.linear, specular, through, (rays, valid))
+        diffuse = diffuse_below(seen.linear, specular, through, (rays, valid), statistics)
         error[index].index_add_(0, sample, near_seen.error((diffuse + specular)[near]))
     count = np.bincount(sample.numpy(), minlength=len(rows)).astype(float)
     return error.T.double().numpy(), count

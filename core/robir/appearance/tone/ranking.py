@@ -24,7 +24,6 @@ from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, Scene, blocks_of, make_problem
-from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
 from robir.appearance.tone.highlight_evidence import highlight_tables
 from robir.appearance.tone.shoulder import CAMERA_MARGIN, PlainLead, mismatch_table
@@ -105,7 +104,8 @@ def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
     log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
-    alike = scene.pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
+    shade = scene.config.light.shade
+    alike = scene.pairs.likeness(log_albedo, shade.alike_hue, shade.alike_brightness)
     return torch.cat([alike, alike])
 
 
