@@ -170,7 +170,7 @@ def render_views(
     Yields:
         What each view shows.
     """
-    rays = problem.scene.config.render.pixel_rays
+    (*_, values), rays = surface, problem.scene.config.render.pixel_rays
     largest = max((view.mask.size for view in views), default=1)
     together = max(1, MOST_POINTS // (rays**2 * largest))
     for start in range(0, len(views), together):
@@ -178,8 +178,7 @@ def render_views(
         seen = [_Seen.of(view, surface, rays) for view in group]
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
-            np.split(radiance, ends)
-            for radiance in _radiance(problem, light, gloss, seen, surface.values)
+            np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)
         )
         for one, radiance, diffuse in zip(seen, whole, matt, strict=True):
             image, alpha = _picture(problem, one, radiance)

@@ -17,7 +17,7 @@ class BlocksConfig:
         side: Of a block. Samples in one share their materials and the errors of the mesh.
     """
 
-    side: Annotated[float, Within(0.01, 2, "scene radii")] = 0.2
+    side: Annotated[float, Within(0.01, 2, "unit frame")] = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +83,7 @@ class SmoothNormalsConfig:
         num_samples: Samples that are averaged at most, the nearest.
     """
 
-    reach: Annotated[float, Within(0, 1, "scene radii")] = 0.08
+    reach: Annotated[float, Within(0, 1, "unit frame")] = 0.08
     edge: Annotated[float, Within(0.1, 180, "degrees")] = 25.0
     num_samples: Annotated[int, Within(2, 1024)] = 128
 

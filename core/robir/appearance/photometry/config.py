@@ -90,7 +90,7 @@ class OwnLightConfig:
         sheen_ridge: Weight of the sheen's prior against the trace of its equations.
     """
 
-    place_size: Annotated[float, Within(0.01, 2, "scene radii")] = 0.15
+    place_size: Annotated[float, Within(0.01, 2, "unit frame")] = 0.15
     sheen_degree: Annotated[int, Within(1, 6)] = 3
     sheen_rounds: Annotated[int, Within(1, 100)] = 8
     sheen_ridge: Annotated[float, Within(1e-9, 1)] = 1e-4
@@ -147,8 +147,8 @@ class StatisticsConfig:
     low_share: Annotated[float, Within(0, 0.5)] = 0.1
     high_share: Annotated[float, Within(0.1, 1)] = 0.5
     clipped_share: Annotated[float, Within(0, 1)] = 0.3
-    shadow_reach: Annotated[float, Within(0.01, 4, "scene radii")] = 0.8
-    shadow_normal: Annotated[float, Within(0, 10, "scene radii")] = 0.6
+    shadow_reach: Annotated[float, Within(0.01, 4, "unit frame")] = 0.8
+    shadow_normal: Annotated[float, Within(0, 10, "unit frame")] = 0.6
     least_shadow_samples: Annotated[int, Within(1, 10000)] = 20
     shadow_partners: Annotated[int, Within(1, 200)] = 12
     shadow_parts: Annotated[int, Within(1, 100)] = 4
