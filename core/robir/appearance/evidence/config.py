@@ -107,7 +107,7 @@ class MirroredSkyConfig:
             afterwards.
     """
 
-    least_metal: Annotated[float, Within(0, 1)] = 0.08
+    least_metal: Annotated[float, Within(0.001, 1)] = 0.08
     sun_share: Annotated[float, Within(0, 1)] = 0.3
     shown_error: Annotated[float, Within(0, 10)] = 0.3
     least_error: Annotated[float, Within(1e-3, 10)] = 0.1

@@ -47,7 +47,7 @@ def sky_by_metal(
     before = light.irradiance(problem, paint).clamp(min=1e-6)
     kept = problem.scene.soft[paint] / before.T[:, :, None]
     mirrored = _mirrored(problem, light, gloss, metal, asked)
-    if not len(paint) or not len(mirrored.seen):
+    if not len(paint) or mirrored is None:
         return None
     sky = changed(soft, mirrored, kept, asked.kept_error, config.lobe_changes)
     return light.with_sky(sky)
@@ -59,10 +59,10 @@ def _mirrored(
     gloss: Gloss,
     rows: NDArray[np.int64],
     config: MirroredSkyConfig,
-) -> Mirrored:
+) -> Mirrored | None:
     """Radiance that views of some metal samples (U,) show, and what it is made of.
 
-    Views near a sun's highlight and clipped ones are left out.
+    Views near a sun's highlight and clipped ones are left out; None if that leaves none.
     """
     dark = light.with_sky(torch.zeros_like(light.amplitudes.soft))
     parts = []
@@ -80,6 +80,8 @@ def _mirrored(
         clear = (suns < config.sun_share * whole).all(1) & ~shown.clipped.any(1)
         parts.append((shown.linear[clear], fixed[clear], lobes[clear]))
     seen, fixed, lobes = (torch.cat(column) for column in zip(*parts, strict=True))
+    if not len(seen):
+        return None
     error = config.shown_error * seen + config.least_error * seen.median(0).values
     freedom = config.base_freedom
     return Mirrored(seen=seen, fixed=fixed, lobes=lobes, error=error, base_freedom=freedom)

@@ -87,7 +87,7 @@ class ProblemConfig:
         sun_ray_pairs: Pairs of opposite rays that sample a sun at a point.
     """
 
-    pair_reaches: Annotated[tuple[float, float, float], Within(0.01, 2, "unit frame")] = (
+    pair_reaches: Annotated[tuple[float, float, float], Within(0.04, 2, "unit frame")] = (
         0.05,
         0.12,
         0.25,
