@@ -31,7 +31,8 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
 
 SOFT_SHARPNESS_PER_LOBE = 0.17
-"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
+"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak.
+It says what amplitudes of a light mean."""
 
 EVEN_SHARPNESS = 1e-3
 """Sharpness of a lobe that stands for an even sky alone."""
