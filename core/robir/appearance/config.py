@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from robir.appearance.tone.config import ToneConfig
 from robir.errors import ConfigError
 
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
@@ -36,6 +37,7 @@ class AppearanceConfig:
             then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
             which hue light and albedo are, which photographs leave open.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
+        tone: How the tone curve is chosen.
         without: Names of steps that are left out, to see what they are worth.
     """
 
@@ -51,6 +53,7 @@ class AppearanceConfig:
     texture_size: int = 2048
     white_point: tuple[float, ...] = ()
     sun: tuple[float, ...] = ()
+    tone: ToneConfig = field(default_factory=ToneConfig)
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

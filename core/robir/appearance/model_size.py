@@ -30,6 +30,7 @@ from robir.appearance.light.shade import ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.proof import Proof
+from robir.appearance.tone.config import RankingConfig
 from robir.appearance.tone.ranking import pair_errors
 from robir.jobs.choice import Choice
 
@@ -84,7 +85,7 @@ def with_even_sky(
     # fits cut short differ by more than the models do: after half the steps the lobes of a flat sky
     # led it by .2 codes or by none, after the rounding of one machine or of another
     even, steps = problem.with_lobes(1), 2 * config.iterations
-    simple, rich = _held_out_tables((even, problem), light, steps)
+    simple, rich = _held_out_tables((even, problem), light, steps, config.tone.ranking)
     more, error = mean_of(simple) - mean_of(rich), difference_error(simple, rich)
     is_even = more <= error
     choice = Choice(
@@ -104,7 +105,7 @@ def with_even_sky(
 
 
 def _held_out_tables(
-    models: tuple[Problem, Problem], light: Light, steps: int
+    models: tuple[Problem, Problem], light: Light, steps: int, ranking: RankingConfig
 ) -> tuple[Table, Table]:
     """Display errors of pairs under lights fitted to the other half of the surface, by block.
 
@@ -121,7 +122,7 @@ def _held_out_tables(
         both_ways = np.concatenate([inside, inside + count])
         for index, model in enumerate(models):
             trained = fit(_on_pairs(model, outside), light.axes, light.sharpness, steps)
-            error, weight = pair_errors(_on_pairs(model, inside), trained)
+            error, weight = pair_errors(_on_pairs(model, inside), trained, ranking)
             values[index, both_ways] = error.numpy()
             if index == 0:
                 weights[both_ways] = weight.numpy()

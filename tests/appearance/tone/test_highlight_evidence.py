@@ -10,6 +10,7 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.blocks import difference_error, mean_of
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import Amplitudes
 from robir.appearance.light.problem import make_problem
 from robir.appearance.tone.highlight_evidence import highlight_tables
@@ -35,7 +36,7 @@ def test_highlights_are_explained_under_the_true_curve(name, right):
     scene, errors = models(name), []
     # what is one material is left to chance, and one draw of five is an unlucky one
     for seed in range(5):
-        tables = highlight_tables(scene, seed)
+        tables = highlight_tables(scene, AppearanceConfig(), seed)
         true, false = tables[right], tables[1 - right]
         lead = mean_of(false) - mean_of(true)
         assert 255 * lead > 0.2
@@ -48,4 +49,5 @@ def test_without_a_sun_highlights_say_nothing():
     scene = synthetic.scene_of(synthetic.boxes_on_a_floor(500), 1.0, 0.1, curve)
     sky = replace(light.amplitudes, sharp=light.amplitudes.sharp[:0])
     overcast = replace(light, axes=light.axes[:0], sharpness=light.sharpness[:0], amplitudes=sky)
-    assert highlight_tables(((make_problem(scene, curve), overcast),), 0) is None
+    models = ((make_problem(scene, curve), overcast),)
+    assert highlight_tables(models, AppearanceConfig(), 0) is None

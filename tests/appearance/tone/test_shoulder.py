@@ -14,6 +14,7 @@ from robir.appearance.blocks import mean_of
 from robir.appearance.light.lobes import MEAN_ALBEDO
 from robir.appearance.light.problem import blocks_of, make_problem
 from robir.appearance.photometry.statistics import Radiance
+from robir.appearance.tone.config import ShoulderConfig, ToneConfig
 from robir.appearance.tone.shoulder import PlainLead, mismatch_table
 from robir.maths.tone import curve_from_name
 
@@ -45,7 +46,8 @@ def table(mean, noise=0.0, count=400):
 def test_the_plain_curve_must_lead_clearly(shadows, highlights, noise, clear):
     pairs = table(0.1), table(0.1 + shadows, 0.1 * noise)
     codes = (table(3.0 / 255), table((3.0 + (highlights or 0)) / 255, noise / 255))
-    lead = PlainLead.of(("standard", "filmic"), pairs, None if highlights is None else codes)
+    bright = None if highlights is None else codes
+    lead = PlainLead.of(("standard", "filmic"), pairs, bright, ToneConfig())
     assert lead.shoulder == "filmic"
     assert lead.shadows.value == pytest.approx(shadows)
     assert lead.highlights is None or lead.highlights.value == pytest.approx(highlights)
@@ -89,7 +91,7 @@ def logs(problem, seed):
 
 def judged(problem, light):
     blocks = blocks_of(problem.scene)
-    return mismatch_table(problem, light, blocks, np.ones(len(blocks)))
+    return mismatch_table(problem, light, blocks, np.ones(len(blocks)), ShoulderConfig())
 
 
 def test_mismatch_is_what_albedos_differ_by_over_the_contrast_of_the_light(problem):

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import Table, block_numbers, table_of
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
@@ -26,16 +27,11 @@ from robir.appearance.material.roughness import MIN_HIGHLIGHTS
 
 Floats = NDArray[np.floating[Any]]
 
-ROUGHNESSES = (0.2, 0.3, 0.38, 0.46, 0.54, 0.61, 0.68, 0.75, 0.82, 0.9)
-"""Roughnesses that are tried. The error grows on both sides of the right one as it does from the
-tip of a V, so that wider steps would favour whichever curve has its tip near one of them."""
-
-NUM_SAMPLES = 1500
-NUM_MATERIALS = 6
-
 
 def highlight_tables(
-    models: tuple[tuple[Problem, Light], tuple[Problem, Light]], seed: int
+    models: tuple[tuple[Problem, Light], tuple[Problem, Light]],
+    config: AppearanceConfig,
+    seed: int,
 ) -> tuple[Table, Table] | None:
     """Display errors near the mirror directions of the suns, by blocks of the surface.
 
@@ -44,24 +40,26 @@ def highlight_tables(
 
     Args:
         models: One scene under two curves, and the light under each, of the same suns.
+        config: How they are explained.
         seed: Of samples and materials.
 
     Returns:
         A table for each model; None where hardly any view is near a mirror direction.
     """
     problem, light = models[0]
-    rows = _near_mirrors(problem, light, np.random.default_rng(seed))
+    asked = config.tone.highlight_evidence
+    rows = _near_mirrors(problem, light, asked.num_samples, np.random.default_rng(seed))
     if not len(rows):
         return None
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
-    material = clusters(log_albedo.numpy(), NUM_MATERIALS, seed)
+    material = clusters(log_albedo.numpy(), asked.num_materials, seed)
     transport = problem.scene.transport
     block = block_numbers(transport.surfels.position[rows])
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
 
     def table(model: tuple[Problem, Light]) -> Table:
-        error, count = _errors(*model, rows, rays)
+        error, count = _errors(*model, rows, rays, asked.roughnesses)
         best = np.zeros(len(rows))
         for index in range(material.max() + 1):
             own = material == index
@@ -71,10 +69,12 @@ def highlight_tables(
     return table(models[0]), table(models[1])
 
 
-def _near_mirrors(problem: Problem, light: Light, rng: np.random.Generator) -> NDArray[np.int64]:
+def _near_mirrors(
+    problem: Problem, light: Light, most: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
     """Some samples that a view sees near a sun's mirror direction; none if those views are few."""
     scene = problem.scene
-    rows = np.sort(rng.choice(scene.rows, min(NUM_SAMPLES, len(scene.rows)), replace=False))
+    rows = np.sort(rng.choice(scene.rows, min(most, len(scene.rows)), replace=False))
     transport = scene.transport
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
@@ -83,7 +83,11 @@ def _near_mirrors(problem: Problem, light: Light, rng: np.random.Generator) -> N
 
 
 def _errors(
-    problem: Problem, light: Light, rows: NDArray[np.int64], rays: ViewRays
+    problem: Problem,
+    light: Light,
+    rows: NDArray[np.int64],
+    rays: ViewRays,
+    roughnesses: tuple[float, ...],
 ) -> tuple[Floats, Floats]:
     """Display errors (U, L) at every roughness, summed over views near highlights.
 
@@ -95,8 +99,8 @@ def _errors(
     near = reflections.near_highlight(rays)
     near_seen, sample = seen.of(near), torch.from_numpy(rays.sample)[near]
     blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
-    error = torch.zeros(len(ROUGHNESSES), len(rows))
-    for index, roughness in enumerate(ROUGHNESSES):
+    error = torch.zeros(len(roughnesses), len(rows))
+    for index, roughness in enumerate(roughnesses):
         is_sharp = roughness < SHARPEST_SKY
         sky = blurred if is_sharp else reflections.from_sky(rays, roughness)[:, 0]
         specular = sky + reflections.from_suns(rays, roughness)[:, 0]
