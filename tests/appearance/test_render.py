@@ -12,6 +12,7 @@ from transport.shapes import looking_at
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.render import render_views
+from robir.appearance.texture.config import TexelsConfig
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -77,7 +78,7 @@ def shown():
     mask = np.where(hits.face >= 0, 255, 0).astype(np.uint8).reshape(shape)
     blank = np.zeros((*shape, 3), np.uint8)
     view = View(name="a", image_display=blank, mask=mask, camera=camera, split="held_out")
-    surface = (mesh, tracer, UpperIsMetal(mesh), values)
+    surface = (mesh, tracer, UpperIsMetal(mesh), values, TexelsConfig())
     (found,) = render_views(problem, light, gloss, [view], surface)
     position = origins + np.where(hits.face >= 0, hits.distance, 0)[:, None] * directions
     return found, position.reshape(*shape, 3), light

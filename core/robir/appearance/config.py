@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from robir.appearance.texture.config import TextureConfig, TexturingConfig
 from robir.appearance.tone.config import ToneConfig
 from robir.errors import ConfigError
 
@@ -38,6 +39,8 @@ class AppearanceConfig:
             which hue light and albedo are, which photographs leave open.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
         tone: How the tone curve is chosen.
+        texture: How every texel is read.
+        texturing: How many photographs textures are read from.
         without: Names of steps that are left out, to see what they are worth.
     """
 
@@ -54,6 +57,8 @@ class AppearanceConfig:
     white_point: tuple[float, ...] = ()
     sun: tuple[float, ...] = ()
     tone: ToneConfig = field(default_factory=ToneConfig)
+    texture: TextureConfig = field(default_factory=TextureConfig)
+    texturing: TexturingConfig = field(default_factory=TexturingConfig)
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

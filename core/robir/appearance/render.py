@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, specular_towards
+from robir.appearance.texture.config import TexelsConfig
 from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -79,12 +80,14 @@ class Painted(NamedTuple):
         tracer: Of the mesh.
         lookup: Of its texels.
         values: Of the texels.
+        config: From samples to points of it.
     """
 
     mesh: Mesh
     tracer: EmbreeTracer
     lookup: AtlasLookup
     values: TexelAlbedo
+    config: TexelsConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +170,7 @@ def render_views(
     Yields:
         What each view shows.
     """
-    mesh, tracer, lookup, values = surface
+    mesh, tracer, lookup, values, config = surface
     largest = max((view.mask.size for view in views), default=1)
     together = max(1, MOST_POINTS // (len(SUB_PIXELS) * largest))
     for start in range(0, len(views), together):
@@ -175,7 +178,8 @@ def render_views(
         seen = [_Seen.of(view, mesh, tracer, lookup) for view in group]
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
-            np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)
+            np.split(radiance, ends)
+            for radiance in _radiance(problem, light, gloss, seen, values, config)
         )
         for one, radiance, diffuse in zip(seen, whole, matt, strict=True):
             image, alpha = _picture(problem, one, radiance)
@@ -209,7 +213,12 @@ def view_errors(
 
 
 def _radiance(
-    problem: Problem, light: Light, gloss: Gloss, seen: list[_Seen], values: TexelAlbedo
+    problem: Problem,
+    light: Light,
+    gloss: Gloss,
+    seen: list[_Seen],
+    values: TexelAlbedo,
+    config: TexelsConfig,
 ) -> tuple[Floats, Floats]:
     """Radiance (N, 3), linear Rec.709, that the points of all views send to their cameras.
 
@@ -221,9 +230,9 @@ def _radiance(
         normal=np.concatenate([one.points.normal for one in seen]),
     )
     texel = np.concatenate([one.texel for one in seen])
-    blend = Blend(problem, points)
+    blend = Blend(problem, points, config)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-    sun = sun_transfer(problem, light, points, light.sharpness, 8)
+    sun = sun_transfer(problem, light, points, light.sharpness, config.sun_samples)
     irradiance = soft + sun @ light.amplitudes.sharp.numpy()
     albedo = values.albedo[texel]
     metallic = values.metallic[texel, None]

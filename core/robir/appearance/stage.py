@@ -110,7 +110,8 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     )
     light, inside, values, normals = texture.light, texture.inside, texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
-    surface = Painted(replace(mesh, normals=normals), own_tracer, AtlasLookup(mesh, inside), values)
+    turned, lookup = replace(mesh, normals=normals), AtlasLookup(mesh, inside)
+    surface = Painted(turned, own_tracer, lookup, values, config.texture.texels)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)

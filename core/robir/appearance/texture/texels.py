@@ -12,11 +12,10 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.texture.config import TexelsConfig
 from robir.appearance.texture.residual_shading import with_normals
 
 Floats = NDArray[np.float32]
-
-MIN_ALBEDO, MAX_ALBEDO = 0.002, 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,19 +64,21 @@ class Blend:
         nearest: (N,) the one sample nearest to each texel.
     """
 
-    def __init__(self, problem: Problem, texels: Texels) -> None:
+    def __init__(self, problem: Problem, texels: Texels, config: TexelsConfig) -> None:
         """Find the nearest samples of every texel, once.
 
         Args:
             problem: Scene with its samples.
             texels: Where values are wanted.
+            config: What counts as near.
         """
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
-        points = with_normals(surfels.position, surfels.normal)[seen]
-        query = with_normals(texels.position, texels.normal)
+        scale = config.normal_scale
+        points = with_normals(surfels.position, surfels.normal, scale)[seen]
+        query = with_normals(texels.position, texels.normal, scale)
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
-        weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
+        weight = 1 / (distance + config.least_distance * surfels.spacing) ** 2
         self._index = seen[index]
         self.nearest = self._index[:, 0]
         self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
