@@ -10,6 +10,7 @@ from appearance.synthetic import Material, ball, ball_radiance, sun_and_uneven_s
 from transport.shapes import looking_at
 
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.render import render_views
 from robir.appearance.texture.config import TexelsConfig
@@ -54,6 +55,7 @@ def shown():
         has_highlights=True,
         table=(),
         choices=(),
+        config=MaterialConfig(),
     )
     texels = np.float32([0.0, 1.0])
     values = TexelAlbedo(

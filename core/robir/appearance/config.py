@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.texture.config import TextureConfig, TexturingConfig
 from robir.appearance.tone.config import ToneConfig
 from robir.errors import ConfigError
@@ -38,6 +39,7 @@ class AppearanceConfig:
             then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
             which hue light and albedo are, which photographs leave open.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
+        material: How gloss and metal are found.
         tone: How the tone curve is chosen.
         texture: How every texel is read.
         texturing: How many photographs textures are read from.
@@ -56,6 +58,7 @@ class AppearanceConfig:
     texture_size: int = 2048
     white_point: tuple[float, ...] = ()
     sun: tuple[float, ...] = ()
+    material: MaterialConfig = field(default_factory=MaterialConfig)
     tone: ToneConfig = field(default_factory=ToneConfig)
     texture: TextureConfig = field(default_factory=TextureConfig)
     texturing: TexturingConfig = field(default_factory=TexturingConfig)

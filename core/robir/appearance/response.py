@@ -86,7 +86,7 @@ def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, 
 
     All is paint here, also what is metal: proven or not, it is the same in both models.
     """
-    trial = Trial.of(model.problem, model.light, rows)
+    trial = Trial.of(model.problem, model.light, rows, model.material.config)
     chosen = trial.rays_of(np.ones(len(rows), bool))
     gloss = model.material
     level = gloss.roughness[rows].astype(np.float64) if gloss.has_highlights else None

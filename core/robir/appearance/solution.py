@@ -122,7 +122,7 @@ def _gloss(state: Solution) -> Solution:
 
 def _with_gloss(state: Solution, step: int, told: float | None = None) -> Solution:
     gloss, diffuse = estimate_gloss(
-        state.problem, state.light, state.config.num_materials, state.seed, step, told
+        state.problem, state.light, state.config, state.seed, step, told
     )
     return replace(state, gloss=gloss, matte=state.problem.without_highlights(diffuse))
 

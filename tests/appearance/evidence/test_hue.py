@@ -20,6 +20,7 @@ from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.daylight import WHOLE
 from robir.maths.tone import curve_from_name
 
+CONFIG = AppearanceConfig(num_materials=2)
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)
 BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 0.45)
 
@@ -43,7 +44,7 @@ def hue_of(problem, light):
 def test_highlights_tell_the_hue(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.from_numpy(wrong.astype(np.float32)))
-    gloss, _ = estimate_gloss(problem, supposed, 2, 0)
+    gloss, _ = estimate_gloss(problem, supposed, CONFIG, 0)
     told, (balance, shine, together) = told_hue(problem, supposed, gloss)
     assert told is not None
     np.testing.assert_allclose(told.numpy(), hue_of(problem, light), atol=0.04)
@@ -67,7 +68,7 @@ def test_two_witnesses_tell_what_their_product_does():
 
 def test_without_highlights_nothing_is_told(ball):
     problem, light = ball
-    gloss, _ = estimate_gloss(problem, light, 2, 0)
+    gloss, _ = estimate_gloss(problem, light, CONFIG, 0)
     dull = replace(gloss, has_highlights=False)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
     for nothing in (told_hue(problem, light, other) for other in (dull, all_metal)):

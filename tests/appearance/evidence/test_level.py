@@ -29,6 +29,7 @@ from robir.appearance.light.told import Told
 from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.tone import curve_from_name
 
+CONFIG = AppearanceConfig(num_materials=2)
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)
 BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 0.7)
 
@@ -56,7 +57,7 @@ def witnesses_of(problem, light, gloss):
 def test_highlights_tell_the_brightness(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.full((3,), wrong))
-    gloss, _ = estimate_gloss(problem, supposed, 2, 0)
+    gloss, _ = estimate_gloss(problem, supposed, CONFIG, 0)
     told = witnesses_of(problem, supposed, gloss)["highlights"]
     assert told.value == pytest.approx(level_of(problem, light), abs=0.2)
     assert told.deviation >= 0.9 * MISREAD
@@ -67,21 +68,21 @@ def test_what_all_tell_is_the_same_wherever_one_starts(ball):
     told = []
     for wrong in (-0.8, 0.0, 0.8):
         supposed = light.tinted(torch.full((3,), wrong))
-        gloss = replace(estimate_gloss(problem, supposed, 2, 0)[0], has_highlights=False)
+        gloss = replace(estimate_gloss(problem, supposed, CONFIG, 0)[0], has_highlights=False)
         told.append(witnesses_of(problem, supposed, gloss)["all"].value)
     assert np.ptp(told) < 0.1
 
 
 def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
-    gloss, _ = estimate_gloss(problem, light, 2, 0)
+    gloss, _ = estimate_gloss(problem, light, CONFIG, 0)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
     assert told_level(problem, light, all_metal, 0) == ()
 
 
 def test_what_shows_no_highlights_tells_by_what_is_common_alone(ball):
     problem, light = ball
-    gloss = replace(estimate_gloss(problem, light, 2, 0)[0], has_highlights=False)
+    gloss = replace(estimate_gloss(problem, light, CONFIG, 0)[0], has_highlights=False)
     assert list(witnesses_of(problem, light, gloss)) == ["common paints", "exposure", "all"]
 
 

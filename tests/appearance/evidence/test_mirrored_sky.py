@@ -13,6 +13,7 @@ from appearance import synthetic
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.light.lobes import Amplitudes, soft_lobes
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
@@ -48,6 +49,7 @@ def gloss_of(problem, where):
         has_highlights=False,
         table=(),
         choices=(),
+        config=MaterialConfig(),
     )
 
 
@@ -58,7 +60,7 @@ def test_lobes_add_up_to_the_sky(ball):
     rays = view_rays(
         transport.surfels, transport.observations, rows, transport.visibility.directions
     )
-    reflections = Reflections(problem, light, rows)
+    reflections = Reflections(problem, light, rows, MaterialConfig().reflections)
     lobes = reflections.from_lobes(rays, ROUGHNESS, len(light.amplitudes.soft))
     sky = reflections.from_sky(rays, ROUGHNESS)[:, 1]
     # a ball blocks nothing that lies above its own horizon

@@ -70,7 +70,7 @@ def blurred(light):
 
 
 def gloss_of(problem, light):
-    return estimate_gloss(problem, light, 2, 0)[0]
+    return estimate_gloss(problem, light, AppearanceConfig(num_materials=2), 0)[0]
 
 
 def told_of(problem, light):

@@ -10,13 +10,17 @@ import pytest
 import torch
 from appearance import synthetic
 
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import estimate_gloss
-from robir.appearance.material.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
+from robir.appearance.material.metal import metal_parts, metal_samples
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.appearance.photometry.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
+CONFIG = AppearanceConfig(num_materials=4)
+MATERIAL = CONFIG.material
+LEVELS, PAINT_ERROR = MATERIAL.metal_levels, MATERIAL.metal.paint_error
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)
@@ -36,7 +40,7 @@ def ball():
 
 def test_metal_and_plastic_are_told_apart(ball):
     problem, light, is_gold, radiance = ball
-    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
+    gloss, diffuse = estimate_gloss(problem, light, CONFIG, 0)
     seen = problem.radiance.seen.numpy()
     metallic = gloss.metallic > 0.5
     # along the border neighbours of both kinds judge together
@@ -65,7 +69,7 @@ def test_a_strip_of_metal_narrower_than_its_neighbourhoods_is_found():
     scene, _ = synthetic.ball(inside, light, curve, 2000)
     is_gold = abs(scene.transport.surfels.position[:, 1]) < STRIP
     problem = make_problem(scene, curve)
-    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    metallic = estimate_gloss(problem, light, CONFIG, 0)[0].metallic > 0.5
     seen = problem.radiance.seen.numpy()
     # where hardly any light is mirrored nothing tells metal; by place alone half is found
     assert metallic[seen & is_gold].mean() > 0.6
@@ -78,7 +82,7 @@ def test_glossy_paint_that_touches_metal_is_no_part_of_it():
     halves = [(lambda at: at[:, 1] > 0.3, LACQUER), (lambda at: at[:, 1] <= 0.3, GOLD)]
     scene, _ = synthetic.ball(halves, light, curve)
     problem = make_problem(scene, curve)
-    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    metallic = estimate_gloss(problem, light, CONFIG, 0)[0].metallic > 0.5
     seen = problem.radiance.seen.numpy()
     is_gold = scene.transport.surfels.position[:, 1] <= 0.3
     assert metallic[seen & is_gold].mean() > 0.9
@@ -87,7 +91,7 @@ def test_glossy_paint_that_touches_metal_is_no_part_of_it():
 
 def test_what_the_textures_subtract_is_what_their_views_show(ball):
     problem, light, is_gold, _ = ball
-    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
+    gloss, diffuse = estimate_gloss(problem, light, CONFIG, 0)
     weight = problem.scene.transport.observations.weight
     plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
     sharpest = torch.from_numpy(sharpest_views(weight) > 0)
@@ -110,7 +114,7 @@ def test_roughness_of_metal_does_not_grow_with_the_errors_of_its_mesh(ball):
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     surfels = replace(transport.surfels, normal=normal)
     scene = replace(problem.scene, transport=replace(transport, surfels=surfels))
-    gloss, _ = estimate_gloss(make_problem(scene, problem.curve), light, 4, 0)
+    gloss, _ = estimate_gloss(make_problem(scene, problem.curve), light, CONFIG, 0)
     gold = problem.radiance.seen.numpy() & is_gold
     assert (gloss.metallic[gold] > 0.5).mean() > 0.9
     assert np.median(gloss.roughness[gold]) == pytest.approx(GOLD.roughness, abs=0.08)
@@ -119,18 +123,21 @@ def test_roughness_of_metal_does_not_grow_with_the_errors_of_its_mesh(ball):
 @pytest.mark.parametrize(
     ("paint", "metal", "likely", "certain"),
     [
-        (METAL_ERROR - 0.001, 0.01, False, False),
-        (METAL_ERROR + 0.001, METAL_ERROR + 0.0015, True, False),
-        (METAL_ERROR + 0.001, METAL_ERROR + 0.004, False, False),
+        (PAINT_ERROR - 0.001, 0.01, False, False),
+        (PAINT_ERROR + 0.001, PAINT_ERROR + 0.0015, True, False),
+        (PAINT_ERROR + 0.001, PAINT_ERROR + 0.004, False, False),
         # what no paint leaves speaks for metal, though metal leaves as much
-        (METAL_ERROR + 0.02, METAL_ERROR + 0.02, True, True),
-        (METAL_ERROR + 0.02, np.inf, False, False),
+        (PAINT_ERROR + 0.02, PAINT_ERROR + 0.02, True, True),
+        (PAINT_ERROR + 0.02, np.inf, False, False),
     ],
 )
 def test_metal_may_leave_the_more_the_more_paint_leaves(paint, metal, likely, certain):
     around = np.arange(4)[:, None].repeat(4, 1).T
     found = metal_samples(
-        np.full((4, 7), paint, np.float32), np.full((4, 5), metal, np.float32), around
+        np.full((4, 7), paint, np.float32),
+        np.full((4, 5), metal, np.float32),
+        around,
+        MATERIAL.metal,
     )
     np.testing.assert_array_equal(found, np.broadcast_to([[likely], [certain]], (2, 4)))
 
@@ -152,8 +159,9 @@ def parts_with(ball, one_in: int, dim: float, left: float = 0.0) -> int:
     found = metal_parts(
         (likely, certain),
         (transport.surfels.position[rows], np.zeros((len(rows), 3)), transport.surfels.spacing),
-        (Reflections(problem, light, rows), rays, dim * seen),
-        np.full((len(rows), len(METAL_LEVELS)), left, np.float32),
+        (Reflections(problem, light, rows, MATERIAL.reflections), rays, dim * seen),
+        np.full((len(rows), len(LEVELS)), left, np.float32),
+        MATERIAL,
     )
     assert (found.part[likely] >= 0).all() == bool(len(found.base))
     return len(found.base)
@@ -186,19 +194,20 @@ def test_a_bit_of_another_hue_than_the_metal_is_paint(ball, size, hue, kept):
     rays = view_rays(
         transport.surfels, transport.observations, rows, transport.visibility.directions
     )
-    reflections = Reflections(problem, light, rows)
+    reflections = Reflections(problem, light, rows, MATERIAL.reflections)
     gold, rest = np.flatnonzero(is_gold[rows]), np.flatnonzero(~is_gold[rows])
     metal = np.isin(np.arange(len(rows)), np.concatenate([gold, rest[:size]]))
     # far from the gold; what is seen is a metal of either hue
     position = transport.surfels.position[rows].copy()
     position[rest] += 99.0
     tint = np.where(np.isin(rays.sample, gold)[:, None], 0.0, [hue, -0.5 * hue, -0.5 * hue])
-    white = reflections.radiance(rays, METAL_LEVELS[0])[:, 1]
+    white = reflections.radiance(rays, LEVELS[0])[:, 1]
     found = metal_parts(
         (metal, metal),
         (position, np.zeros((len(rows), 3)), 9.0),
         (reflections, rays, white * torch.from_numpy(0.5 * np.exp(tint))),
-        np.full((len(rows), len(METAL_LEVELS)), 0.0, np.float32),
+        np.full((len(rows), len(LEVELS)), 0.0, np.float32),
+        MATERIAL,
     )
     assert (found.part[gold] == 0).all()
     assert len(found.base) == 1 + kept

@@ -12,11 +12,13 @@ from appearance import synthetic
 
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material.config import MaterialConfig, ReflectionsConfig
 from robir.appearance.material.gloss import Gloss, specular_towards
 from robir.appearance.material.reflections import Reflections, as_rays, view_rays
 from robir.maths import microfacet
 from robir.maths.tone import curve_from_name
 
+CONFIG = ReflectionsConfig()
 SUN, SKY = 2.4, 0.12
 
 
@@ -48,13 +50,13 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
     visibility, surfels = transport.visibility, transport.surfels
     rows = np.arange(3, len(surfels), 40)
     rays = view_rays(surfels, transport.observations, rows, visibility.directions)
-    reflected = Reflections(problem, light, rows).from_sky(rays, roughness)[:, 1].numpy()
+    reflected = Reflections(problem, light, rows, CONFIG).from_sky(rays, roughness)[:, 1].numpy()
 
     directions = visibility.directions.astype(np.float64)
     soft = lobes_of(light.amplitudes, light.axes[:0], light.sharpness[:0])
     spread = np.exp(float(soft.sharpness[0]) * (directions @ soft.axis.double().numpy().T - 1))
     sky = spread @ soft.amplitude[: synthetic.NUM_SOFT].double().numpy()
-    sharpness = min(200.0, 1 / (1.5 * roughness**4))
+    sharpness = min(CONFIG.sharpest_kernel, 1 / (1.5 * roughness**4))
     scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
     for ray in range(0, len(reflected), 7):
         row = rows[rays.sample[ray]]
@@ -83,6 +85,7 @@ def test_reflections_come_back_in_the_order_they_are_asked_in(problem, light):
         has_highlights=True,
         table=(),
         choices=(),
+        config=MaterialConfig(),
     )
     sample = rng.integers(0, count, 60)
     towards = transport.surfels.normal[sample] + rng.normal(0, 0.3, (60, 3)).astype(np.float32)
@@ -98,7 +101,7 @@ def test_rays_without_samples_reflect_nothing(problem, light):
     none = np.zeros(0, np.int64)
     nowhere = np.zeros((0, 3), np.float32)
     rays = as_rays(none, none, nowhere, nowhere, problem.scene.transport.visibility.directions)
-    assert Reflections(problem, light, np.arange(5)).from_sky(rays, 0.3).shape == (0, 2, 3)
+    assert Reflections(problem, light, np.arange(5), CONFIG).from_sky(rays, 0.3).shape == (0, 2, 3)
 
 
 def test_a_sample_may_be_seen_by_more_rays_than_there_are_directions(problem, light):
@@ -107,7 +110,7 @@ def test_a_sample_may_be_seen_by_more_rays_than_there_are_directions(problem, li
     rng, count = np.random.default_rng(0), 3 * len(directions)
     towards = surfels.normal[[7]] + rng.normal(0, 0.5, (count, 3)).astype(np.float32)
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    reflections = Reflections(problem, light, np.array([7]))
+    reflections = Reflections(problem, light, np.array([7]), CONFIG)
 
     def reflected(part: np.ndarray) -> np.ndarray:
         normal = np.repeat(surfels.normal[[7]], len(part), axis=0)
@@ -128,7 +131,7 @@ def test_a_polished_floor_mirrors_the_one_box_that_is_bright(problem, light):
     exitant[other] = 5.0
     towards = position[other] - position[row]
     column = int((directions @ towards).argmax())
-    bright = Reflections(replace(problem, exitant=exitant), light, np.array([row]))
+    bright = Reflections(replace(problem, exitant=exitant), light, np.array([row]), CONFIG)
     normal = transport.surfels.normal[[row]].astype(np.float32)
 
     def mirrored(direction):

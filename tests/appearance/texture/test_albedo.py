@@ -14,6 +14,7 @@ from transport.shapes import looking_at, mesh_of, patch, photograph
 from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.config import TextureConfig
@@ -218,6 +219,7 @@ def lit_floor(paints, is_second):
         has_highlights=True,
         table=(),
         choices=(),
+        config=MaterialConfig(),
     )
     texels = Texels(position=position, normal=normal)
     return make_problem(scene, curve), light, texels, views, matte, tracer

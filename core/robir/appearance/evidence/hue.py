@@ -140,7 +140,7 @@ def _highlights(
     chosen = problem.radiance.seen.numpy() & gloss.is_paint
     rows = problem.scene.rows[::STEP]
     rows = rows[chosen[rows]]
-    reflections, rays, seen, valid = looked_at(problem, light, rows)
+    reflections, rays, seen, valid = looked_at(problem, light, rows, gloss.config)
     specular = torch.zeros(len(rays.sample), 3)
     level = gloss.roughness[rows][rays.sample]
     for roughness in np.unique(level):

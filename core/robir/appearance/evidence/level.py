@@ -25,16 +25,10 @@ from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.material.config import HighlightsConfig, MaterialConfig
 from robir.appearance.material.gloss import Gloss, clusters, diffuse_below
-from robir.appearance.material.highlights import (
-    FEWEST_VIEWS,
-    HALF_BELIEVED,
-    LEVELS,
-    STEEPNESS,
-    UNSEEN_CODES,
-)
 from robir.appearance.material.observed import looked_at
-from robir.appearance.material.reflections import TILTS, reflected_share
+from robir.appearance.material.reflections import reflected_share
 
 Reals = NDArray[np.float64]
 
@@ -87,11 +81,12 @@ def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple
     sent = float(log_sent(light.irradiance(problem, every), problem.indirect[every]).mean())
     told = {"common paints": usual_paint(albedo), "exposure": usual_exposure(sent)}
     if gloss.has_highlights:
-        errors, count = _errors(problem, light, rows)
-        if count.sum() >= FEWEST_VIEWS:
+        errors, count = _errors(problem, light, rows, gloss.config)
+        if count.sum() >= gloss.config.highlights.fewest_views:
             position = problem.scene.transport.surfels.position[rows]
             patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
-            told["highlights"] = misread(_evidence(errors, count, patch))
+            evidence = _evidence(errors, count, patch, gloss.config.highlights)
+            told["highlights"] = misread(evidence)
     told[BY_ALL] = sum(told.values(), start=np.zeros(len(FACTORS)))
     return tuple(_witness(by, likely, sent) for by, likely in told.items())
 
@@ -105,35 +100,39 @@ def _witness(by: str, log_likely: Reals, sent: float) -> Witness:
     return Witness(of="level", by=by, value=sent + mean, deviation=deviation)
 
 
-def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Reals, Reals]:
-    """Display errors (LEVELS, FACTORS, U) summed over views, and the number (U,) of these.
+def _errors(
+    problem: Problem, light: Light, rows: NDArray[np.int64], config: MaterialConfig
+) -> tuple[Reals, Reals]:
+    """Display errors (L, FACTORS, U) at every roughness, and the number (U,) of their views.
 
     Each is that of the normal, of those that the mesh's may stand for, which explains it best.
     """
-    reflections, rays, seen, valid = looked_at(problem, light, rows)
-    sample, size = torch.from_numpy(rays.sample), len(rows)
-    errors = np.full((len(LEVELS), len(FACTORS), size), np.inf)
-    for tilt in TILTS:
+    reflections, rays, seen, valid = looked_at(problem, light, rows, config)
+    sample, size, levels = torch.from_numpy(rays.sample), len(rows), config.highlights.levels
+    errors = np.full((len(levels), len(FACTORS), size), np.inf)
+    for tilt in reflections.tilts:
         tilted = reflections.tilted(rays, tilt)
-        for index, level in enumerate(LEVELS):
+        for index, level in enumerate(levels):
             through = 1 - reflected_share(rays, level)[:, None]
             lit = reflections.from_sky(tilted, level) + reflections.from_suns(rays, level, tilt)
             for number, factor in enumerate(np.exp(FACTORS)):
                 shone = factor * lit[:, 0]
-                shown = diffuse_below(seen.linear, shone, through, (rays, valid)) + shone
+                shown = diffuse_below(seen, shone, through, (rays, valid)) + shone
                 total = torch.zeros(size).index_add_(0, sample, seen.error(shown)).double().numpy()
                 errors[index, number] = np.minimum(errors[index, number], total)
     return errors, np.bincount(rays.sample, minlength=size).astype(np.float64)
 
 
-def _evidence(errors: Reals, count: Reals, patch: NDArray[np.int64]) -> Reals:
+def _evidence(
+    errors: Reals, count: Reals, patch: NDArray[np.int64], config: HighlightsConfig
+) -> Reals:
     """Log likelihood (FACTORS,), up to a constant, over all roughnesses of each patch (U,)."""
     views = np.bincount(patch, count)
     total = np.zeros(len(FACTORS))
-    for known in np.flatnonzero(views >= FEWEST_VIEWS):
+    for known in np.flatnonzero(views >= config.fewest_views):
         codes = 255 * errors[:, :, patch == known].sum(2) / views[known]
-        log = logsumexp(-STEEPNESS * np.log(codes + UNSEEN_CODES), axis=0)
-        total += log * views[known] / (views[known] + HALF_BELIEVED)
+        log = logsumexp(-config.steepness * np.log(codes + config.unseen_codes), axis=0)
+        total += log * views[known] / (views[known] + config.half_believed)
     return misread(total)
 
 

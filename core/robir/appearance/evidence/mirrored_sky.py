@@ -74,7 +74,7 @@ def _mirrored(problem: Problem, light: Light, gloss: Gloss, rows: NDArray[np.int
     parts = []
     for roughness in np.unique(gloss.roughness[rows]):
         own = rows[gloss.roughness[rows] == roughness]
-        reflections, rays, shown, _ = looked_at(problem, dark, own)
+        reflections, rays, shown, _ = looked_at(problem, dark, own, gloss.config)
         base = torch.from_numpy(gloss.metal[own])[torch.from_numpy(rays.sample)]
         suns = base * reflections.from_suns(rays, float(roughness))[:, 1]
         fixed = suns + base * reflections.from_sky(rays, float(roughness))[:, 1]

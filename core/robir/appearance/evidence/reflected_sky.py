@@ -129,7 +129,7 @@ def skies_by_paint(
     if len(np.unique(block)) < FOLDS:
         return None
     found = gloss.roughness[rows].astype(np.float64)
-    trial = Trial.of(problem, light, rows)
+    trial = Trial.of(problem, light, rows, gloss.config)
     rays = trial.rays
     chosen = trial.rays_of(np.ones(len(rows), bool))
     before = trial.paint_errors(chosen, found if gloss.has_highlights else None)
@@ -138,7 +138,8 @@ def skies_by_paint(
     levels = [np.full(len(rows), level) for level in LEVELS]
     # a sun's highlight tells more of the roughness, if it is a sun
     levels = [found, *levels] if is_told else levels
-    dark = Trial.of(parted, start.with_sky(torch.zeros_like(start.amplitudes.soft)), rows)
+    darkened = start.with_sky(torch.zeros_like(start.amplitudes.soft))
+    dark = Trial.of(parted, darkened, rows, gloss.config)
     lit = start.irradiance(parted, rows).clamp(min=1e-6)
     sky = start.amplitudes.soft, parted.scene.soft[rows] / lit.T[:, :, None]
     tried = [_Paint.of(dark, sky, level) for level in levels]

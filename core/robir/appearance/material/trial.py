@@ -20,6 +20,7 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.observed import Seen, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
 from robir.appearance.proof import EVERY, Proof
@@ -42,9 +43,11 @@ class Trial:
     seen: Seen
 
     @classmethod
-    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
+    def of(
+        cls, problem: Problem, light: Light, rows: NDArray[np.int64], config: MaterialConfig
+    ) -> Trial:
         """Samples (U,) of a scene under a light."""
-        reflections, rays, seen, _ = looked_at(problem, light, rows)
+        reflections, rays, seen, _ = looked_at(problem, light, rows, config)
         return cls(reflections=reflections, rays=rays, seen=seen)
 
     def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
@@ -98,7 +101,8 @@ def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tenso
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that is let through.
     """
-    below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
+    least = seen.config.least_diffuse * seen.linear
+    below = torch.maximum(seen.linear - specular, least) / through
     shown = seen.curve.display_from_linear(below).float()
     others = _by_other_folds(shown, rays).clamp(0, 1)
     return through * seen.curve.linear_from_display(others).float()

@@ -58,6 +58,7 @@ class HighlightEvidenceConfig:
         roughnesses: That are tried. The error grows on both sides of the right one as it does from
             the tip of a V, so that wider steps would favour whichever curve has its tip near one.
         num_samples: Samples that are looked at.
+        least_views: Views near a sun's mirror direction that these must have to say anything.
         num_materials: Groups of like albedo among them; each has one roughness.
     """
 
@@ -66,6 +67,7 @@ class HighlightEvidenceConfig:
         *(0.61, 0.68, 0.75, 0.82, 0.9),
     )
     num_samples: Annotated[int, Within(1, 1_000_000)] = 1500
+    least_views: Annotated[int, Within(1, 1_000_000)] = 100
     num_materials: Annotated[int, Within(1, 1000)] = 6
 
     def __post_init__(self) -> None:

@@ -20,10 +20,9 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import SHARPEST_SKY, clusters, diffuse_below
+from robir.appearance.material.gloss import clusters, diffuse_below
 from robir.appearance.material.observed import seen_along
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share, view_rays
-from robir.appearance.material.roughness import MIN_HIGHLIGHTS
 
 Floats = NDArray[np.floating[Any]]
 
@@ -48,7 +47,7 @@ def highlight_tables(
     """
     problem, light = models[0]
     asked = config.tone.highlight_evidence
-    rows = _near_mirrors(problem, light, asked.num_samples, np.random.default_rng(seed))
+    rows = _near_mirrors(problem, light, config, np.random.default_rng(seed))
     if not len(rows):
         return None
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
@@ -59,7 +58,7 @@ def highlight_tables(
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
 
     def table(model: tuple[Problem, Light]) -> Table:
-        error, count = _errors(*model, rows, rays, asked.roughnesses)
+        error, count = _errors(*model, rows, rays, config)
         best = np.zeros(len(rows))
         for index in range(material.max() + 1):
             own = material == index
@@ -70,16 +69,18 @@ def highlight_tables(
 
 
 def _near_mirrors(
-    problem: Problem, light: Light, most: int, rng: np.random.Generator
+    problem: Problem, light: Light, config: AppearanceConfig, rng: np.random.Generator
 ) -> NDArray[np.int64]:
     """Some samples that a view sees near a sun's mirror direction; none if those views are few."""
-    scene = problem.scene
-    rows = np.sort(rng.choice(scene.rows, min(most, len(scene.rows)), replace=False))
+    scene, asked = problem.scene, config.tone.highlight_evidence
+    count = min(asked.num_samples, len(scene.rows))
+    rows = np.sort(rng.choice(scene.rows, count, replace=False))
     transport = scene.transport
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
-    near = rays.sample[Reflections(problem, light, rows).near_highlight(rays).numpy()]
-    return rows[np.unique(near)] if len(near) >= MIN_HIGHLIGHTS else rows[:0]
+    reflections = Reflections(problem, light, rows, config.material.reflections)
+    near = rays.sample[reflections.near_highlight(rays).numpy()]
+    return rows[np.unique(near)] if len(near) >= asked.least_views else rows[:0]
 
 
 def _errors(
@@ -87,25 +88,26 @@ def _errors(
     light: Light,
     rows: NDArray[np.int64],
     rays: ViewRays,
-    roughnesses: tuple[float, ...],
+    config: AppearanceConfig,
 ) -> tuple[Floats, Floats]:
     """Display errors (U, L) at every roughness, summed over views near highlights.
 
     And the number of those views, (U,).
     """
-    reflections = Reflections(problem, light, rows)
-    seen = seen_along(problem, rays, rows)
+    material, roughnesses = config.material, config.tone.highlight_evidence.roughnesses
+    reflections = Reflections(problem, light, rows, material.reflections)
+    seen = seen_along(problem, rays, rows, material.observed)
     valid = torch.from_numpy(problem.scene.transport.observations.weight[rows] > 0)
     near = reflections.near_highlight(rays)
     near_seen, sample = seen.of(near), torch.from_numpy(rays.sample)[near]
-    blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
+    blurred = reflections.from_sky(rays, material.gloss.sharpest_sky)[:, 0]
     error = torch.zeros(len(roughnesses), len(rows))
     for index, roughness in enumerate(roughnesses):
-        is_sharp = roughness < SHARPEST_SKY
+        is_sharp = roughness < material.gloss.sharpest_sky
         sky = blurred if is_sharp else reflections.from_sky(rays, roughness)[:, 0]
         specular = sky + reflections.from_suns(rays, roughness)[:, 0]
         through = 1 - reflected_share(rays, roughness)[:, None]
-        diffuse = diffuse_below(seen.linear, specular, through, (rays, valid))
+        diffuse = diffuse_below(seen, specular, through, (rays, valid))
         error[index].index_add_(0, sample, near_seen.error((diffuse + specular)[near]))
     count = np.bincount(sample.numpy(), minlength=len(rows)).astype(float)
     return error.T.double().numpy(), count
