@@ -91,10 +91,10 @@ class ShadowEdgesConfig:
     mesh_error: Annotated[float, Within(0, 0.5)] = 0.02
     brightest: Annotated[float, Within(0.1, 10)] = 0.9
     reference_step: Annotated[int, Within(1, 256)] = 8
-    palette: Annotated[int, Within(1, 4096)] = 128
+    palette: Annotated[int, Within(1, 1024)] = 128
     num_shares: Annotated[int, Within(2, 1001)] = 11
     traced_weight: Annotated[float, Within(0, 100)] = 0.3
-    clipped_palette: Annotated[int, Within(1, 4096)] = 8
+    clipped_palette: Annotated[int, Within(1, 1024)] = 8
     clipped_quantile: Annotated[float, Within(0, 1)] = 0.8
 
 
@@ -117,7 +117,7 @@ class ResidualShadingConfig:
 
     mesh_error: Annotated[float, Within(1e-4, 0.5)] = 0.02
     reach: Annotated[float, Within(0, 4)] = 0.4
-    count: Annotated[int, Within(2, 4096)] = 128
+    count: Annotated[int, Within(2, 1024)] = 128
     rounds: Annotated[int, Within(0, 100)] = 3
     alike_brightness: Annotated[float, Within(0.01, 10)] = 0.35
     alike_hue: Annotated[float, Within(0.01, 10)] = 0.17
@@ -164,7 +164,7 @@ class DetailConfig:
         rounds: How often the mean is found anew without those that disagree.
     """
 
-    best_views: Annotated[int, Within(1, 32)] = 4
+    best_views: Annotated[int, Within(1, 16)] = 4
     steepness: Annotated[float, Within(0, 16)] = 4.0
     depth_side: Annotated[int, Within(16, 8192, "pixels")] = 400
     depth_tolerance: Annotated[float, Within(0, 1)] = 0.015
