@@ -232,7 +232,7 @@ def _radiance(
     texel = np.concatenate([one.texel for one in seen])
     blend = Blend(problem, points, config)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-    sun = sun_transfer(problem, light, points, light.sharpness, config.sun_samples)
+    sun = sun_transfer(problem, light, points, light.sharpness, 2 * config.sun_ray_pairs)
     irradiance = soft + sun @ light.amplitudes.sharp.numpy()
     albedo = values.albedo[texel]
     metallic = values.metallic[texel, None]

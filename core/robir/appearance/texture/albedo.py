@@ -143,7 +143,7 @@ class Painting:
         share = texture_weights(observed, texels.position, linear, below_gloss=below_gloss)
         radiance = weighted_radiance(seen, linear, share)
         shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
-        nothing = np.zeros(len(soft), np.float32)
+        rays, nothing = 2 * config.texels.sun_ray_pairs, np.zeros(len(soft), np.float32)
         return cls(
             problem=problem,
             light=light,
@@ -154,7 +154,7 @@ class Painting:
             total=shown.clamp(min=1e-5).numpy(),
             clipped=radiance.clipped.numpy(),
             soft=soft,
-            narrow=sun_transfer(problem, light, texels, light.sharpness, config.texels.sun_samples),
+            narrow=sun_transfer(problem, light, texels, light.sharpness, rays),
             albedo=np.zeros_like(soft),
             spread=_spread(linear, seen),
             edge=nothing > 0,

@@ -31,7 +31,7 @@ class TexelsConfig:
             it, unit frame.
         least_distance: Of a sample from a texel, spacings of the samples; adds to the distance
             whose inverse square says what the sample counts.
-        sun_samples: Rays by which is told how much of a sun arrives.
+        sun_ray_pairs: Pairs of opposite rays by which is told how much of a sun arrives.
         step: Every so manieth texel stands for its neighbours where texels are compared with each
             other or normals are turned: the atlas is finer than photographs and mesh.
     """
@@ -40,7 +40,7 @@ class TexelsConfig:
     max_albedo: Annotated[float, Within(0.2, 1)] = 0.95
     normal_scale: Annotated[float, Within(0, 10)] = 0.15
     least_distance: Annotated[float, Within(0.001, 100)] = 0.2
-    sun_samples: Annotated[int, Within(1, 4096)] = 8
+    sun_ray_pairs: Annotated[int, Within(1, 128)] = 4
     step: Annotated[int, Within(1, 64)] = 4
 
 
@@ -69,7 +69,7 @@ class ShadowEdgesConfig:
     """Where nobody knows how much sun arrives, and which albedo is taken there.
 
     Attributes:
-        samples: Rays by which the share of a sun's wide lobe is told.
+        ray_pairs: Pairs of opposite rays by which the share of a sun's wide lobe is told.
         least_share: Share of it from which a texel is at an edge, up to as little below 1.
         least_strength: Irradiance of a sun over that of the sky below which it casts no edge.
         mesh_error: Error of the mesh along the surface that a shadow may have, unit frame.
@@ -85,7 +85,7 @@ class ShadowEdgesConfig:
         clipped_quantile: Of their albedos, that it takes.
     """
 
-    samples: Annotated[int, Within(1, 4096)] = 12
+    ray_pairs: Annotated[int, Within(1, 128)] = 6
     least_share: Annotated[float, Within(0, 0.5)] = 0.02
     least_strength: Annotated[float, Within(0, 100)] = 0.1
     mesh_error: Annotated[float, Within(0, 0.5)] = 0.02

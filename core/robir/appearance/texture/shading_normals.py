@@ -78,7 +78,8 @@ def _log_slope(problem: Problem, light: Light, texels: Texels, config: TextureCo
     scene = problem.scene
     blend = Blend(problem, texels, config.texels)
     sun = light.amplitudes.sharp.numpy()
-    lit = sun_transfer(problem, light, texels, light.sharpness, config.texels.sun_samples)
+    rays = 2 * config.texels.sun_ray_pairs
+    lit = sun_transfer(problem, light, texels, light.sharpness, rays)
     soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
     irradiance = (soft + lit @ sun).mean(1)
     facing = np.maximum(texels.normal @ light.axes.T, config.shading_normals.least_cosine)

@@ -53,7 +53,7 @@ def on_edges(
         return np.zeros(len(albedo), bool)
     strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
     sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
-    wide = sun_transfer(problem, light, texels, sharpness, config.samples)
+    wide = sun_transfer(problem, light, texels, sharpness, 2 * config.ray_pairs)
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     share = wide / np.maximum(facing, 1e-3)
     partly = share < 1 - config.least_share
