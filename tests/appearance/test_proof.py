@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.highlights import LEVELS
+from robir.appearance.material.config import HighlightsConfig
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import looked_at
@@ -22,6 +22,7 @@ from robir.appearance.step_config import ProofConfig
 from robir.maths.tone import curve_from_name
 
 CONFIG = ProofConfig()
+READING = HighlightsConfig()
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)
 GLOSS = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.4)
 
@@ -129,9 +130,9 @@ def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials
         base=np.full((2, 3), 0.7, np.float32),
         roughness=np.array([0.2, 0.3]),
     )
-    dielectric = np.zeros((count, len(LEVELS)), np.float32)
+    dielectric = np.zeros((count, len(READING.levels)), np.float32)
     for by_camera, number in ((True, 0), (False, 2)):
-        kept, choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
+        kept, choice = proven_parts(parts, trial, dielectric, READING, by_camera=by_camera)
         assert len(kept.roughness) == len(kept.base) == number
         assert len(np.unique(kept.part)) == number + 1
         assert choice.chosen == ("0% of the surface" if by_camera else "33% of the surface")
@@ -146,6 +147,6 @@ def test_parts_that_one_fold_of_views_alone_shows_are_not_proven(trials):
         base=np.full((1, 3), 0.7, np.float32),
         roughness=np.array([0.2]),
     )
-    dielectric = np.zeros((count, len(LEVELS)), np.float32)
-    kept, _ = proven_parts(parts, few, dielectric, by_camera=True)
+    dielectric = np.zeros((count, len(READING.levels)), np.float32)
+    kept, _ = proven_parts(parts, few, dielectric, READING, by_camera=True)
     assert len(kept.roughness) == 0

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from robir.appearance.evidence.config import EvidenceConfig
 from robir.appearance.light.config import LightConfig
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.step_config import (
     BlocksConfig,
@@ -17,6 +18,8 @@ from robir.appearance.step_config import (
     ResponseConfig,
     SmoothNormalsConfig,
 )
+from robir.appearance.texture.config import TextureConfig, TexturingConfig
+from robir.appearance.tone.config import ToneConfig
 from robir.errors import ConfigError
 
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
@@ -58,6 +61,10 @@ class AppearanceConfig:
         response: Whether photographs by a camera went through another curve than cameras have.
         proven_suns: Whether photographs by a camera prove the suns.
         render: Our own re-renders of views.
+        material: How gloss and metal are found.
+        tone: How the tone curve is chosen.
+        texture: How every texel is read.
+        texturing: How many photographs textures are read from.
         without: Names of steps that are left out, to see what they are worth.
     """
 
@@ -83,6 +90,10 @@ class AppearanceConfig:
     response: ResponseConfig = field(default_factory=ResponseConfig)
     proven_suns: ProvenSunsConfig = field(default_factory=ProvenSunsConfig)
     render: RenderConfig = field(default_factory=RenderConfig)
+    material: MaterialConfig = field(default_factory=MaterialConfig)
+    tone: ToneConfig = field(default_factory=ToneConfig)
+    texture: TextureConfig = field(default_factory=TextureConfig)
+    texturing: TexturingConfig = field(default_factory=TexturingConfig)
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

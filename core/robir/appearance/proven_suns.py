@@ -43,7 +43,7 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
     config, problem = solution.config, tone.candidates[0].problem
     sky = fit(problem, *no_suns(), config.iterations)
     plain = solve(problem, replace(sky, history=(sky.loss,)), config, solution.seed, course)
-    views = lead_in_errors(compared(plain, solution))
+    views = lead_in_errors(compared(plain, solution), config.tone.code_error)
     shadows = lead_across_shadows(plain, solution)
     leads = (views + shadows) / np.sqrt(2)
     is_proven = leads > config.proven_suns.margin

@@ -10,7 +10,6 @@ from robir.appearance.light.told import Told
 from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import Candidate
 from robir.appearance.tone.rivals import fits_alike
 from robir.jobs.choice import Choice
 
@@ -50,7 +49,7 @@ def light_choices(
             cost_seconds=seconds["tone_curve"],
             why=f"{reason}; of those with a shoulder the lowest display error of albedo carried "
             "between neighbours in different light, the simplest within one standard error"
-            f"{_near(candidates)}{_lead(tone)}{_beyond(tone)}",
+            f"{_near(tone)}{_lead(tone)}{_beyond(tone)}",
         ),
         Choice(
             choice="sharp lights",
@@ -79,10 +78,11 @@ def light_choices(
     )
 
 
-def _near(candidates: list[Candidate]) -> str:
+def _near(tone: ToneChoice) -> str:
     """Which curves could not be told from the chosen one."""
-    chosen, *others = candidates
-    near = [other.curve.name for other in others if fits_alike(chosen, other)]
+    chosen, *others = tone.candidates
+    ranking = tone.config.tone.ranking
+    near = [other.curve.name for other in others if fits_alike(chosen, other, ranking)]
     return f"; within noise of it: {', '.join(near)}" if near else ""
 
 

@@ -23,7 +23,7 @@ from robir.appearance.material.trial import Trial
 from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import CAMERA, LEAST_LEAD
+from robir.appearance.tone.ranking import CAMERA
 from robir.jobs.choice import Choice
 from robir.steps import Course
 
@@ -48,7 +48,7 @@ def solved(
         return tone, solution
     rival = solve(camera.problem, camera.light, config, seed, course)
     proof = compared(rival, solution)
-    leads = lead_in_errors(proof)
+    leads = lead_in_errors(proof, config.tone.code_error)
     margin = config.response.margin
     is_camera = leads <= margin
     choice = Choice(
@@ -88,10 +88,10 @@ def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, 
     return trial.paint_errors(chosen, level), trial.rays.view[chosen.numpy()]
 
 
-def lead_in_errors(proof: Proof) -> float:
-    """By how many standard errors the richer model leads; LEAST_LEAD is added to each."""
+def lead_in_errors(proof: Proof, code_error: float) -> float:
+    """By how many standard errors the richer model leads; so many codes are added to each."""
     if not np.isfinite(proof.error):
         return 0.0
     # squared errors to codes, about their mean
     error = 255**2 * proof.error / max(proof.plain + proof.rich, 1e-9)
-    return (proof.plain - proof.rich) / float(np.hypot(error, LEAST_LEAD))
+    return (proof.plain - proof.rich) / float(np.hypot(error, code_error))

@@ -285,8 +285,11 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     """Store the chosen curve and what it was chosen against."""
     first, *others = tone.candidates
     chosen = first.curve
+    ranking = tone.config.tone.ranking
     apart = {
-        other.curve.name: albedo_apart(first, other) for other in others if fits_alike(first, other)
+        other.curve.name: albedo_apart(first, other)
+        for other in others
+        if fits_alike(first, other, ranking)
     }
     write_json(
         folder / "tone_curve.json",

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.material.highlights import LEVELS, Highlights
+from robir.appearance.material.config import MaterialConfig
+from robir.appearance.material.highlights import Highlights
 from robir.appearance.material.roughness import (
     DULL,
     EACH,
@@ -22,6 +23,8 @@ from robir.appearance.material.roughness import (
 from robir.appearance.proof import Proof
 from robir.appearance.step_config import BlocksConfig
 
+CONFIG = MaterialConfig()
+LEVELS = CONFIG.highlights.levels
 VIEWS = 12.0
 
 
@@ -99,7 +102,7 @@ def answers(highlights, position, material, num_materials=3, *, by_camera=True):
     trial = FakeTrial(np.column_stack([highlights.error, highlights.plain]), position)
     paint = np.ones(len(material), bool)
     choice = choose_roughness(
-        highlights, Patches(features, material), trial, paint, by_camera=by_camera
+        highlights, Patches(features, material), trial, paint, CONFIG, by_camera=by_camera
     )
     specular, roughness = choice.choices
     assert [one.choice for one in choice.choices] == ["specular", "roughness"]

@@ -28,15 +28,8 @@ from robir.appearance.light.lobes import log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, clusters, diffuse_below
-from robir.appearance.material.highlights import (
-    FEWEST_VIEWS,
-    HALF_BELIEVED,
-    LEVELS,
-    STEEPNESS,
-    UNSEEN_CODES,
-)
 from robir.appearance.material.observed import looked_at
-from robir.appearance.material.reflections import TILTS, reflected_share
+from robir.appearance.material.reflections import reflected_share
 
 Reals = NDArray[np.float64]
 
@@ -75,10 +68,10 @@ def told_level(
     told = {"common paints": usual_paint(albedo, config), "exposure": usual_exposure(sent, asked)}
     if gloss.has_highlights:
         errors, count = _errors(problem, light, rows, log_factors(asked))
-        if count.sum() >= FEWEST_VIEWS:
+        if count.sum() >= config.material.highlights.fewest_views:
             position = problem.scene.transport.surfels.position[rows]
             patch = clusters(np.concatenate([albedo, position], axis=1), asked.num_patches, seed)
-            told["highlights"] = misread(_evidence(errors, count, patch, asked), asked)
+            told["highlights"] = misread(_evidence(errors, count, patch, config), asked)
     told[BY_ALL] = sum(told.values(), start=np.zeros(asked.num_factors))
     return tuple(_witness(by, likely, sent, asked) for by, likely in told.items())
 
@@ -96,41 +89,39 @@ def _witness(by: str, log_likely: Reals, sent: float, config: LevelConfig) -> Wi
 def _errors(
     problem: Problem, light: Light, rows: NDArray[np.int64], factors: Reals
 ) -> tuple[Reals, Reals]:
-    """Display errors (LEVELS, F, U) summed over views, and the number (U,) of these.
+    """Display errors (L, F, U) at every roughness, and the number (U,) of their views.
 
     Each is that of the normal, of those that the mesh's may stand for, which explains it best.
     """
+    config = problem.scene.config
+    levels, statistics = config.material.highlights.levels, config.photometry.statistics
     reflections, rays, seen, valid = looked_at(problem, light, rows)
-    sample, size = torch.from_numpy(rays.sample), len(rows)
-    seen_by, statistics = (rays, valid), problem.scene.config.photometry.statistics
-    errors = np.full((len(LEVELS), len(factors), size), np.inf)
-    for tilt in TILTS:
+    sample, size, seen_by = torch.from_numpy(rays.sample), len(rows), (rays, valid)
+    errors = np.full((len(levels), len(factors), size), np.inf)
+    for tilt in reflections.tilts:
         tilted = reflections.tilted(rays, tilt)
-        for index, level in enumerate(LEVELS):
+        for index, level in enumerate(levels):
             through = 1 - reflected_share(rays, level)[:, None]
             lit = reflections.from_sky(tilted, level) + reflections.from_suns(rays, level, tilt)
             for number, factor in enumerate(np.exp(factors)):
                 shone = factor * lit[:, 0]
-                below = diffuse_below(seen.linear, shone, through, seen_by, statistics)
-                total = (
-                    torch.zeros(size)
-                    .index_add_(0, sample, seen.error(below + shone))
-                    .double()
-                    .numpy()
-                )
+                shown = diffuse_below(seen, shone, through, seen_by, statistics) + shone
+                total = torch.zeros(size).index_add_(0, sample, seen.error(shown)).double().numpy()
                 errors[index, number] = np.minimum(errors[index, number], total)
     return errors, np.bincount(rays.sample, minlength=size).astype(np.float64)
 
 
-def _evidence(errors: Reals, count: Reals, patch: NDArray[np.int64], config: LevelConfig) -> Reals:
+def _evidence(
+    errors: Reals, count: Reals, patch: NDArray[np.int64], config: AppearanceConfig
+) -> Reals:
     """Log likelihood (F,), up to a constant, over all roughnesses of each patch (U,)."""
-    views = np.bincount(patch, count)
-    total = np.zeros(config.num_factors)
-    for known in np.flatnonzero(views >= FEWEST_VIEWS):
+    views, reading = np.bincount(patch, count), config.material.highlights
+    total = np.zeros(config.evidence.level.num_factors)
+    for known in np.flatnonzero(views >= reading.fewest_views):
         codes = 255 * errors[:, :, patch == known].sum(2) / views[known]
-        log = logsumexp(-STEEPNESS * np.log(codes + UNSEEN_CODES), axis=0)
-        total += log * views[known] / (views[known] + HALF_BELIEVED)
-    return misread(total, config)
+        log = logsumexp(-reading.steepness * np.log(codes + reading.unseen_codes), axis=0)
+        total += log * views[known] / (views[known] + reading.half_believed)
+    return misread(total, config.evidence.level)
 
 
 def misread(evidence: Reals, config: LevelConfig) -> Reals:

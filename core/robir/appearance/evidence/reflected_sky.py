@@ -121,7 +121,8 @@ def skies_by_paint(
     levels = [np.full(len(rows), level) for level in asked.roughnesses]
     # a sun's highlight tells more of the roughness, if it is a sun
     levels = [found, *levels] if is_told else levels
-    dark = Trial.of(parted, start.with_sky(torch.zeros_like(start.amplitudes.soft)), rows)
+    darkened = start.with_sky(torch.zeros_like(start.amplitudes.soft))
+    dark = Trial.of(parted, darkened, rows)
     lit = start.irradiance(parted, rows).clamp(min=1e-6)
     sky = start.amplitudes.soft, parted.scene.soft[rows] / lit.T[:, :, None]
     tried = [_Paint.of(dark, sky, level, config) for level in levels]
@@ -241,7 +242,8 @@ class _Paint:
     def diffuse(self, soft: Tensor) -> Tensor:
         """Mean diffuse radiance (U, 3) of the samples under lobes of some amplitudes (K, 3)."""
         linear = self.seen.linear
-        below = torch.maximum(linear - self.fixed - self.lobes_sent @ soft, 0.02 * linear)
+        least = self.seen.config.least_diffuse * linear
+        below = torch.maximum(linear - self.fixed - self.lobes_sent @ soft, least)
         return sample_mean(below / self.through, self.rays, self.kept.shape[1])
 
     def across(self, fold: NDArray[np.int64], kept_error: float) -> Tensor:

@@ -106,7 +106,8 @@ def predicted_below(
         through: (M, 1) share of the diffuse light that is let through.
         config: Into how many folds views are parted.
     """
-    below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
+    least = seen.config.least_diffuse * seen.linear
+    below = torch.maximum(seen.linear - specular, least) / through
     shown = seen.curve.display_from_linear(below).float()
     others = _by_other_folds(shown, rays, config.every).clamp(0, 1)
     return through * seen.curve.linear_from_display(others).float()
