@@ -3,21 +3,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.highlights import LEVELS
+from robir.appearance.material.config import HighlightsConfig
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import looked_at
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import display_mean
-from robir.appearance.proof import EVERY, Proof, fitted_views
+from robir.appearance.proof import Proof, fitted_views
+from robir.appearance.step_config import ProofConfig
 from robir.maths.tone import curve_from_name
 
+CONFIG = ProofConfig()
+READING = HighlightsConfig()
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)
 GLOSS = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.4)
 
@@ -54,9 +59,9 @@ def test_one_view_and_one_place_prove_nothing():
 
 
 def test_one_view_in_so_many_is_kept():
-    is_fitted = fitted_views(40)
-    assert (~is_fitted).sum() == 40 // EVERY
-    assert np.diff(np.flatnonzero(~is_fitted)).max() == EVERY
+    is_fitted = fitted_views(40, CONFIG)
+    assert (~is_fitted).sum() == 40 // CONFIG.every
+    assert np.diff(np.flatnonzero(~is_fitted)).max() == CONFIG.every
 
 
 @pytest.mark.parametrize("family", ["standard", "filmic", "agx"])
@@ -88,7 +93,8 @@ def trials():
         problem = make_problem(scene, curve)
         rows = np.flatnonzero(problem.radiance.seen.numpy())
         reflections, rays, seen, _ = looked_at(problem, light, rows)
-        found.append((Trial(reflections=reflections, rays=rays, seen=seen), len(rows)))
+        trial = Trial(reflections=reflections, rays=rays, seen=seen, config=CONFIG)
+        found.append((trial, len(rows)))
     return found
 
 
@@ -106,7 +112,7 @@ def test_no_view_takes_part_in_its_own_prediction(trials):
     trial, count = trials[0]
     rays = trial.rays_of(np.arange(count) == 5)
     seen = trial.seen.of(rays)
-    fold = trial.rays.of(rays).view % EVERY
+    fold = trial.rays.of(rays).view % CONFIG.every
     before = trial.paint_errors(rays, None)
     linear = seen.linear.clone()
     linear[torch.from_numpy(fold == fold[0])] *= 1.5
@@ -124,9 +130,9 @@ def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials
         base=np.full((2, 3), 0.7, np.float32),
         roughness=np.array([0.2, 0.3]),
     )
-    dielectric = np.zeros((count, len(LEVELS)), np.float32)
+    dielectric = np.zeros((count, len(READING.levels)), np.float32)
     for by_camera, number in ((True, 0), (False, 2)):
-        kept, choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
+        kept, choice = proven_parts(parts, trial, dielectric, READING, by_camera=by_camera)
         assert len(kept.roughness) == len(kept.base) == number
         assert len(np.unique(kept.part)) == number + 1
         assert choice.chosen == ("0% of the surface" if by_camera else "33% of the surface")
@@ -134,13 +140,13 @@ def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials
 
 def test_parts_that_one_fold_of_views_alone_shows_are_not_proven(trials):
     trial, count = trials[0]
-    own = torch.from_numpy(np.flatnonzero(trial.rays.view % EVERY == 0))
-    few = Trial(reflections=trial.reflections, rays=trial.rays.of(own), seen=trial.seen.of(own))
+    own = torch.from_numpy(np.flatnonzero(trial.rays.view % CONFIG.every == 0))
+    few = replace(trial, rays=trial.rays.of(own), seen=trial.seen.of(own))
     parts = MetalParts(
         part=np.zeros(count, np.int64),
         base=np.full((1, 3), 0.7, np.float32),
         roughness=np.array([0.2]),
     )
-    dielectric = np.zeros((count, len(LEVELS)), np.float32)
-    kept, _ = proven_parts(parts, few, dielectric, by_camera=True)
+    dielectric = np.zeros((count, len(READING.levels)), np.float32)
+    kept, _ = proven_parts(parts, few, dielectric, READING, by_camera=True)
     assert len(kept.roughness) == 0

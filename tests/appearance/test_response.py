@@ -22,6 +22,7 @@ from robir.steps import Course
 CONFIG = AppearanceConfig(
     num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
 )
+CODE_ERROR = CONFIG.tone.code_error
 VARNISHED = synthetic.Material(np.array([0.3, 0.12, 0.1], np.float32), roughness=0.3)
 
 
@@ -79,10 +80,10 @@ def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():
     plain = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
     # half a code less everywhere: certain, but for the tenth
     rich = plain * 0.95**2
-    lead = lead_in_errors(Proof.of(plain, rich, (views,)))
+    lead = lead_in_errors(Proof.of(plain, rich, (views,)), CODE_ERROR)
     assert lead == pytest.approx(0.05 * 255 * np.sqrt(plain.mean()) / 0.1, rel=0.1)
     # noise that gains nothing
     other = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
-    assert abs(lead_in_errors(Proof.of(plain, other, (views,)))) < 2.5
+    assert abs(lead_in_errors(Proof.of(plain, other, (views,)), CODE_ERROR)) < 2.5
     # from the same errors twice nothing follows
-    assert lead_in_errors(Proof.of(plain, plain, (views,))) == 0
+    assert lead_in_errors(Proof.of(plain, plain, (views,)), CODE_ERROR) == 0

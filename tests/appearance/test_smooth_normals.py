@@ -10,10 +10,13 @@ import pytest
 import trimesh
 
 from robir.appearance.smooth_normals import SURFACE, Surface, smoothed
+from robir.appearance.step_config import SmoothNormalsConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.steps import Course
 from robir.transport.baked import Transport
 from robir.transport.surfels import Surfels, sample_surfels
+
+CONFIG = SmoothNormalsConfig()
 
 
 def grainy(normal, degrees, seed=0):
@@ -40,7 +43,7 @@ def sphere():
 def test_grain_goes(sphere):
     _, surfels = sphere
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
-    found = smoothed(noisy.position, noisy.normal, noisy)
+    found = smoothed(noisy.position, noisy.normal, noisy, CONFIG)
     before, after = (angles(normal, surfels.normal).mean() for normal in (noisy.normal, found))
     assert before > 7 and after < 0.35 * before
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-5)
@@ -48,7 +51,8 @@ def test_grain_goes(sphere):
 
 def test_a_sphere_stays_one(sphere):
     _, surfels = sphere
-    assert angles(smoothed(surfels.position, surfels.normal, surfels), surfels.normal).max() < 2
+    found = smoothed(surfels.position, surfels.normal, surfels, CONFIG)
+    assert angles(found, surfels.normal).max() < 2
 
 
 def test_edges_stay():
@@ -57,7 +61,7 @@ def test_edges_stay():
     position, face = trimesh.sample.sample_surface_even(solid, 6000, seed=1)
     true = solid.face_normals[face].astype(np.float32)
     noisy = Surfels(position=position.astype(np.float32), normal=grainy(true, 4), spacing=0.02)
-    found = smoothed(noisy.position, noisy.normal, noisy)
+    found = smoothed(noisy.position, noisy.normal, noisy, CONFIG)
     beside = np.sort(np.abs(position), axis=1)[:, 1] > 0.36
     assert beside.sum() > 200
     assert angles(found, true)[beside].mean() < 0.6 * angles(noisy.normal, true)[beside].mean()
@@ -69,7 +73,7 @@ def test_what_lies_alone_keeps_its_normal():
     alone = Surfels(position=far, normal=far, spacing=1)
     # by samples, and where there are none
     for place in (far, np.float32(0.5) * far):
-        np.testing.assert_allclose(smoothed(place, far, alone), far, atol=1e-6)
+        np.testing.assert_allclose(smoothed(place, far, alone, CONFIG), far, atol=1e-6)
 
 
 @pytest.mark.parametrize("by_camera", [True, False])
@@ -78,9 +82,8 @@ def test_only_photographed_surfaces_are_smoothed(sphere, by_camera):
     mesh = replace(mesh, normals=grainy(mesh.normals, 6))
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
     transport = Transport(surfels=noisy, visibility=None, observations=None)
-    found = Course().carry_out(
-        SURFACE, Surface(mesh=mesh, transport=transport, by_camera=by_camera)
-    )
+    surface = Surface(mesh=mesh, transport=transport, by_camera=by_camera, config=CONFIG)
+    found = Course().carry_out(SURFACE, surface)
     true = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     if by_camera:
         assert angles(found.mesh.normals, true).mean() < 0.5 * angles(mesh.normals, true).mean()

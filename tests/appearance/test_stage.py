@@ -62,9 +62,9 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     read: list[str] = []
     texel_albedo = texturing.texel_albedo
 
-    def recorded(problem, light, texels, views, *others):
+    def recorded(solved, texels, views, *others):
         read.extend(view.name for view in views)
-        return texel_albedo(problem, light, texels, views, *others)
+        return texel_albedo(solved, texels, views, *others)
 
     monkeypatch.setattr(texturing, "texel_albedo", recorded)
     stage.run(

@@ -2,7 +2,7 @@
 """Means over samples or pairs of them, with standard errors over blocks of the surface.
 
 Those near each other share their materials and the errors of the mesh, so they are no independent
-draws; blocks of BLOCK nearly are.
+draws; blocks nearly are.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.step_config import BlocksConfig
+
 Floats = NDArray[np.floating[Any]]
 Table = tuple[Floats, Floats]
 """Of every block: sum of the weighted values, and sum of the weights."""
 
-BLOCK = 0.2
-"""Side of a block, unit frame."""
 
-
-def block_numbers(position: NDArray[np.float32]) -> NDArray[np.int64]:
+def block_numbers(position: NDArray[np.float32], config: BlocksConfig) -> NDArray[np.int64]:
     """Block number of points (N, 3) in the unit frame, from 0 without gaps."""
-    cell = np.floor(position / BLOCK).astype(np.int64)
+    cell = np.floor(position / config.side).astype(np.int64)
     return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
 
 

@@ -26,35 +26,26 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.reflected_sky import ReflectedSkies, ReflectedSky, skies_by_paint
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, blocks_of
-from robir.appearance.light.shade import ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.proof import Proof
+from robir.appearance.step_config import ModelSizeConfig
 from robir.appearance.tone.ranking import pair_errors
 from robir.jobs.choice import Choice
 
-OF_ONE_HUE = 16
-"""Others that each sample is compared with, drawn from all; those of another hue count little."""
-
-OTHER_PAINT = 0.7
-"""Difference of log albedos beyond which two are of other paints."""
-
 SHADED, REFLECTED = "as shading has it", "as paint reflects it"
 
-BOUNCED_QUANTILE = 0.99
-LEAST_BOUNCED = 0.02
-"""Share of a sample's light that comes from the object itself; if at BOUNCED_QUANTILE of the
-samples it is lower, there is none."""
 
-
-def without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
+def without_bounces(
+    problem: Problem, light: Light, config: ModelSizeConfig
+) -> tuple[Problem, Choice]:
     """The problem without the light from the object itself if there is none, and why."""
     rows = problem.scene.rows
     whole = light.irradiance(problem, rows).mean(1)
     shares = problem.indirect[rows].mean(1) / whole.clamp(min=1e-9)
-    share = float(shares.quantile(BOUNCED_QUANTILE))
+    share = float(shares.quantile(config.bounced_quantile))
     kept, left_out = "one bounce, measured", "none"
-    is_kept = share >= LEAST_BOUNCED
+    is_kept = share >= config.least_bounced
     if not is_kept:
         problem = replace(problem, indirect=torch.zeros_like(problem.indirect))
     return problem, Choice(
@@ -63,7 +54,7 @@ def without_bounces(problem: Problem, light: Light) -> tuple[Problem, Choice]:
         alternatives=(left_out if is_kept else kept,),
         why=f"it is {float(shares.median()):.1%} of the light of the middle sample and "
         f"{share:.1%} where there is most; it has no unknowns and is left out below "
-        f"{LEAST_BOUNCED:.0%}",
+        f"{config.least_bounced:.0%}",
     )
 
 
@@ -136,7 +127,7 @@ def _on_pairs(problem: Problem, chosen: NDArray[np.int64]) -> Problem:
 
 
 def with_reflected_sky(
-    problem: Problem, light: Light, gloss: Gloss, count: int
+    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig
 ) -> tuple[Problem, Light, float | None, Choice] | None:
     """The sky as paint reflects it, where views prove it.
 
@@ -147,21 +138,21 @@ def with_reflected_sky(
         problem: Scene under a tone curve, highlights included.
         light: Solved light.
         gloss: Specular material under it.
-        count: Number of lobes that an even sky is parted in.
+        config: Sizes, and what is tried.
 
     Returns:
         The problem, the light under it, the roughness of all paint if that is told, and why; None
         where too little paint is seen.
     """
     started = time.process_time()
-    told = skies_by_paint(problem, light, gloss, count)
+    told = skies_by_paint(problem, light, gloss, config.num_soft_lobes, config.evidence)
     if told is None:
         return None
     chosen, *freer = told.skies
     is_taken = Proof.of(told.before, chosen.errors, told.groups).is_given
     for sky in freer:
         proof = Proof.of(chosen.errors if is_taken else told.before, sky.errors, told.groups)
-        if proof.is_given and _is_evener(told, chosen, sky):
+        if proof.is_given and _is_evener(told, chosen, sky, config):
             chosen, is_taken = sky, True
     proof = Proof.of(told.before, chosen.errors, told.groups)
     choice = Choice(
@@ -177,14 +168,16 @@ def with_reflected_sky(
     return told.problem, chosen.light, chosen.roughness, choice
 
 
-def _is_evener(told: ReflectedSkies, plain: ReflectedSky, rich: ReflectedSky) -> bool:
+def _is_evener(
+    told: ReflectedSkies, plain: ReflectedSky, rich: ReflectedSky, config: AppearanceConfig
+) -> bool:
     """Whether what is of one hue, wherever it lies, differs less in albedo under the second sky.
 
     Neighbours alone would not tell: the shading of a lone thing varies slowly.
     """
-    rng = np.random.default_rng(0)
+    rng, asked = np.random.default_rng(0), config.model_size
     count = len(told.rows)
-    first = np.repeat(np.arange(count), OF_ONE_HUE)
+    first = np.repeat(np.arange(count), asked.num_partners)
     second = rng.integers(0, count, len(first))
     albedos = [
         log_ratio(sky.diffuse, sky.light.irradiance(told.problem, told.rows)).double().numpy()
@@ -193,10 +186,11 @@ def _is_evener(told: ReflectedSkies, plain: ReflectedSky, rich: ReflectedSky) ->
     bright = [albedo.mean(1) for albedo in albedos]
     hues = [albedo - value[:, None] for albedo, value in zip(albedos, bright, strict=True)]
     apart = np.mean([np.abs(hue[first] - hue[second]).sum(1) for hue in hues], axis=0)
-    weight = np.exp(-0.5 * (apart / ALIKE_HUE) ** 2)
-    block = block_numbers(told.problem.scene.transport.surfels.position[told.rows])[first]
+    weight = np.exp(-0.5 * (apart / config.light.shade.alike_hue) ** 2)
+    position = told.problem.scene.transport.surfels.position[told.rows]
+    block = block_numbers(position, config.blocks)[first]
     simple, other = (
-        table_of(block, np.abs(value[first] - value[second]).clip(max=OTHER_PAINT), weight)
+        table_of(block, np.abs(value[first] - value[second]).clip(max=asked.other_paint), weight)
         for value in bright
     )
     return mean_of(simple) - mean_of(other) > difference_error(simple, other)

@@ -18,7 +18,7 @@ import torch
 
 from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
-from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
+from robir.appearance.light.shade import of_one_material
 from robir.appearance.light.solver import fit, no_suns
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.photometry.statistics import Pairs
@@ -27,9 +27,6 @@ from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
 from robir.jobs.choice import Choice
 from robir.steps import Course
-
-MARGIN = 1.0
-"""Standard errors by which suns must lead, as whatever enters the model must."""
 
 
 def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
@@ -46,10 +43,10 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
     config, problem = solution.config, tone.candidates[0].problem
     sky = fit(problem, *no_suns(), config.iterations)
     plain = solve(problem, replace(sky, history=(sky.loss,)), config, solution.seed, course)
-    views = lead_in_errors(compared(plain, solution))
+    views = lead_in_errors(compared(plain, solution), config.tone.code_error)
     shadows = lead_across_shadows(plain, solution)
     leads = (views + shadows) / np.sqrt(2)
-    is_proven = leads > MARGIN
+    is_proven = leads > config.proven_suns.margin
     taken = solution if is_proven else plain
     choice = Choice(
         choice="suns",
@@ -57,7 +54,7 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
         alternatives=(0 if is_proven else number,),
         why=f"views predicted from others say {views:+.1f} standard errors for the suns that were "
         f"found, albedos across their shadows {shadows:+.1f}, together {leads:+.1f}; more than "
-        f"{MARGIN:g} are asked for",
+        f"{config.proven_suns.margin:g} are asked for",
     )
     return replace(taken, choices=(*taken.choices, choice))
 
@@ -76,22 +73,24 @@ def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     Returns:
         Positive for the second; 0 where its suns cast no shadow.
     """
-    problem = rich.problem
+    problem, config = rich.problem, rich.config
     rows = problem.scene.rows
     parts = Sunlight.of(problem, rich.light.axes).across_shadows()
     pairs = Pairs.joined(parts)
     shaded, lit = pairs.first, pairs.second
-    block = block_numbers(problem.scene.transport.surfels.position[rows])[shaded.numpy()]
+    position = problem.scene.transport.surfels.position[rows]
+    block = block_numbers(position, config.blocks)[shaded.numpy()]
     jumps, weight = [], torch.ones(len(shaded))
     for model in (plain, rich):
         radiance = model.matte.rows_radiance(rows)
         albedo = log_ratio(radiance.linear, model.light.irradiance(model.matte, rows))
         jumps.append((albedo[lit] - albedo[shaded]).mean(1).numpy())
         # alike in both models: neither chooses the pairs that it is judged by
-        alike = of_one_material(parts, albedo, radiance.clipped).weight
+        alike = of_one_material(parts, albedo, radiance.clipped, config).weight
         weight *= alike * ~(radiance.clipped[shaded] | radiance.clipped[lit]).any(1)
     tables = [table_of(block, jump, weight.sqrt().numpy()) for jump in jumps]
     before, after = (mean_of(table) for table in tables)
-    error = np.hypot(max(mean_error(table) for table in tables), LIGHT_ERROR)
+    light_error = config.light.shade.light_error
+    error = np.hypot(max(mean_error(table) for table in tables), light_error)
     gain = (before**2 - after**2) / error**2
     return float(np.sign(gain) * np.sqrt(abs(gain)))

@@ -7,11 +7,9 @@ from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
 from robir.appearance.light.told import Told
-from robir.appearance.photometry import other_light
+from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import Gains
-from robir.appearance.photometry.gains import LEAST_STEPS
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import Candidate
 from robir.appearance.tone.rivals import fits_alike
 from robir.jobs.choice import Choice
 
@@ -51,7 +49,7 @@ def light_choices(
             cost_seconds=seconds["tone_curve"],
             why=f"{reason}; of those with a shoulder the lowest display error of albedo carried "
             "between neighbours in different light, the simplest within one standard error"
-            f"{_near(candidates)}{_lead(tone)}{_beyond(tone)}",
+            f"{_near(tone)}{_lead(tone)}{_beyond(tone)}",
         ),
         Choice(
             choice="sharp lights",
@@ -80,10 +78,11 @@ def light_choices(
     )
 
 
-def _near(candidates: list[Candidate]) -> str:
+def _near(tone: ToneChoice) -> str:
     """Which curves could not be told from the chosen one."""
-    chosen, *others = candidates
-    near = [other.curve.name for other in others if fits_alike(chosen, other)]
+    chosen, *others = tone.candidates
+    ranking = tone.config.tone.ranking
+    near = [other.curve.name for other in others if fits_alike(chosen, other, ranking)]
     return f"; within noise of it: {', '.join(near)}" if near else ""
 
 
@@ -110,17 +109,21 @@ def _lead(tone: ToneChoice) -> str:
 
 
 def camera_choices(
-    gains: Gains, unlike: Collection[str], seconds: dict[str, float]
+    gains: Gains,
+    unlike: Collection[str],
+    config: PhotometryConfig,
+    seconds: dict[str, float],
 ) -> tuple[Choice, ...]:
     """On exposures, light and corners of the photographs.
 
     Args:
         gains: What was found.
         unlike: Photographs under another light than most.
+        config: What it was found by.
         seconds: Processor time by task: "exposure".
     """
     alike, apart = "one for all", "each photograph its own"
-    steps = gains.falloff.corner_steps
+    steps, odd = gains.falloff.corner_steps, config.other_light
     even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
     number, own = len(unlike), bool(gains.slopes)
     light = f"{apart if own else 'one'}, without {number} of them" if number else apart
@@ -130,8 +133,8 @@ def camera_choices(
             chosen=light if number or own else "one",
             alternatives=("one",) if own else (apart,),
             why="a photograph is left out where it is more than "
-            f"{other_light.LEAST_STEPS} steps brighter or darker than the rest and its points "
-            f"differ in that by more than {other_light.LEAST_LEFT:.0%}; each has its own light "
+            f"{odd.least_steps} steps brighter or darker than the rest and its points "
+            f"differ in that by more than {odd.least_spread:.0%}; each has its own light "
             "where that lets photographs predict points elsewhere better than a sheen would",
         ),
         Choice(
@@ -139,8 +142,9 @@ def camera_choices(
             chosen=apart if gains.by_view else alike,
             alternatives=(alike if gains.by_view else apart,),
             cost_seconds=seconds["exposure"],
-            why=f"photographs are exposed apart where gains of more than {LEAST_STEPS} steps, from "
-            "points of some orientations, let photographs predict points of the others",
+            why="photographs are exposed apart where gains of more than "
+            f"{config.gains.least_steps} steps, from points of some orientations, let photographs "
+            "predict points of the others",
         ),
         Choice(
             choice="corners of the photographs",

@@ -23,9 +23,6 @@ from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
 
-SUB_PIXELS = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
-"""Where in a pixel rays are cast."""
-
 MOST_POINTS = 1 << 20
 """Points of several views that are shaded together; memory limits them."""
 
@@ -99,6 +96,7 @@ class _Seen:
         texel: (N,) texel under it.
         points: Where the points lie.
         towards: (N, 3) float32, unit, towards the camera.
+        pixel_rays: Rays of each pixel.
     """
 
     view: View
@@ -108,12 +106,16 @@ class _Seen:
     texel: NDArray[np.int64]
     points: Texels
     towards: Floats
+    pixel_rays: int
 
     @classmethod
-    def of(cls, view: View, mesh: Mesh, tracer: EmbreeTracer, lookup: AtlasLookup) -> _Seen:
-        """Cast the rays of a view."""
+    def of(cls, view: View, surface: Painted, rays: int) -> _Seen:
+        """Cast the rays of a view, so many along each side of a pixel."""
+        mesh, tracer, lookup, _ = surface
+        x, y = np.meshgrid(*2 * [(np.arange(rays) + 0.5) / rays])
+        within = np.stack([x.ravel(), y.ravel()], axis=1)
         rows, columns = np.nonzero(view.mask > 127)
-        places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + SUB_PIXELS
+        places = np.stack([columns, rows], axis=1).astype(np.float64)[:, None] + within
         origins, directions = view.camera.rays(places.reshape(-1, 2))
         hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         texel = np.full(len(directions), -1, np.int64)
@@ -125,10 +127,11 @@ class _Seen:
             view,
             rows,
             columns,
-            kept // len(SUB_PIXELS),
+            kept // len(within),
             texel[kept],
             Texels(position=position, normal=normal),
             -directions[kept].astype(np.float32),
+            len(within),
         )
 
 
@@ -167,12 +170,12 @@ def render_views(
     Yields:
         What each view shows.
     """
-    mesh, tracer, lookup, values = surface
+    (*_, values), rays = surface, problem.scene.config.render.pixel_rays
     largest = max((view.mask.size for view in views), default=1)
-    together = max(1, MOST_POINTS // (len(SUB_PIXELS) * largest))
+    together = max(1, MOST_POINTS // (rays**2 * largest))
     for start in range(0, len(views), together):
         group = views[start : start + together]
-        seen = [_Seen.of(view, mesh, tracer, lookup) for view in group]
+        seen = [_Seen.of(view, surface, rays) for view in group]
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
             np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)
@@ -223,7 +226,8 @@ def _radiance(
     texel = np.concatenate([one.texel for one in seen])
     blend = Blend(problem, points)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-    sun = sun_transfer(problem, light, points, light.sharpness, 8)
+    rays = 2 * problem.scene.config.light.problem.sun_ray_pairs
+    sun = sun_transfer(problem, light, points, light.sharpness, rays)
     irradiance = soft + sun @ light.amplitudes.sharp.numpy()
     albedo = values.albedo[texel]
     metallic = values.metallic[texel, None]
@@ -256,5 +260,5 @@ def _picture(
     image = np.zeros((*view.mask.shape, 3), np.uint8)
     image[rows[filled], columns[filled]] = np.rint(255 * shown.clamp(0, 1).numpy())
     alpha = np.zeros(view.mask.shape, np.uint8)
-    alpha[rows, columns] = 255 * count // len(SUB_PIXELS)
+    alpha[rows, columns] = 255 * count // seen.pixel_rays
     return image, alpha

@@ -23,17 +23,11 @@ from robir.appearance.material.trial import Trial
 from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import CAMERA, LEAST_LEAD
+from robir.appearance.tone.ranking import CAMERA
 from robir.jobs.choice import Choice
 from robir.steps import Course
 
 Reals = NDArray[np.floating[Any]]
-
-MARGIN = 2.0
-"""Standard errors by which another curve must lead: cameras have cameras' responses."""
-
-MOST_SAMPLES = 4000
-"""Of the samples that take part in the light solve, predicted."""
 
 
 def solved(
@@ -54,8 +48,9 @@ def solved(
         return tone, solution
     rival = solve(camera.problem, camera.light, config, seed, course)
     proof = compared(rival, solution)
-    leads = lead_in_errors(proof)
-    is_camera = leads <= MARGIN
+    leads = lead_in_errors(proof, config.tone.code_error)
+    margin = config.response.margin
+    is_camera = leads <= margin
     choice = Choice(
         choice="curve of a camera",
         chosen=(camera if is_camera else first).curve.name,
@@ -63,7 +58,7 @@ def solved(
         held_out_error=proof.plain if is_camera else proof.rich,
         why=f"under {first.curve.name}, which shadows ask for, views are predicted from others "
         f"with an error of {proof.rich:.2f} codes, under the response of cameras of "
-        f"{proof.plain:.2f}: {leads:+.1f} standard errors; more than {MARGIN:g} are asked for",
+        f"{proof.plain:.2f}: {leads:+.1f} standard errors; more than {margin:g} are asked for",
     )
     taken = rival if is_camera else solution
     if is_camera:
@@ -76,7 +71,7 @@ def compared(plain: Solution, rich: Solution) -> Proof:
     """What views say of two models of one scene, each predicting them from others."""
     scene = plain.problem.scene
     rows = scene.rows[plain.problem.radiance.seen.numpy()[scene.rows]]
-    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
+    rows = rows[:: -(-len(rows) // plain.config.response.num_samples) or 1]
     (before, views), (after, _) = (prediction_errors(model, rows) for model in (plain, rich))
     return Proof.of(before, after, (views,))
 
@@ -93,10 +88,10 @@ def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, 
     return trial.paint_errors(chosen, level), trial.rays.view[chosen.numpy()]
 
 
-def lead_in_errors(proof: Proof) -> float:
-    """By how many standard errors the richer model leads; LEAST_LEAD is added to each."""
+def lead_in_errors(proof: Proof, code_error: float) -> float:
+    """By how many standard errors the richer model leads; so many codes are added to each."""
     if not np.isfinite(proof.error):
         return 0.0
     # squared errors to codes, about their mean
     error = 255**2 * proof.error / max(proof.plain + proof.rich, 1e-9)
-    return (proof.plain - proof.rich) / float(np.hypot(error, LEAST_LEAD))
+    return (proof.plain - proof.rich) / float(np.hypot(error, code_error))

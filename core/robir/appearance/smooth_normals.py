@@ -16,21 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robir.appearance.step_config import SmoothNormalsConfig
 from robir.geometry.mesh.triangles import Mesh
 from robir.steps import Step
 from robir.transport.baked import Transport
 from robir.transport.surfels import Surfels
 
 Floats = NDArray[np.float32]
-
-REACH = 0.08
-"""Distance that is averaged over, unit frame."""
-
-EDGE = 25.0
-"""Angle between normals, degrees, at which they count a third: twice the error of a good one."""
-
-MOST = 128
-"""Samples that are averaged at most, the nearest."""
 
 CHUNK = 8192
 """Normals that are averaged at a time; each takes some kilobytes."""
@@ -44,30 +36,37 @@ class Surface:
         mesh: That textures belong to, unit frame.
         transport: Baked, with the samples of the surface.
         by_camera: Whether cameras took the photographs, and no renderer, whose surfaces are better.
+        config: How normals are freed of grain.
     """
 
     mesh: Mesh
     transport: Transport
     by_camera: bool
+    config: SmoothNormalsConfig
 
 
-def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
+def smoothed(
+    position: Floats, normal: Floats, surfels: Surfels, config: SmoothNormalsConfig
+) -> Floats:
     """Normals (N, 3) averaged over the samples about them.
 
     Args:
         position: (N, 3), unit frame.
         normal: (N, 3) unit, by which edges are told.
         surfels: Even samples of the surface.
+        config: How far and how much is averaged.
     """
     tree = cKDTree(surfels.position)
     known = np.concatenate([surfels.normal, np.zeros((1, 3), np.float32)])
     result = np.empty_like(normal)
     for start in range(0, len(position), CHUNK):
         part = slice(start, start + CHUNK)
-        _, near = tree.query(position[part], k=MOST, distance_upper_bound=REACH)
+        _, near = tree.query(
+            position[part], k=config.num_samples, distance_upper_bound=config.reach
+        )
         others, own = known[near], normal[part]
         cosine = np.einsum("nkd,nd->nk", others, own).clip(-1, 1)
-        weight = np.exp(-((np.arccos(cosine) / np.radians(EDGE)) ** 2))
+        weight = np.exp(-((np.arccos(cosine) / np.radians(config.edge)) ** 2))
         # the own normal counts as one: there is always something to average
         total = np.einsum("nk,nkd->nd", weight, others) + own
         result[part] = total / np.linalg.norm(total, axis=1, keepdims=True)
@@ -77,9 +76,9 @@ def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
 def _smooth_normals(state: Surface) -> Surface:
     if not state.by_camera:
         return state
-    mesh, surfels = state.mesh, state.transport.surfels
-    own = smoothed(surfels.position, surfels.normal, surfels)
-    vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels)
+    mesh, surfels, config = state.mesh, state.transport.surfels, state.config
+    own = smoothed(surfels.position, surfels.normal, surfels, config)
+    vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels, config)
     return replace(
         state,
         mesh=replace(mesh, normals=vertices),

@@ -18,7 +18,6 @@ from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
 from robir.appearance.evidence.witness import BY_PAINT, Witness
-from robir.appearance.light.known_paint import READ
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
@@ -27,10 +26,6 @@ from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.model_size import with_even_sky, with_reflected_sky, without_bounces
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
-
-HELD = 3.0
-"""How much more firmly a told level is held than its error asks. In a solve pairs of neighbours
-speak of it as well, by the light between surfaces, and errors of the mesh are common to many."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +87,7 @@ def solve(
 
 
 def _leave_out_bounces(state: Solution) -> Solution:
-    problem, choice = without_bounces(state.problem, state.light)
+    problem, choice = without_bounces(state.problem, state.light, state.config.model_size)
     return replace(state, problem=problem, choices=(*state.choices, choice))
 
 
@@ -128,19 +123,20 @@ def _with_gloss(state: Solution, step: int, told: float | None = None) -> Soluti
 
 
 def _hue(state: Solution) -> Solution:
-    told, witnesses = told_hue(state.problem, state.light, state.material)
+    told, witnesses = told_hue(state.problem, state.light, state.material, state.config)
     state = replace(state, witnesses=(*state.witnesses, *witnesses))
     if told is None:
         return state
-    return replace(state, told=replace(state.told, hue=told))
+    error = state.config.evidence.hue.error
+    return replace(state, told=replace(state.told, hue=told, hue_error=error))
 
 
 def _level(state: Solution) -> Solution:
-    told = told_level(state.problem, state.light, state.material, state.seed)
+    told = told_level(state.problem, state.light, state.material, state.config, state.seed)
     if not told:
         return state
     *_, together = told
-    error = together.deviation / HELD
+    error = together.deviation / state.config.evidence.level.firmness
     known = replace(state.told, level=together.value, level_error=error)
     return replace(state, told=known, witnesses=(*state.witnesses, *told))
 
@@ -149,13 +145,13 @@ def _white_point(state: Solution) -> Solution:
     known = state.problem.scene.known_paint
     if known is None:
         return state
-    sent = sent_by_paint(state.matte, state.light, known)
-    level = float(sent.mean())
-    told = Told(hue=sent - level, hue_error=READ, level=level, level_error=READ)
+    sent = sent_by_paint(state.matte, state.light, known, state.config.evidence.white_point)
+    level, error = float(sent.mean()), known.config.read_error
+    told = Told(hue=sent - level, hue_error=error, level=level, level_error=error)
     hue = float(sent[0] - sent[2])
     rows = (
-        Witness(of="level", by=BY_PAINT, value=level, deviation=READ),
-        Witness(of="hue", by=BY_PAINT, value=hue, deviation=READ * 2**0.5),
+        Witness(of="level", by=BY_PAINT, value=level, deviation=error),
+        Witness(of="hue", by=BY_PAINT, value=hue, deviation=error * 2**0.5),
     )
     return replace(state, told=told, witnesses=(*state.witnesses, *rows))
 
@@ -165,13 +161,12 @@ def _refit(state: Solution) -> Solution:
 
 
 def _mirrored_sky(state: Solution) -> Solution:
-    light = sky_by_metal(state.problem, state.light, state.material)
+    light = sky_by_metal(state.problem, state.light, state.material, state.config.evidence)
     return state if light is None else _gloss(replace(state, light=light))
 
 
 def _reflected_sky(state: Solution) -> Solution:
-    num_lobes = state.config.num_soft_lobes
-    told = with_reflected_sky(state.problem, state.light, state.material, num_lobes)
+    told = with_reflected_sky(state.problem, state.light, state.material, state.config)
     if told is None:
         return state
     problem, light, roughness, choice = told

@@ -24,6 +24,7 @@ from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.response import solved
 from robir.appearance.smooth_normals import SURFACE, Surface
 from robir.appearance.solution import SOLUTION
+from robir.appearance.step_config import RenderConfig
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
@@ -45,9 +46,6 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
 REVISION = 78
-
-HELD_OUT_SIDE = 400
-"""Longer side of our own re-renders, pixels, at most."""
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
@@ -83,12 +81,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     mesh, tracer, own_tracer = _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
-    compared = course.carry_out(COMPARISON, Comparison.of(transport, tracer, capture, context.seed))
+    compared = Comparison.of(transport, tracer, capture, config, context.seed)
+    compared = course.carry_out(COMPARISON, compared)
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
     common = transport.without_views(other)
-    lit = Surface(mesh=mesh, transport=common, by_camera=is_by_camera(capture))
+    by_camera, smoothing = is_by_camera(capture), config.smooth_normals
+    lit = Surface(mesh=mesh, transport=common, by_camera=by_camera, config=smoothing)
     lit = course.carry_out(SURFACE, lit)
     scene = _scene(context, lit, tracer, compared)
     started = time.process_time()
@@ -112,7 +112,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     reporter.progress(0.9, "rendering held-out views")
     surface = Painted(replace(mesh, normals=normals), own_tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
-    _show(context.paths, capture)
+    _show(context.paths, capture, config.render)
     _write_textures(folder, inside, values, gloss)
     _write_normals(folder, normals)
     _write_light(folder, light)
@@ -122,7 +122,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         *light_choices(tone, light, solution.told, seconds),
         *gloss.choices,
         *solution.choices,
-        *camera_choices(problem.gains, other, seconds),
+        *camera_choices(problem.gains, other, config.photometry, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
@@ -148,13 +148,14 @@ def _scene(
         tracer if visibility.is_traced else None,
         visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
+        config,
         np.random.default_rng(context.seed),
     )
     return replace(
         scene,
         exposures=compared.exposures,
         by_camera=lit.by_camera,
-        known_paint=KnownPaint.of(lit.mesh, config.white_point),
+        known_paint=KnownPaint.of(lit.mesh, config.white_point, config.light.known_paint),
         sun=_direction(config.sun),
     )
 
@@ -206,7 +207,8 @@ def _held_out(
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, diffuse, squared, count = {}, {}, 0.0, 0
-    views = [resize_view(view, HELD_OUT_SIDE) for view in capture.held_out]
+    side = problem.scene.config.render.held_out_side
+    views = [resize_view(view, side) for view in capture.held_out]
     pictures = render_views(problem, light, gloss, views, surface)
     for view, shown in zip(views, pictures, strict=True):
         image, alpha = shown.image, shown.alpha
@@ -224,10 +226,10 @@ def _held_out(
     return round(-10 * np.log10(max(squared / count, 1e-10)), 3) if count else None
 
 
-def _show(paths: JobPaths, capture: Capture) -> None:
+def _show(paths: JobPaths, capture: Capture, config: RenderConfig) -> None:
     """Replace the picture by which the user follows the run."""
     if capture.held_out:
-        view = resize_view(capture.held_out[0], HELD_OUT_SIDE)
+        view = resize_view(capture.held_out[0], config.held_out_side)
         rendering = stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)[view.name]
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
@@ -283,8 +285,11 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     """Store the chosen curve and what it was chosen against."""
     first, *others = tone.candidates
     chosen = first.curve
+    ranking = tone.config.tone.ranking
     apart = {
-        other.curve.name: albedo_apart(first, other) for other in others if fits_alike(first, other)
+        other.curve.name: albedo_apart(first, other)
+        for other in others
+        if fits_alike(first, other, ranking)
     }
     write_json(
         folder / "tone_curve.json",

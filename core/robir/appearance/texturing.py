@@ -36,15 +36,6 @@ from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
 
-TEXTURE_VIEWS = 48
-
-DETAIL_VIEWS = 96
-"""Photographs, far from each other, of which the best show a spot's detail."""
-
-ASKED_VIEWS = 6
-"""Photographs, far from each other, that are asked whether smoothing is wrong; of two that agree
-nothing can be told."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
@@ -106,7 +97,8 @@ def textured(
     position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
-    views = tuple(resize_view(v, side) for v in spread_views(capture.train, TEXTURE_VIEWS))
+    spread = spread_views(capture.train, config.texturing.albedo_views)
+    views = tuple(resize_view(view, side) for view in spread)
     start = Texture(
         problem=problem,
         light=light,
@@ -119,7 +111,7 @@ def textured(
         config=config,
         inside=inside,
         atlas=atlas,
-        values=texel_albedo(problem, light, texels, views, gloss, tracer, course),
+        values=texel_albedo(solved, texels, views, tracer, course),
         normals=mesh.normals,
     )
     return course.carry_out(TEXTURE, start)
@@ -136,7 +128,7 @@ def _ask_photographs(state: Texture) -> Texture:
         return state
     measured = replace(state.values, albedo=state.values.read)
     lookup = AtlasLookup(state.mesh, state.inside)
-    tried = spread_views(state.views, ASKED_VIEWS)
+    tried = spread_views(state.views, state.config.texturing.asked_views)
     turned = replace(state.mesh, normals=state.normals)
     solved = (state.problem, state.light, state.gloss)
     before, after = (
@@ -153,9 +145,11 @@ def _refine_detail(state: Texture) -> Texture:
     width = pixel_width(state.problem.scene.transport, cameras)
     most = most_side(state.config, state.mesh.cells)
     side = texture_side(state.mesh, width, (len(state.inside), most))
-    photographs = (spread_views(state.capture.train, DETAIL_VIEWS), state.problem.curve)
+    views = spread_views(state.capture.train, state.config.texturing.detail_views)
+    photographs = (views, state.problem.curve)
     surface = (state.mesh, state.tracer)
-    inside, values = finer(state.values, state.inside, surface, photographs, side)
+    config = state.config.texture
+    inside, values = finer(state.values, state.inside, surface, photographs, side, config)
     return replace(state, inside=inside, values=values)
 
 

@@ -15,7 +15,7 @@ from robir.appearance.evidence.hue import both, told_hue
 from robir.appearance.evidence.witness import Witness
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
-from robir.appearance.light.told import HUE_ERROR, NOTHING_TOLD, Told
+from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.daylight import WHOLE
 from robir.maths.tone import curve_from_name
@@ -44,7 +44,7 @@ def test_highlights_tell_the_hue(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.from_numpy(wrong.astype(np.float32)))
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
-    told, (balance, shine, together) = told_hue(problem, supposed, gloss)
+    told, (balance, shine, together) = told_hue(problem, supposed, gloss, AppearanceConfig())
     assert told is not None
     np.testing.assert_allclose(told.numpy(), hue_of(problem, light), atol=0.04)
     red_over_blue = float(hue_of(problem, light) @ [1, 0, -1])
@@ -70,7 +70,9 @@ def test_without_highlights_nothing_is_told(ball):
     gloss, _ = estimate_gloss(problem, light, 2, 0)
     dull = replace(gloss, has_highlights=False)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    for nothing in (told_hue(problem, light, other) for other in (dull, all_metal)):
+    for nothing in (
+        told_hue(problem, light, other, AppearanceConfig()) for other in (dull, all_metal)
+    ):
         assert nothing[0] is None
         assert [witness.by for witness in nothing[1]] == ["white balance", "all"]
 
@@ -80,8 +82,9 @@ def test_the_light_follows_what_is_told(ball):
     config = AppearanceConfig(iterations=160, parsimony_weight=0.0)
     told = np.float32([0.2, 0.0, -0.2])
     alone = refit(problem, light, NOTHING_TOLD, config)
-    found = refit(problem, light, Told(hue=torch.from_numpy(told)), config)
+    error = config.evidence.hue.error
+    found = refit(problem, light, Told(hue=torch.from_numpy(told), hue_error=error), config)
     np.testing.assert_allclose(hue_of(problem, alone), 0, atol=0.03)
     # two normal distributions: of lights, and of what is told
-    share = WHOLE.blue**2 / (WHOLE.blue**2 + 2 * HUE_ERROR**2)
+    share = WHOLE.blue**2 / (WHOLE.blue**2 + 2 * error**2)
     np.testing.assert_allclose(hue_of(problem, found), share * told, atol=0.03)

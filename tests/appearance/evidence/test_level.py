@@ -12,11 +12,7 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import (
-    EXPOSURE,
-    FACTORS,
-    LIMIT,
-    MISREAD,
-    PAINT,
+    log_factors,
     misread,
     told_level,
     usual_exposure,
@@ -29,6 +25,9 @@ from robir.appearance.light.told import Told
 from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.tone import curve_from_name
 
+CONFIG = AppearanceConfig()
+LEVEL = CONFIG.evidence.level
+FACTORS = log_factors(LEVEL)
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)
 BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 0.7)
 
@@ -49,7 +48,7 @@ def level_of(problem, light):
 
 def witnesses_of(problem, light, gloss):
     """What each tells, by its name."""
-    return {told.by: told for told in told_level(problem, light, gloss, 0)}
+    return {told.by: told for told in told_level(problem, light, gloss, CONFIG, 0)}
 
 
 @pytest.mark.parametrize("wrong", [-1.2, -0.4, 0.0, 0.4, 1.2])
@@ -59,7 +58,7 @@ def test_highlights_tell_the_brightness(ball, wrong):
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
     told = witnesses_of(problem, supposed, gloss)["highlights"]
     assert told.value == pytest.approx(level_of(problem, light), abs=0.2)
-    assert told.deviation >= 0.9 * MISREAD
+    assert told.deviation >= 0.9 * LEVEL.misread
 
 
 def test_what_all_tell_is_the_same_wherever_one_starts(ball):
@@ -76,7 +75,7 @@ def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    assert told_level(problem, light, all_metal, 0) == ()
+    assert told_level(problem, light, all_metal, CONFIG, 0) == ()
 
 
 def test_what_shows_no_highlights_tells_by_what_is_common_alone(ball):
@@ -92,30 +91,31 @@ def mean_of(log_likely):
 
 
 def test_without_other_evidence_paints_are_common_ones():
-    common = np.exp(PAINT[0])
+    common = np.exp(LEVEL.paint)
     shares = np.array([0.6 * common, common, 3 * common])
-    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)))) for share in shares]
+    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)), CONFIG)) for share in shares]
     assert told == pytest.approx(np.log(shares / common), abs=0.03)
     # what seems to return more than it receives bounds the light from below
     some = np.log(np.full((1000, 3), common))
     some[:50] = 1.0
-    assert mean_of(usual_paint(some)) > 1.0 - 2 * LIMIT
+    assert mean_of(usual_paint(some, CONFIG)) > 1.0 - 2 * LEVEL.excess
 
 
 def test_without_other_evidence_white_paint_is_exposed_as_is_common():
     for white in (-1.0, 0.5):
-        told = mean_of(usual_exposure(np.log(np.pi) + EXPOSURE[0] + white))
+        told = mean_of(usual_exposure(np.log(np.pi) + LEVEL.exposure + white, LEVEL))
         assert told == pytest.approx(-white, abs=0.03)
 
 
 @pytest.mark.parametrize("deviation", [0.1, 0.5])
 def test_the_less_highlights_say_the_less_is_changed(deviation):
-    albedo = np.full((10, 3), PAINT[0])
+    albedo = np.full((10, 3), LEVEL.paint)
     told = -0.5 * ((FACTORS - 1.0) / deviation) ** 2
     # a product of Gaussians
-    variance = MISREAD**2 + deviation**2
-    wanted = PAINT[1] ** 2 / (PAINT[1] ** 2 + variance)
-    assert mean_of(misread(told) + usual_paint(albedo)) == pytest.approx(wanted, abs=0.03)
+    variance = LEVEL.misread**2 + deviation**2
+    wanted = LEVEL.paint_spread**2 / (LEVEL.paint_spread**2 + variance)
+    both = misread(told, LEVEL) + usual_paint(albedo, CONFIG)
+    assert mean_of(both) == pytest.approx(wanted, abs=0.03)
 
 
 @pytest.mark.parametrize("level", [-0.3, 0.3])

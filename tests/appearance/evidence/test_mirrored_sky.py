@@ -10,6 +10,7 @@ import pytest
 import torch
 from appearance import synthetic
 
+from robir.appearance.evidence.config import EvidenceConfig
 from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.light.lobes import Amplitudes, soft_lobes
 from robir.appearance.light.problem import make_problem
@@ -73,7 +74,7 @@ def test_metal_tells_what_no_paint_sees(ball, factor):
     behind = axes[:, 1] > 0.6
     wrong = torch.where(behind[:, None], factor * soft, soft)
     supposed = replace(light, amplitudes=Amplitudes(soft=wrong, sharp=light.amplitudes.sharp))
-    told = sky_by_metal(problem, supposed, gloss)
+    told = sky_by_metal(problem, supposed, gloss, EvidenceConfig())
     assert told is not None
     off = (told.amplitudes.soft.log() - soft.log()).abs()[behind].mean()
     assert float(off) < 0.3 * abs(np.log(factor))
@@ -83,7 +84,7 @@ def test_metal_tells_what_no_paint_sees(ball, factor):
 def test_irradiance_of_paint_is_kept(ball):
     problem, light, gloss = ball
     tinted = light.tinted(torch.tensor([0.2, 0.0, -0.2]))
-    told = sky_by_metal(problem, tinted, gloss)
+    told = sky_by_metal(problem, tinted, gloss, EvidenceConfig())
     assert told is not None
     rows = problem.scene.rows[gloss.is_paint[problem.scene.rows]]
     ratio = told.irradiance(problem, rows) / tinted.irradiance(problem, rows)
@@ -92,4 +93,5 @@ def test_irradiance_of_paint_is_kept(ball):
 
 def test_little_metal_tells_nothing(ball):
     problem, light, _ = ball
-    assert sky_by_metal(problem, light, gloss_of(problem, lambda at: at[:, 1] > 0.9)) is None
+    gloss = gloss_of(problem, lambda at: at[:, 1] > 0.9)
+    assert sky_by_metal(problem, light, gloss, EvidenceConfig()) is None

@@ -14,7 +14,6 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.reflected_sky import FOLDS
 from robir.appearance.light.lobes import Amplitudes, soft_lobes
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import Light
@@ -28,6 +27,7 @@ from robir.steps import Course
 ROUGHNESS = 0.3
 BASE = np.array([0.3, 0.12, 0.1], np.float32)
 NUM_LOBES = synthetic.NUM_SOFT
+CONFIG = AppearanceConfig(num_soft_lobes=NUM_LOBES)
 EVERYWHERE = lambda at: at[:, 0] < 9  # noqa: E731
 
 
@@ -75,7 +75,7 @@ def gloss_of(problem, light):
 
 def told_of(problem, light):
     """Problem, light, roughness and choice that are proven."""
-    told = with_reflected_sky(problem, light, gloss_of(problem, light), NUM_LOBES)
+    told = with_reflected_sky(problem, light, gloss_of(problem, light), CONFIG)
     assert told is not None
     return told
 
@@ -126,10 +126,10 @@ def test_a_matt_ball_reflects_nothing():
 
 
 def test_too_few_blocks_tell_nothing(varnished):
-    few = varnished.scene.rows[: FOLDS - 1]
+    few = varnished.scene.rows[: CONFIG.evidence.reflected_sky.num_folds - 1]
     scarce = replace(varnished, scene=replace(varnished.scene, rows=few))
     gloss = gloss_of(varnished, room())
-    assert with_reflected_sky(scarce, room(), gloss, NUM_LOBES) is None
+    assert with_reflected_sky(scarce, room(), gloss, CONFIG) is None
 
 
 def test_the_solution_takes_sky_and_roughness(varnished):

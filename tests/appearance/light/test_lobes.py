@@ -11,8 +11,8 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.light.config import LightConfig, LobesConfig, SunConfig
 from robir.appearance.light.lobes import (
-    BRIGHTEST_QUANTILE,
     Amplitudes,
     Priors,
     log_ratio,
@@ -175,8 +175,8 @@ def test_many_losses_at_once_are_those_of_each():
 @pytest.mark.parametrize("count", [1, 2, 100, 101])
 def test_what_is_too_bright_is_judged_by_a_quantile(count):
     log_albedo = torch.randn(count, 3, generator=torch.Generator().manual_seed(7)) - 1
-    nothing, priors = torch.zeros(0, dtype=torch.int64), Priors(brightest=0.1)
-    brightest = log_albedo.amax(1).quantile(BRIGHTEST_QUANTILE)
+    nothing, priors = torch.zeros(0, dtype=torch.int64), Priors(config=LobesConfig(brightest=0.1))
+    brightest = log_albedo.amax(1).quantile(priors.config.brightest_quantile)
     expected = 2 * (brightest - np.log(0.1)).clamp(min=0)
     every = torch.arange(count)
     torch.testing.assert_close(range_loss(log_albedo, (nothing, every), priors), expected)
@@ -185,7 +185,7 @@ def test_what_is_too_bright_is_judged_by_a_quantile(count):
 def test_what_is_too_bright_is_judged_where_the_sun_is_sure():
     log_albedo = torch.full((100, 3), -1.0)
     log_albedo[:20] = 0.7
-    every, sure, priors = torch.arange(100), torch.arange(20, 100), Priors()
+    every, sure, priors = torch.arange(100), torch.arange(20, 100), Priors(config=LobesConfig())
     others = range_loss(log_albedo[20:], (every[:0], every[:80]), priors)
     torch.testing.assert_close(range_loss(log_albedo, (every[:0], sure), priors), others)
     assert float(range_loss(log_albedo, (every[:0], every), priors)) > float(others) + 1
@@ -237,7 +237,7 @@ def test_what_pairs_do_not_tell_has_the_hue_of_lights(problem):
         problem.rows_radiance(rows),
         problem.transfer(sharp, rows),
         (none, none),
-        Priors(smooth=0.0),
+        Priors(config=LobesConfig(smooth=0.0)),
         200,
         start=start,
     )
@@ -261,7 +261,9 @@ def test_scan_and_refinement_find_the_sun_within_a_degree(problem):
     losses = [candidate.loss for candidate in candidates]
     assert losses == sorted(losses) and candidates[0].gain > 0.2
     assert degrees(candidates[0].axis, synthetic.SUN) < 8
-    found = refine(sun_problem, candidates[0], 0.8 * np.sqrt(4 * np.pi / 1000), 6)
+    longer = LightConfig(sun=SunConfig(num_rounds=6))
+    reach = 0.8 * np.sqrt(4 * np.pi / 1000)
+    found = refine(replace(sun_problem, config=longer), candidates[0], reach)
     assert found.loss < candidates[0].loss
     assert degrees(found.axis, synthetic.SUN) < 1
 
@@ -280,6 +282,7 @@ def sun_problem_of(problem) -> SunProblem:
         pairs=neighbour_pairs(surfels, rows, (0.05, 0.12, 0.25), 2, rng),
         tracer=scene.tracer,
         offset=scene.offset,
+        config=LightConfig(),
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from robir.appearance.light.told import HUE_ERROR, NOTHING_TOLD, Told
+from robir.appearance.light.told import NOTHING_TOLD, Told
 
 SENT = torch.tensor([0.4, 0.1, -0.2])
 
@@ -23,10 +23,10 @@ def test_what_is_missing_brings_the_light_to_what_is_told():
 
 def test_squares_are_those_of_normal_distributions():
     hue, level = torch.tensor([0.1, 0.0, -0.1]), 0.5
-    told = Told(hue=hue, level=level, level_error=0.3)
+    told = Told(hue=hue, hue_error=0.04, level=level, level_error=0.3)
     apart = (SENT - SENT.mean() - hue).numpy()
-    likelihood = norm.logpdf(apart, scale=HUE_ERROR).sum() + norm.logpdf(0.1, level, 0.3)
-    greatest = 3 * norm.logpdf(0, scale=HUE_ERROR) + norm.logpdf(0, scale=0.3)
+    likelihood = norm.logpdf(apart, scale=0.04).sum() + norm.logpdf(0.1, level, 0.3)
+    greatest = 3 * norm.logpdf(0, scale=0.04) + norm.logpdf(0, scale=0.3)
     assert float(told.squared(SENT)) == pytest.approx(-2 * (likelihood - greatest), rel=1e-5)
     assert float(NOTHING_TOLD.squared(SENT)) == 0
     assert np.isfinite(float(Told(level=0.5).squared(SENT)))

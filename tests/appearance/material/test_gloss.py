@@ -11,12 +11,16 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import estimate_gloss
-from robir.appearance.material.metal import METAL_ERROR, METAL_LEVELS, metal_parts, metal_samples
+from robir.appearance.material.metal import metal_parts, metal_samples
 from robir.appearance.material.reflections import Reflections, view_rays
+from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights, sharpest_views
 from robir.maths.tone import curve_from_name
 
+MATERIAL = MaterialConfig()
+LEVELS, PAINT_ERROR = MATERIAL.metal_levels, MATERIAL.metal.paint_error
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)
@@ -91,7 +95,8 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     weight = problem.scene.transport.observations.weight
     plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
     sharpest = torch.from_numpy(sharpest_views(weight) > 0)
-    darker = darker_view_weights(problem.linear, sharpest).numpy()[..., None]
+    darker = darker_view_weights(problem.linear, sharpest, StatisticsConfig())
+    darker = darker.numpy()[..., None]
     read = (problem.linear.numpy() * darker).sum(1)
     below = ((read - gloss.floor) / gloss.kept)[plastic]
     # the same without highlights view by view
@@ -119,18 +124,21 @@ def test_roughness_of_metal_does_not_grow_with_the_errors_of_its_mesh(ball):
 @pytest.mark.parametrize(
     ("paint", "metal", "likely", "certain"),
     [
-        (METAL_ERROR - 0.001, 0.01, False, False),
-        (METAL_ERROR + 0.001, METAL_ERROR + 0.0015, True, False),
-        (METAL_ERROR + 0.001, METAL_ERROR + 0.004, False, False),
+        (PAINT_ERROR - 0.001, 0.01, False, False),
+        (PAINT_ERROR + 0.001, PAINT_ERROR + 0.0015, True, False),
+        (PAINT_ERROR + 0.001, PAINT_ERROR + 0.004, False, False),
         # what no paint leaves speaks for metal, though metal leaves as much
-        (METAL_ERROR + 0.02, METAL_ERROR + 0.02, True, True),
-        (METAL_ERROR + 0.02, np.inf, False, False),
+        (PAINT_ERROR + 0.02, PAINT_ERROR + 0.02, True, True),
+        (PAINT_ERROR + 0.02, np.inf, False, False),
     ],
 )
 def test_metal_may_leave_the_more_the_more_paint_leaves(paint, metal, likely, certain):
     around = np.arange(4)[:, None].repeat(4, 1).T
     found = metal_samples(
-        np.full((4, 7), paint, np.float32), np.full((4, 5), metal, np.float32), around
+        np.full((4, 7), paint, np.float32),
+        np.full((4, 5), metal, np.float32),
+        around,
+        MATERIAL.metal,
     )
     np.testing.assert_array_equal(found, np.broadcast_to([[likely], [certain]], (2, 4)))
 
@@ -153,7 +161,8 @@ def parts_with(ball, one_in: int, dim: float, left: float = 0.0) -> int:
         (likely, certain),
         (transport.surfels.position[rows], np.zeros((len(rows), 3)), transport.surfels.spacing),
         (Reflections(problem, light, rows), rays, dim * seen),
-        np.full((len(rows), len(METAL_LEVELS)), left, np.float32),
+        np.full((len(rows), len(LEVELS)), left, np.float32),
+        MATERIAL,
     )
     assert (found.part[likely] >= 0).all() == bool(len(found.base))
     return len(found.base)
@@ -193,12 +202,13 @@ def test_a_bit_of_another_hue_than_the_metal_is_paint(ball, size, hue, kept):
     position = transport.surfels.position[rows].copy()
     position[rest] += 99.0
     tint = np.where(np.isin(rays.sample, gold)[:, None], 0.0, [hue, -0.5 * hue, -0.5 * hue])
-    white = reflections.radiance(rays, METAL_LEVELS[0])[:, 1]
+    white = reflections.radiance(rays, LEVELS[0])[:, 1]
     found = metal_parts(
         (metal, metal),
         (position, np.zeros((len(rows), 3)), 9.0),
         (reflections, rays, white * torch.from_numpy(0.5 * np.exp(tint))),
-        np.full((len(rows), len(METAL_LEVELS)), 0.0, np.float32),
+        np.full((len(rows), len(LEVELS)), 0.0, np.float32),
+        MATERIAL,
     )
     assert (found.part[gold] == 0).all()
     assert len(found.base) == 1 + kept

@@ -9,11 +9,9 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.material.metal import (
-    BRIGHT_METAL,
-    DARKEST_READING,
-    METAL_LEVELS,
     metal_errors,
     metal_parts,
     neighbourhoods,
@@ -21,6 +19,8 @@ from robir.appearance.material.metal import (
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
 
+MATERIAL = MaterialConfig()
+LEVELS = MATERIAL.metal_levels
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 SOOT = synthetic.Material(np.float32([0.2, 0.14, 0.1]), 0.3, specular=1.0)
 FAR = 99.0
@@ -45,8 +45,8 @@ def soot():
 
 def test_a_mirror_as_dark_as_no_metal_is_paint(gold, soot):
     share = [
-        float((estimate_gloss(*ball, 4, 0)[0].metallic[ball[0].radiance.seen.numpy()] > 0.5).mean())
-        for ball in (gold, soot)
+        float((gloss.metallic[problem.radiance.seen.numpy()] > 0.5).mean())
+        for gloss, problem in ((estimate_gloss(*ball, 4, 0)[0], ball[0]) for ball in (gold, soot))
     ]
     assert share[0] > 0.9
     assert share[1] < 0.05
@@ -55,7 +55,9 @@ def test_a_mirror_as_dark_as_no_metal_is_paint(gold, soot):
 def test_bright_metal_explains_what_is_bright_alone(gold, soot):
     for (problem, light), is_bright in ((gold, True), (soot, False)):
         rows = np.flatnonzero(problem.radiance.seen.numpy())
-        around = neighbourhoods(problem.scene.transport.surfels.position[rows])
+        around = neighbourhoods(
+            problem.scene.transport.surfels.position[rows], MATERIAL.metal.neighbours
+        )
         asking = np.full((len(rows), 7), 0.06, np.float32)
         free, bright = metal_errors(problem, light, rows, asking, around)
         assert np.isfinite(free).any()
@@ -76,7 +78,7 @@ def read_of(problem, light, rows, radiance, errors, certain):
     place = position, np.zeros((len(rows), 3)), 9.0
     seen = radiance(reflections, rays)
     everything = np.ones(len(rows), bool)
-    return metal_parts((everything, certain), place, (reflections, rays, seen), errors)
+    return metal_parts((everything, certain), place, (reflections, rays, seen), errors, MATERIAL)
 
 
 @pytest.mark.parametrize(("one_in", "own"), [(1, True), (2, False)])
@@ -89,9 +91,9 @@ def test_a_part_that_is_half_explained_is_of_the_others_metal(gold, one_in, own)
 
     def radiance(reflections, rays):
         dim = np.where(rays.sample < half, 0.45, 0.8)[:, None]
-        return reflections.radiance(rays, METAL_LEVELS[0])[:, 1] * torch.from_numpy(dim).float()
+        return reflections.radiance(rays, LEVELS[0])[:, 1] * torch.from_numpy(dim).float()
 
-    errors = np.zeros((len(rows), len(METAL_LEVELS)), np.float32)
+    errors = np.zeros((len(rows), len(LEVELS)), np.float32)
     found = read_of(problem, light, rows, radiance, errors, certain)
     dim, sure = found.base[found.part[0]].mean(), found.base[found.part[-1]].mean()
     assert sure == pytest.approx(0.8, abs=0.05)
@@ -110,13 +112,13 @@ def test_what_reads_dark_as_rough_metal_alone_is_sharper(gold):
 
     def radiance(reflections, rays):
         sharp, rough = (
-            reflections.radiance(rays, level)[:, 1] for level in (METAL_LEVELS[0], METAL_LEVELS[-1])
+            reflections.radiance(rays, level)[:, 1] for level in (LEVELS[0], LEVELS[-1])
         )
         factor = float((sharp / rough).median())
         assert factor < 0.8
-        return sharp * DARKEST_READING / factor**0.5
+        return sharp * MATERIAL.metal.darkest_reading / factor**0.5
 
     found = read_of(problem, light, rows, radiance, errors, np.ones(len(rows), bool))
     assert len(found.base) == 2
-    assert (found.roughness < METAL_LEVELS[-1]).all()
-    assert BRIGHT_METAL >= DARKEST_READING
+    assert (found.roughness < LEVELS[-1]).all()
+    assert MATERIAL.metal.bright_metal >= MATERIAL.metal.darkest_reading

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.material.highlights import LEVELS, Highlights
+from robir.appearance.material.config import MaterialConfig
+from robir.appearance.material.highlights import Highlights
 from robir.appearance.material.roughness import (
     DULL,
     EACH,
@@ -20,7 +21,10 @@ from robir.appearance.material.roughness import (
     choose_roughness,
 )
 from robir.appearance.proof import Proof
+from robir.appearance.step_config import BlocksConfig
 
+CONFIG = MaterialConfig()
+LEVELS = CONFIG.highlights.levels
 VIEWS = 12.0
 
 
@@ -88,7 +92,7 @@ class FakeTrial:
         return np.array(rows)[sample] / VIEWS
 
     def proof(self, chosen, plain, rich):
-        block = block_numbers(self.position[chosen // int(VIEWS)])
+        block = block_numbers(self.position[chosen // int(VIEWS)], BlocksConfig())
         return Proof.of(plain, rich, (block,))
 
 
@@ -98,7 +102,7 @@ def answers(highlights, position, material, num_materials=3, *, by_camera=True):
     trial = FakeTrial(np.column_stack([highlights.error, highlights.plain]), position)
     paint = np.ones(len(material), bool)
     choice = choose_roughness(
-        highlights, Patches(features, material), trial, paint, by_camera=by_camera
+        highlights, Patches(features, material), trial, paint, CONFIG, by_camera=by_camera
     )
     specular, roughness = choice.choices
     assert [one.choice for one in choice.choices] == ["specular", "roughness"]

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.photometry.comparison import find_falloff
+from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import (
     Exposures,
     Gains,
@@ -22,6 +24,7 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations
 
 VIEWS, POINTS = 24, 900
+CONFIG = PhotometryConfig()
 
 
 @pytest.fixture
@@ -67,20 +70,21 @@ def glossy(rng):
 
 def gains_of(seen: Observations, family: str, normals: np.ndarray) -> np.ndarray:
     """Log gains (V, 3) under a curve."""
-    log, kept = comparable(seen, curve_from_name(family))
-    return solve_gains(log, normals[kept])
+    log, kept = comparable(seen, curve_from_name(family), CONFIG.exposure)
+    return solve_gains(log, normals[kept], CONFIG.robust)
 
 
 def falloff_of(seen: Observations, normals: np.ndarray) -> Falloff:
     """Falloff under a plain curve."""
-    log, kept = comparable(seen, curve_from_name("standard"))
-    return find_falloff(log, normals[kept], seen.off_axis[kept])
+    log, kept = comparable(seen, curve_from_name("standard"), CONFIG.exposure)
+    return find_falloff(log, normals[kept], seen.off_axis[kept], AppearanceConfig())
 
 
 def uneven(seen: Observations, normals: np.ndarray, falloff: Falloff) -> bool:
     """Whether photographs are unlike under a plain curve, their falloff undone."""
-    log, kept = comparable(seen, curve_from_name("standard"))
-    return are_uneven(log - falloff.log(seen.off_axis[kept])[..., None], normals[kept])
+    log, kept = comparable(seen, curve_from_name("standard"), CONFIG.exposure)
+    log = log - falloff.log(seen.off_axis[kept])[..., None]
+    return are_uneven(log, normals[kept], CONFIG)
 
 
 def jitter(rng, steps: float, hue: float) -> np.ndarray:
@@ -205,7 +209,9 @@ def test_what_one_exposure_clips_another_shows():
     up = np.array([[0, 0, 1]], np.float32)
     evened = linear_observations(seen, curve_from_name("standard"), gains, up)
     assert evened.numpy() == pytest.approx(0.8, rel=0.01)
-    assert diffuse_radiance(seen, evened).linear.numpy() == pytest.approx(0.8, rel=0.01)
+    assert diffuse_radiance(seen, evened, CONFIG.statistics).linear.numpy() == pytest.approx(
+        0.8, rel=0.01
+    )
 
 
 def test_gains_are_named_and_told_in_steps():
@@ -234,7 +240,9 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     falloff = falloff_of(seen, normals)
     assert falloff.strength > 0
     assert uneven(seen, normals, falloff)
-    exposures = Exposures(observations=seen, normals=normals, are_apart=True, has_falloff=True)
+    exposures = Exposures(
+        observations=seen, normals=normals, config=CONFIG, are_apart=True, has_falloff=True
+    )
     gains = exposures.gains(curve_from_name(family))
     # steps of what is seen: s reaches 0.4
     reach = np.quantile(square[weight > 0.5], 0.98)
@@ -264,7 +272,9 @@ def test_a_falloff_alone_leaves_the_photographs_alike(rng):
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(-0.7 * square)[..., None]
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)), codes)
     assert not uneven(seen, normals, falloff_of(seen, normals))
-    exposures = Exposures(observations=seen, normals=normals, are_apart=False, has_falloff=True)
+    exposures = Exposures(
+        observations=seen, normals=normals, config=CONFIG, are_apart=False, has_falloff=True
+    )
     gains = exposures.gains(curve_from_name("standard"))
     assert gains.by_view == {}
     assert gains.falloff.strength == pytest.approx(0.7, abs=0.02)

@@ -14,13 +14,15 @@ from transport.shapes import mesh_of, patch
 
 from robir.appearance.light.lobes import soft_lobes
 from robir.appearance.light.problem import make_problem
-from robir.appearance.texture.shading_normals import MOST_TURN, shading_normals
+from robir.appearance.texture.config import TextureConfig
+from robir.appearance.texture.shading_normals import shading_normals
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.surfels import interpolate
 
+CONFIG = TextureConfig()
 LIGHT = synthetic.sun_and_uneven_sky()
 
 
@@ -90,7 +92,7 @@ def test_the_evened_albedo_repeats_the_photographs_under_the_turned_normals(ball
     before, after = (np.arccos((n * true).sum(1).clip(-1, 1)) for n in (mesh.normals, turned))
     assert after.mean() < 0.9 * before.mean()
     moved = np.arccos((turned * mesh.normals).sum(1).clip(-1, 1))
-    assert moved.max() < MOST_TURN
+    assert moved.max() < CONFIG.shading_normals.most_turn
 
 
 @pytest.mark.parametrize(
@@ -112,10 +114,8 @@ def test_normals_stay_where_nothing_speaks_against_them(ball, silent):
 def test_what_is_hardly_known_turns_little(ball):
     problem, mesh, _, atlas, values = ball
     doubtful = replace(values, unknown=np.full_like(values.unknown, 1.0))
-    turns = [
-        np.linalg.norm(shading_normals(problem, LIGHT, mesh, atlas, some) - mesh.normals, axis=1)
-        for some in (values, doubtful)
-    ]
+    turned = [shading_normals(problem, LIGHT, mesh, atlas, some) for some in (values, doubtful)]
+    turns = [np.linalg.norm(normals - mesh.normals, axis=1) for normals in turned]
     assert turns[1].mean() < 0.3 * turns[0].mean()
 
 
@@ -126,5 +126,6 @@ def test_a_plane_keeps_its_normals(ball):
     atlas = texels_of(mesh)
     albedo = np.full((len(atlas[0]), 3), 0.5)
     darker = np.where(interpolate(mesh, *atlas)[0][:, :1] < 0, 0.9, 1.0)
-    turned = shading_normals(problem, LIGHT, mesh, atlas, values_of(albedo * darker, albedo))
+    values = values_of(albedo * darker, albedo)
+    turned = shading_normals(problem, LIGHT, mesh, atlas, values)
     assert np.degrees(np.arccos(turned[:, 2].clip(-1, 1))).max() < 1.0

@@ -16,11 +16,13 @@ from robir.appearance.tone.choose import choose_tone_curve
 from robir.appearance.tone.clipping import clipping_evidence
 from robir.appearance.tone.ranking import Judged, best_shoulder, chosen_number, pair_likeness
 from robir.appearance.tone.shoulder import Lead, PlainLead
+from robir.config import RunConfig, resolve
 from robir.maths.tone import curve_from_name
 from robir.steps import Course
 from robir.transport.observe import Observations
 
 CONFIG = AppearanceConfig(num_scan_directions=400, num_sharp_lobes=1, iterations=60)
+TONE = CONFIG.tone
 SUN, SKY = 5.0, 0.25
 
 
@@ -93,13 +95,19 @@ def histogram(codes: list[int]) -> Observations:
     ],
 )
 def test_verdict_of_the_histogram(codes, verdict):
-    assert clipping_evidence(histogram(codes)).verdict is verdict
+    assert clipping_evidence(histogram(codes), TONE.clipping).verdict is verdict
+
+
+def test_a_setting_moves_the_verdict():
+    evidence = histogram([100] * 900 + [255] * 50 + [250] * 10)
+    config = resolve(RunConfig(), None, ["appearance.tone.clipping.spike_ratio=9"]).appearance
+    assert clipping_evidence(evidence, config.tone.clipping).verdict is None
 
 
 def test_shares_count_only_what_is_seen():
     seen = histogram([255, 255, 250, 100])
     seen.weight[0] = 0
-    evidence = clipping_evidence(seen)
+    evidence = clipping_evidence(seen, TONE.clipping)
     assert evidence.clipped_share == pytest.approx(1 / 3)
     assert evidence.bright_share == pytest.approx(1 / 3)
 
@@ -127,25 +135,26 @@ NAMES = ["standard", "filmic", "agx", "robir_aces"]
     ],
 )
 def test_the_best_curve_with_a_shoulder(scores, expected):
-    chosen = best_shoulder(NAMES, [table(score) for score in scores])
+    chosen = best_shoulder(NAMES, [table(score) for score in scores], TONE)
     assert NAMES[chosen] == expected
 
 
 def test_the_neutral_curve_does_not_stand_for_those_with_a_shoulder():
     names, scores = ["standard", "filmic", "khronos_pbr_neutral"], (10.0, 11.0, 10.1)
-    assert best_shoulder(names, [table(score) for score in scores]) == 1
-    assert best_shoulder(["standard", "khronos_pbr_neutral"], [table(10.0), table(9.0)]) is None
+    assert best_shoulder(names, [table(score) for score in scores], TONE) == 1
+    names, tables = ["standard", "khronos_pbr_neutral"], [table(10.0), table(9.0)]
+    assert best_shoulder(names, tables, TONE) is None
 
 
 def test_noise_leaves_the_simpler_curve():
     loud = [table(10.4, 0.0), table(10.0, 20.0)]  # differ by .4, standard error 1
     quiet = [table(10.4, 0.0), table(10.0, 2.0)]
-    assert best_shoulder(["filmic", "agx"], loud) == 0
-    assert best_shoulder(["filmic", "agx"], quiet) == 1
+    assert best_shoulder(["filmic", "agx"], loud, TONE) == 0
+    assert best_shoulder(["filmic", "agx"], quiet, TONE) == 1
 
 
 def test_the_plain_curve_alone_has_no_shoulder():
-    assert best_shoulder(["standard"], [table(10.0)]) is None
+    assert best_shoulder(["standard"], [table(10.0)], TONE) is None
 
 
 @pytest.mark.parametrize(
@@ -165,10 +174,15 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
     def lead_of(index, shoulder, steps, seed):
         shadows = Lead(value=leads[index, shoulder], error=1.0)
         return PlainLead(
-            plain=names[index], shoulder=names[shoulder], shadows=shadows, highlights=None
+            plain=names[index],
+            shoulder=names[shoulder],
+            shadows=shadows,
+            highlights=None,
+            margin=TONE.shoulder.plain_margin,
         )
 
-    judged = SimpleNamespace(tables=[table(score) for score in scores], lead=lead_of)
+    tables = [table(score) for score in scores]
+    judged = SimpleNamespace(tables=tables, lead=lead_of, config=CONFIG)
     number, lead = chosen_number(judged, names, 10, 0)
     assert names[number] == expected
     assert lead.total == plain
@@ -186,10 +200,15 @@ def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
         asked.append((index, shoulder))
         shadows = Lead(value=camera if (index, shoulder) == (1, 0) else plain, error=1.0)
         return PlainLead(
-            plain=names[index], shoulder=names[shoulder], shadows=shadows, highlights=None
+            plain=names[index],
+            shoulder=names[shoulder],
+            shadows=shadows,
+            highlights=None,
+            margin=TONE.shoulder.plain_margin,
         )
 
-    judged = SimpleNamespace(tables=[table(score) for score in (9.0, 9.0, 10.0)], lead=lead_of)
+    tables = [table(score) for score in (9.0, 9.0, 10.0)]
+    judged = SimpleNamespace(tables=tables, lead=lead_of, config=CONFIG)
     number, _ = chosen_number(judged, names, 10, 0)
     assert names[number] == expected
     assert asked == [(1, 0), (1 if camera > 2.0 else 0, 2)]
@@ -210,14 +229,14 @@ def models_of(scene, steps):
 def test_lights_are_settled_before_the_plain_curve_is_compared(stage):
     scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
     models = models_of(scene, 2)
-    early, settled = (Judged.of(models).lead(0, 1, steps, 0).shadows for steps in (0, 150))
+    early, settled = (Judged.of(models, CONFIG).lead(0, 1, steps, 0).shadows for steps in (0, 150))
     assert settled.value < early.value - 0.02
     assert settled.errors < -2
 
 
 def test_lights_are_not_settled_where_the_shoulder_is_plainly_nearer(stage):
     scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
-    judged = Judged.of(models_of(scene, 10))
+    judged = Judged.of(models_of(scene, 10), CONFIG)
     assert judged.lead(0, 1, 150, 0).total < -2
     assert not judged.settled
 

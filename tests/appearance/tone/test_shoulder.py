@@ -11,9 +11,9 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.blocks import mean_of
-from robir.appearance.light.lobes import MEAN_ALBEDO
 from robir.appearance.light.problem import blocks_of, make_problem
 from robir.appearance.photometry.statistics import Radiance
+from robir.appearance.tone.config import ToneConfig
 from robir.appearance.tone.shoulder import PlainLead, mismatch_table
 from robir.maths.tone import curve_from_name
 
@@ -45,7 +45,8 @@ def table(mean, noise=0.0, count=400):
 def test_the_plain_curve_must_lead_clearly(shadows, highlights, noise, clear):
     pairs = table(0.1), table(0.1 + shadows, 0.1 * noise)
     codes = (table(3.0 / 255), table((3.0 + (highlights or 0)) / 255, noise / 255))
-    lead = PlainLead.of(("standard", "filmic"), pairs, None if highlights is None else codes)
+    bright = None if highlights is None else codes
+    lead = PlainLead.of(("standard", "filmic"), pairs, bright, ToneConfig())
     assert lead.shoulder == "filmic"
     assert lead.shadows.value == pytest.approx(shadows)
     assert lead.highlights is None or lead.highlights.value == pytest.approx(highlights)
@@ -73,7 +74,7 @@ class Fake:
 def known(problem, log_irradiance, log_albedo, clipped=None):
     """The problem with given light and albedo of those samples that take part."""
     scene = problem.scene
-    linear = torch.full((len(scene.transport.surfels), 3), MEAN_ALBEDO)
+    linear = torch.full((len(scene.transport.surfels), 3), scene.config.light.lobes.mean_albedo)
     linear[scene.rows] = (log_irradiance + log_albedo).exp() / np.pi
     top = torch.zeros_like(linear, dtype=torch.bool)
     if clipped is not None:

@@ -20,33 +20,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, low_mean
 from robir.appearance.material.observed import Seen, looked_at
-from robir.appearance.proof import EVERY, Proof
+from robir.appearance.proof import Proof
 from robir.maths.daylight import WHOLE
 
 Floats = NDArray[np.float32]
 
-CLEAR = 0.2
-"""Highlight against what is below it from which its hue is read: below, errors of the normals and
-what shines back from coloured surfaces weigh as much."""
-
-LEAST_CLEAR = 50
-"""Views that must show such a highlight."""
-
-WIDEST = 3.0
-"""Deviations, of those that lights have, beyond which a hue is misread."""
-
-STEP = 2
-"""Every so manieth of the samples that take part in the light solve is looked at."""
-
 
 def told_hue(
-    problem: Problem, light: Light, gloss: Gloss
+    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig
 ) -> tuple[Tensor | None, tuple[Witness, ...]]:
     """Hue of what sky and suns send together, where highlights tell it.
 
@@ -54,19 +42,22 @@ def told_hue(
         problem: Scene under a tone curve, highlights included.
         light: Its light, of which all but the hue as a whole is taken for right.
         gloss: Specular material under it.
+        config: What highlights tell a hue.
 
     Returns:
         Log (3,) of the mean irradiance of the samples that take part, less its mean over the
         channels; None where too few highlights show or they prove nothing. And what white balance,
         highlights and both tell of its red over blue; of highlights only where they prove it.
     """
+    asked = config.evidence.hue
     balanced = Witness(of="hue", by="white balance", value=0.0, deviation=WHOLE.blue)
     nothing = None, (balanced, replace(balanced, by=BY_ALL))
     if not gloss.has_highlights or not len(light.axes):
         return nothing
-    shown, predicted, below, near = _highlights(problem, light, gloss)
-    clear = np.flatnonzero((shown.mean(1) > CLEAR * below.mean(1)) & (predicted > 0).all(1))
-    if len(clear) < LEAST_CLEAR:
+    shown, predicted, below, near = _highlights(problem, light, gloss, asked.step)
+    is_clear = shown.mean(1) > asked.least_contrast * below.mean(1)
+    clear = np.flatnonzero(is_clear & (predicted > 0).all(1))
+    if len(clear) < asked.least_views:
         return nothing
     rows = problem.scene.rows
     sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
@@ -75,8 +66,8 @@ def told_hue(
     told = sent + torch.from_numpy(off)
     told = told - told.mean()
     # each fold of the views is predicted with what the others tell
-    fold, factors = near.view[clear] % EVERY, np.zeros((2, len(clear), 3), np.float32)
-    without = []
+    fold, without = near.view[clear] % config.proof.every, []
+    factors = np.zeros((2, len(clear), 3), np.float32)
     for index in np.unique(fold):
         others = clear[fold != index]
         if not len(others):
@@ -90,7 +81,7 @@ def told_hue(
         seen.squared(torch.from_numpy(below[clear] + predicted[clear] * factor))
         for factor in factors
     )
-    is_likely = float(WHOLE.squared(told)) < WIDEST**2
+    is_likely = float(WHOLE.squared(told)) < asked.most_deviations**2
     # what displaces highlights, the mesh, errs place by place
     proof = Proof.of(plain, tinted, (near.block[clear],))
     if not (is_likely and proof.is_given):
@@ -134,11 +125,14 @@ class _Near:
 
 
 def _highlights(
-    problem: Problem, light: Light, gloss: Gloss
+    problem: Problem, light: Light, gloss: Gloss, step: int
 ) -> tuple[Floats, Floats, Floats, _Near]:
-    """Highlights (M, 3) of paint that are not clipped, as predicted (M, 3), and what is below."""
+    """Highlights (M, 3) of paint that are not clipped, as predicted (M, 3), and what is below.
+
+    Every so manieth of the samples is looked at.
+    """
     chosen = problem.radiance.seen.numpy() & gloss.is_paint
-    rows = problem.scene.rows[::STEP]
+    rows = problem.scene.rows[::step]
     rows = rows[chosen[rows]]
     reflections, rays, seen, valid = looked_at(problem, light, rows)
     specular = torch.zeros(len(rays.sample), 3)
@@ -148,9 +142,14 @@ def _highlights(
         specular[own] = reflections.from_suns(rays.of(own), float(roughness))[:, 0]
     near = reflections.near_highlight(rays)
     near = near[~seen.clipped[near].any(1)]
-    below, part = (low_mean(values, rays, valid)[rays.sample] for values in (seen.linear, specular))
+    statistics = problem.scene.config.photometry.statistics
+    below, part = (
+        low_mean(values, rays, valid, statistics)[rays.sample] for values in (seen.linear, specular)
+    )
     parts = (seen.linear - below, specular - part, below)
     shown, predicted, base = (values[near].numpy() for values in parts)
     sample, view = rays.sample[near.numpy()], rays.view[near.numpy()]
-    block = block_numbers(problem.scene.transport.surfels.position[rows])[sample]
+    block = block_numbers(
+        problem.scene.transport.surfels.position[rows], problem.scene.config.blocks
+    )[sample]
     return shown, predicted, base, _Near(seen.of(near), view, block)

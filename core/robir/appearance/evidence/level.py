@@ -21,55 +21,34 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.evidence.config import LevelConfig
 from robir.appearance.evidence.witness import BY_ALL, Witness
-from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
+from robir.appearance.light.lobes import log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, clusters, diffuse_below
-from robir.appearance.material.highlights import (
-    FEWEST_VIEWS,
-    HALF_BELIEVED,
-    LEVELS,
-    STEEPNESS,
-    UNSEEN_CODES,
-)
 from robir.appearance.material.observed import looked_at
-from robir.appearance.material.reflections import TILTS, reflected_share
+from robir.appearance.material.reflections import reflected_share
 
 Reals = NDArray[np.float64]
 
-FACTORS = np.linspace(-2.0, 3.0, 21)
-"""Logs of the factors that are tried."""
 
-PAINT = -1.85, 0.65
-"""Mean and deviation of the mean log albedo of what photographs show: of the development
-population, whose mean is .16; photography's mean scene reflects .18 (Jones and Condit 1941, "The
-brightness scale of exterior scenes")."""
-
-EXPOSURE = -0.15, 0.65
-"""Mean and deviation of the log radiance of white paint in the mean light, 1 being what the plain
-curve shows as white: of the development population."""
-
-LIMIT = 0.1
-"""How far, in log units, the brightest paint may seem to return more than it receives."""
-
-MISREAD = 0.3
-"""Deviation of the log factor that is left of one told by many views alike: where the mesh is more
-wrong than is tried, highlights are missed and the light is told too dim."""
-
-NUM_PATCHES = 16
-
-MOST_SAMPLES = 450
-"""Of the samples that take part in the light solve, looked at."""
+def log_factors(config: LevelConfig) -> Reals:
+    """Logs of the factors that are tried on the light, (F,)."""
+    return np.linspace(config.darkest, config.brightest, config.num_factors)
 
 
-def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple[Witness, ...]:
+def told_level(
+    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig, seed: int
+) -> tuple[Witness, ...]:
     """What sky and suns likely send, of which diffuse surfaces tell the product with albedo alone.
 
     Args:
         problem: Scene under a tone curve, highlights included.
         light: Its light, of which all but the brightness as a whole is taken for right.
         gloss: Specular material under it; only what is no metal is asked.
+        config: What is common, and what is tried.
         seed: Of the patches.
 
     Returns:
@@ -77,89 +56,101 @@ def told_level(problem: Problem, light: Light, gloss: Gloss, seed: int) -> tuple
         together last; of highlights only where some are known and enough views show them. Nothing
         where all is metal: paints and exposures of metal are not common ones.
     """
+    asked = config.evidence.level
     chosen = problem.radiance.seen.numpy() & gloss.is_paint
     every = problem.scene.rows
     rows = every[chosen[every]]
     if not len(rows):
         return ()
-    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
+    rows = rows[:: -(-len(rows) // asked.num_samples) or 1]
     albedo = log_ratio(problem.radiance.linear[rows], light.irradiance(problem, rows)).numpy()
     sent = float(log_sent(light.irradiance(problem, every), problem.indirect[every]).mean())
-    told = {"common paints": usual_paint(albedo), "exposure": usual_exposure(sent)}
+    told = {"common paints": usual_paint(albedo, config), "exposure": usual_exposure(sent, asked)}
     if gloss.has_highlights:
-        errors, count = _errors(problem, light, rows)
-        if count.sum() >= FEWEST_VIEWS:
+        errors, count = _errors(problem, light, rows, log_factors(asked))
+        if count.sum() >= config.material.highlights.fewest_views:
             position = problem.scene.transport.surfels.position[rows]
-            patch = clusters(np.concatenate([albedo, position], axis=1), NUM_PATCHES, seed)
-            told["highlights"] = misread(_evidence(errors, count, patch))
-    told[BY_ALL] = sum(told.values(), start=np.zeros(len(FACTORS)))
-    return tuple(_witness(by, likely, sent) for by, likely in told.items())
+            patch = clusters(np.concatenate([albedo, position], axis=1), asked.num_patches, seed)
+            told["highlights"] = misread(_evidence(errors, count, patch, config), asked)
+    told[BY_ALL] = sum(told.values(), start=np.zeros(asked.num_factors))
+    return tuple(_witness(by, likely, sent, asked) for by, likely in told.items())
 
 
-def _witness(by: str, log_likely: Reals, sent: float) -> Witness:
-    """Mean and deviation of the level under log likelihoods (FACTORS,), up to a constant."""
+def _witness(by: str, log_likely: Reals, sent: float, config: LevelConfig) -> Witness:
+    """Mean and deviation of the level under log likelihoods (F,), up to a constant."""
+    factors = log_factors(config)
     likely = np.exp(log_likely - log_likely.max())
     likely /= likely.sum()
-    mean = float(likely @ FACTORS)
-    deviation = float(np.sqrt(likely @ (FACTORS - mean) ** 2))
+    mean = float(likely @ factors)
+    deviation = float(np.sqrt(likely @ (factors - mean) ** 2))
     return Witness(of="level", by=by, value=sent + mean, deviation=deviation)
 
 
-def _errors(problem: Problem, light: Light, rows: NDArray[np.int64]) -> tuple[Reals, Reals]:
-    """Display errors (LEVELS, FACTORS, U) summed over views, and the number (U,) of these.
+def _errors(
+    problem: Problem, light: Light, rows: NDArray[np.int64], factors: Reals
+) -> tuple[Reals, Reals]:
+    """Display errors (L, F, U) at every roughness, and the number (U,) of their views.
 
     Each is that of the normal, of those that the mesh's may stand for, which explains it best.
     """
+    config = problem.scene.config
+    levels, statistics = config.material.highlights.levels, config.photometry.statistics
     reflections, rays, seen, valid = looked_at(problem, light, rows)
-    sample, size = torch.from_numpy(rays.sample), len(rows)
-    errors = np.full((len(LEVELS), len(FACTORS), size), np.inf)
-    for tilt in TILTS:
+    sample, size, seen_by = torch.from_numpy(rays.sample), len(rows), (rays, valid)
+    errors = np.full((len(levels), len(factors), size), np.inf)
+    for tilt in reflections.tilts:
         tilted = reflections.tilted(rays, tilt)
-        for index, level in enumerate(LEVELS):
+        for index, level in enumerate(levels):
             through = 1 - reflected_share(rays, level)[:, None]
             lit = reflections.from_sky(tilted, level) + reflections.from_suns(rays, level, tilt)
-            for number, factor in enumerate(np.exp(FACTORS)):
+            for number, factor in enumerate(np.exp(factors)):
                 shone = factor * lit[:, 0]
-                shown = diffuse_below(seen.linear, shone, through, (rays, valid)) + shone
+                shown = diffuse_below(seen, shone, through, seen_by, statistics) + shone
                 total = torch.zeros(size).index_add_(0, sample, seen.error(shown)).double().numpy()
                 errors[index, number] = np.minimum(errors[index, number], total)
     return errors, np.bincount(rays.sample, minlength=size).astype(np.float64)
 
 
-def _evidence(errors: Reals, count: Reals, patch: NDArray[np.int64]) -> Reals:
-    """Log likelihood (FACTORS,), up to a constant, over all roughnesses of each patch (U,)."""
-    views = np.bincount(patch, count)
-    total = np.zeros(len(FACTORS))
-    for known in np.flatnonzero(views >= FEWEST_VIEWS):
+def _evidence(
+    errors: Reals, count: Reals, patch: NDArray[np.int64], config: AppearanceConfig
+) -> Reals:
+    """Log likelihood (F,), up to a constant, over all roughnesses of each patch (U,)."""
+    views, reading = np.bincount(patch, count), config.material.highlights
+    total = np.zeros(config.evidence.level.num_factors)
+    for known in np.flatnonzero(views >= reading.fewest_views):
         codes = 255 * errors[:, :, patch == known].sum(2) / views[known]
-        log = logsumexp(-STEEPNESS * np.log(codes + UNSEEN_CODES), axis=0)
-        total += log * views[known] / (views[known] + HALF_BELIEVED)
-    return misread(total)
+        log = logsumexp(-reading.steepness * np.log(codes + reading.unseen_codes), axis=0)
+        total += log * views[known] / (views[known] + reading.half_believed)
+    return misread(total, config.evidence.level)
 
 
-def misread(evidence: Reals) -> Reals:
-    """Log likelihood (FACTORS,) of what is true, from that of what is told."""
-    missed = FACTORS[:, None] - FACTORS[None]
-    return logsumexp(evidence - 0.5 * (missed / MISREAD) ** 2, axis=1)
+def misread(evidence: Reals, config: LevelConfig) -> Reals:
+    """Log likelihood (F,) of what is true, from that of what is told."""
+    factors = log_factors(config)
+    missed = factors[:, None] - factors[None]
+    return logsumexp(evidence - 0.5 * (missed / config.misread) ** 2, axis=1)
 
 
-def usual_paint(albedo: NDArray[np.floating]) -> Reals:
-    """Log of how common the paints are, (FACTORS,), were the light so much brighter.
+def usual_paint(albedo: NDArray[np.floating], config: AppearanceConfig) -> Reals:
+    """Log of how common the paints are, (F,), were the light so much brighter.
 
     Args:
         albedo: (U, 3) log albedo by the light as it is.
+        config: What is common.
     """
-    (usual, deviation), mean = PAINT, albedo.mean() - FACTORS
-    brightest = np.quantile(albedo.max(1), BRIGHTEST_QUANTILE) - FACTORS
-    return -0.5 * (((mean - usual) / deviation) ** 2 + (brightest.clip(0) / LIMIT) ** 2)
+    asked = config.evidence.level
+    factors, rank = log_factors(asked), config.light.lobes.brightest_quantile
+    mean = (albedo.mean() - factors - asked.paint) / asked.paint_spread
+    brightest = np.quantile(albedo.max(1), rank) - factors
+    return -0.5 * (mean**2 + (brightest.clip(0) / asked.excess) ** 2)
 
 
-def usual_exposure(sent: float) -> Reals:
-    """Log of how common it is to expose so, (FACTORS,), were the light so much brighter.
+def usual_exposure(sent: float, config: LevelConfig) -> Reals:
+    """Log of how common it is to expose so, (F,), were the light so much brighter.
 
     Args:
         sent: Mean log irradiance by the light as it is.
+        config: What is common.
     """
-    usual, deviation = EXPOSURE
-    white = sent - np.log(np.pi) + FACTORS
-    return -0.5 * ((white - usual) / deviation) ** 2
+    white = sent - np.log(np.pi) + log_factors(config)
+    return -0.5 * ((white - config.exposure) / config.exposure_spread) ** 2

@@ -14,25 +14,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from robir.appearance.evidence.config import LobeChangesConfig
 from robir.maths.daylight import PART
-
-FREEDOM = 1.0
-"""Usual change of the logarithm of a lobe."""
-
-ALIKE = 3.0
-"""Views that count as one: errors of normals are common to many."""
-
-KEPT_COUNT = 30.0
-"""Samples that keep their irradiance, however many there are: what was solved without what is
-mirrored is not exact either."""
-
-MOST_STEP = 0.7
-"""Most that a logarithm changes in one round."""
-
-ROUNDS = 12
-
-SETTLED = 1e-3
-"""Change of every logarithm below which a round is the last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,19 +47,21 @@ class Mirrored:
         )
 
 
-def _prior(count: int, base_freedom: float) -> Tensor:
+def _prior(count: int, freedom: float, base_freedom: float) -> Tensor:
     """Inverse covariance of the changes: of each channel `count` lobes and the base colour."""
     mean = torch.full((3, 3), 1 / 3, dtype=torch.float64)
     # gold mirrors hardly any blue: what it does not show of a lobe's hue is that of lights
     unlike = PART.precision().double()
     prior = torch.zeros(3, count + 1, 3, count + 1, dtype=torch.float64)
     lobe, channel = torch.arange(count), torch.arange(3)
-    prior[:, lobe, :, lobe] = mean / FREEDOM**2 + unlike
+    prior[:, lobe, :, lobe] = mean / freedom**2 + unlike
     prior[channel, -1, channel, -1] = base_freedom**-2
     return prior.reshape(3 * count + 3, 3 * count + 3)
 
 
-def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -> Tensor:
+def changed(
+    soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float, config: LobeChangesConfig
+) -> Tensor:
     """Amplitudes (K, 3) that show what is seen.
 
     Args:
@@ -84,17 +69,18 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
         mirrored: What is seen.
         kept: (3, U, K) share of the irradiance of diffuse samples that each amplitude sends.
         kept_error: Share by which that irradiance may change.
+        config: How freely lobes change.
     """
     soft = soft.double().clamp(min=1e-6)
     held = kept.double() * soft.T[:, None]
-    keeping = KEPT_COUNT / held.shape[1] / kept_error**2
+    keeping = config.kept_samples / held.shape[1] / kept_error**2
     count = len(soft)
-    prior = _prior(count, mirrored.base_freedom)
+    prior = _prior(count, config.freedom, mirrored.base_freedom)
     # sums over many views in single precision, half the time; the system itself in double
     seen, fixed, error = mirrored.seen, mirrored.fixed, mirrored.error
     sent = [mirrored.lobes[:, c] * soft[:, c].float() for c in range(3)]
     change = torch.zeros(3, count + 1, dtype=torch.float64)
-    for _ in range(ROUNDS):
+    for _ in range(config.num_rounds):
         system, wanted = prior.clone(), -prior @ change.view(-1)
         for c in range(3):
             factor, base = change[c, :-1].exp(), float(change[c, -1].exp())
@@ -102,7 +88,7 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
             shown = base * (fixed[:, c] + now.sum(1))
             slope = torch.cat([base * now, shown[:, None]], 1) / error[:, c, None]
             off = (seen[:, c] - shown) / error[:, c]
-            weight = 1 / (1 + off.square()) / ALIKE
+            weight = 1 / (1 + off.square()) / config.alike_views
             apart = held[c] * factor
             own = slice(c * (count + 1), (c + 1) * (count + 1))
             lobe = slice(own.start, own.stop - 1)
@@ -112,7 +98,7 @@ def changed(soft: Tensor, mirrored: Mirrored, kept: Tensor, kept_error: float) -
             wanted[lobe] -= keeping * apart.T @ (apart - held[c]).sum(1)
         step = torch.linalg.solve(system, wanted).view(3, count + 1)
         most = float(step.abs().max())
-        change = change + step * min(1.0, MOST_STEP / max(most, 1e-9))
-        if most < SETTLED:
+        change = change + step * min(1.0, config.most_step / max(most, 1e-9))
+        if most < config.settled:
             break
     return (soft * change[:, :-1].exp().T).float()

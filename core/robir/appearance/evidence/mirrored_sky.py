@@ -15,36 +15,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.appearance.evidence.config import EvidenceConfig, MirroredSkyConfig
 from robir.appearance.evidence.lobe_changes import Mirrored, changed
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.material.observed import looked_at
 
-LEAST_SHARE = 0.08
-"""Share of metal among the samples that is needed: the normals of little metal, mostly small and
-bent, displace all that it mirrors."""
 
-SUN_SHARE = 0.3
-"""Share of a sun in what metal shows from which a view says nothing about the sky beside it."""
-
-SHOWN_ERROR, LEAST_SHOWN = 0.3, 0.1
-"""Error of what metal shows, as a share of it, and of the median of all views, that is added."""
-
-KEPT_ERROR = 0.02
-"""Share by which the irradiance of paint may change."""
-
-BASE_FREEDOM = 0.1
-"""Usual change of the logarithm of the metal's base colour, which is read anew afterwards."""
-
-
-def sky_by_metal(problem: Problem, light: Light, gloss: Gloss) -> Light | None:
+def sky_by_metal(
+    problem: Problem, light: Light, gloss: Gloss, config: EvidenceConfig
+) -> Light | None:
     """The light with the sky that metal mirrors.
 
     Args:
         problem: Scene under a tone curve, highlights included.
         light: Solved light.
         gloss: Specular material under it.
+        config: What metal tells, and how freely lobes change.
 
     Returns:
         The light with other soft lobes; None where there is too little metal or nothing else, or a
@@ -52,23 +40,29 @@ def sky_by_metal(problem: Problem, light: Light, gloss: Gloss) -> Light | None:
     """
     rows = problem.scene.rows
     metal = rows[(gloss.metallic[rows] > 0.5) & problem.radiance.seen.numpy()[rows]]
-    soft = light.amplitudes.soft
-    if len(metal) < LEAST_SHARE * len(rows) or len(soft) < 2:
+    soft, asked = light.amplitudes.soft, config.mirrored_sky
+    if len(metal) < asked.least_metal * len(rows) or len(soft) < 2:
         return None
     paint = rows[gloss.is_paint[rows]]
     before = light.irradiance(problem, paint).clamp(min=1e-6)
     kept = problem.scene.soft[paint] / before.T[:, :, None]
-    mirrored = _mirrored(problem, light, gloss, metal)
-    if not len(paint) or not len(mirrored.seen):
+    mirrored = _mirrored(problem, light, gloss, metal, asked)
+    if not len(paint) or mirrored is None:
         return None
-    sky = changed(soft, mirrored, kept, KEPT_ERROR)
+    sky = changed(soft, mirrored, kept, asked.kept_error, config.lobe_changes)
     return light.with_sky(sky)
 
 
-def _mirrored(problem: Problem, light: Light, gloss: Gloss, rows: NDArray[np.int64]) -> Mirrored:
+def _mirrored(
+    problem: Problem,
+    light: Light,
+    gloss: Gloss,
+    rows: NDArray[np.int64],
+    config: MirroredSkyConfig,
+) -> Mirrored | None:
     """Radiance that views of some metal samples (U,) show, and what it is made of.
 
-    Views near a sun's highlight and clipped ones are left out.
+    Views near a sun's highlight and clipped ones are left out; None if that leaves none.
     """
     dark = light.with_sky(torch.zeros_like(light.amplitudes.soft))
     parts = []
@@ -83,8 +77,11 @@ def _mirrored(problem: Problem, light: Light, gloss: Gloss, rows: NDArray[np.int
             * reflections.from_lobes(rays, float(roughness), len(light.amplitudes.soft))[:, None]
         )
         whole = fixed + lobes @ light.amplitudes.soft.mean(1)
-        clear = (suns < SUN_SHARE * whole).all(1) & ~shown.clipped.any(1)
+        clear = (suns < config.sun_share * whole).all(1) & ~shown.clipped.any(1)
         parts.append((shown.linear[clear], fixed[clear], lobes[clear]))
     seen, fixed, lobes = (torch.cat(column) for column in zip(*parts, strict=True))
-    error = SHOWN_ERROR * seen + LEAST_SHOWN * seen.median(0).values
-    return Mirrored(seen=seen, fixed=fixed, lobes=lobes, error=error, base_freedom=BASE_FREEDOM)
+    if not len(seen):
+        return None
+    error = config.shown_error * seen + config.least_error * seen.median(0).values
+    freedom = config.base_freedom
+    return Mirrored(seen=seen, fixed=fixed, lobes=lobes, error=error, base_freedom=freedom)

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
+from robir.appearance.evidence.config import EvidenceConfig
 from robir.appearance.evidence.lobe_changes import Mirrored, changed
 from robir.appearance.light.lobes import sky_radiance
 from robir.appearance.light.problem import Problem
@@ -41,29 +42,9 @@ from robir.appearance.material.reflections import (
 )
 from robir.appearance.material.trial import Trial, predicted_below
 from robir.appearance.proof import Proof
+from robir.appearance.step_config import ProofConfig
 
 Reals = NDArray[np.floating[Any]]
-
-LEVELS = (0.2, 0.3, 0.42, 0.56)
-"""Roughnesses that are tried where no sun tells it. The lobes cannot tell sharper ones; of rougher
-ones views differ by less than is known of what they reflect."""
-
-CODES = 20.0
-"""Difference between views of a sample, codes, at which one counts half: beyond lie errors of the
-mesh."""
-
-KEPT_ERRORS = (0.05, 0.2, 0.8)
-"""Shares by which the irradiance of samples may change: where shadows on a ground tell the light it
-is well known, by the shading of a lone thing it is not."""
-
-FOLDS = 3
-"""Parts of the surface of which each is predicted by the lobes that the others tell."""
-
-MOST_SAMPLES = 2500
-"""Of the samples that take part in the light solve, looked at."""
-
-MOST_FITTED = 12_000
-"""Of their observations, fitted to: there are 200 unknowns."""
 
 UNKNOWN = 100.0
 """Error of what is clipped, radiance."""
@@ -98,7 +79,7 @@ class ReflectedSkies:
         rows: (U,) the samples that were looked at.
         before: (M,) squared errors of views by the sky as it was.
         groups: Numbers (M,) of what errs together.
-        skies: One for each of KEPT_ERRORS.
+        skies: One for each of `kept_errors`.
     """
 
     problem: Problem
@@ -109,7 +90,7 @@ class ReflectedSkies:
 
 
 def skies_by_paint(
-    problem: Problem, light: Light, gloss: Gloss, count: int
+    problem: Problem, light: Light, gloss: Gloss, count: int, config: EvidenceConfig
 ) -> ReflectedSkies | None:
     """The light with the sky that paint reflects.
 
@@ -118,15 +99,17 @@ def skies_by_paint(
         light: Solved light.
         gloss: Specular material under it.
         count: Number K of lobes that an even sky is parted in.
+        config: What is tried, and how freely lobes change.
 
     Returns:
         None where too little paint is seen.
     """
-    rows = problem.scene.rows
+    asked, rows = config.reflected_sky, problem.scene.rows
     rows = rows[gloss.is_paint[rows] & problem.radiance.seen.numpy()[rows]]
-    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
-    block = block_numbers(problem.scene.transport.surfels.position[rows])
-    if len(np.unique(block)) < FOLDS:
+    rows = rows[:: -(-len(rows) // asked.num_samples) or 1]
+    position = problem.scene.transport.surfels.position[rows]
+    block = block_numbers(position, problem.scene.config.blocks)
+    if len(np.unique(block)) < asked.num_folds:
         return None
     found = gloss.roughness[rows].astype(np.float64)
     trial = Trial.of(problem, light, rows)
@@ -135,17 +118,18 @@ def skies_by_paint(
     before = trial.paint_errors(chosen, found if gloss.has_highlights else None)
     parted, start = _with_lobes(problem, light, count)
     is_told = len(light.axes) > 0
-    levels = [np.full(len(rows), level) for level in LEVELS]
+    levels = [np.full(len(rows), level) for level in asked.roughnesses]
     # a sun's highlight tells more of the roughness, if it is a sun
     levels = [found, *levels] if is_told else levels
-    dark = Trial.of(parted, start.with_sky(torch.zeros_like(start.amplitudes.soft)), rows)
+    darkened = start.with_sky(torch.zeros_like(start.amplitudes.soft))
+    dark = Trial.of(parted, darkened, rows)
     lit = start.irradiance(parted, rows).clamp(min=1e-6)
     sky = start.amplitudes.soft, parted.scene.soft[rows] / lit.T[:, :, None]
-    tried = [_Paint.of(dark, sky, level) for level in levels]
+    tried = [_Paint.of(dark, sky, level, config) for level in levels]
     groups = rays.view[chosen.numpy()], block[rays.sample[chosen.numpy()]]
-    skies = []
-    for kept_error in KEPT_ERRORS:
-        errors = [paint.errors(chosen, paint.across(block % FOLDS, kept_error)) for paint in tried]
+    skies, fold = [], block % asked.num_folds
+    for kept_error in asked.kept_errors:
+        errors = [paint.errors(chosen, paint.across(fold, kept_error)) for paint in tried]
         best = int(np.argmin([error.mean() for error in errors]))
         if is_told and not Proof.of(errors[0], errors[best], groups).is_given:
             best = 0
@@ -186,6 +170,8 @@ class _Paint:
         mirrored: What differs between the views of a sample.
         soft: (K, 3) amplitudes before.
         kept: (3, U, K) share of the irradiance that each amplitude sends.
+        config: How much is fitted, and how freely lobes change.
+        proof: Into how many folds views are parted.
     """
 
     rays: ViewRays
@@ -196,9 +182,13 @@ class _Paint:
     mirrored: Mirrored
     soft: Tensor
     kept: Tensor
+    config: EvidenceConfig
+    proof: ProofConfig
 
     @classmethod
-    def of(cls, dark: Trial, sky: tuple[Tensor, Tensor], level: Reals) -> _Paint:
+    def of(
+        cls, dark: Trial, sky: tuple[Tensor, Tensor], level: Reals, config: EvidenceConfig
+    ) -> _Paint:
         """Samples (U,) of some roughness (U,).
 
         Args:
@@ -206,6 +196,7 @@ class _Paint:
             sky: These lobes' amplitudes (K, 3), and the share (3, U, K) of the irradiance that each
                 sends.
             level: The roughness.
+            config: How much is fitted, and how freely lobes change.
         """
         (soft, kept), rays, seen = sky, dark.rays, dark.seen
         count = len(rays.sample)
@@ -232,23 +223,27 @@ class _Paint:
                 seen=differing(seen.linear - fixed),
                 fixed=torch.zeros(count, 3),
                 lobes=differing(lobes)[:, None].expand(-1, 3, -1),
-                error=_radiance_of_codes(seen),
+                error=_radiance_of_codes(seen, config.reflected_sky.half_believed),
                 base_freedom=NO_BASE,
             ),
             soft=soft,
             kept=kept,
+            config=config,
+            proof=dark.config,
         )
 
     def lobes(self, samples: NDArray[np.bool_], kept_error: float) -> Tensor:
         """Amplitudes (K, 3) that some of the samples (U,) ask for."""
-        some = np.flatnonzero(samples[self.rays.sample])
-        some = torch.from_numpy(some[:: -(-len(some) // MOST_FITTED) or 1])
-        return changed(self.soft, self.mirrored.of(some), self.kept, kept_error)
+        config, some = self.config, np.flatnonzero(samples[self.rays.sample])
+        step = -(-len(some) // config.reflected_sky.num_fitted) or 1
+        mirrored = self.mirrored.of(torch.from_numpy(some[::step]))
+        return changed(self.soft, mirrored, self.kept, kept_error, config.lobe_changes)
 
     def diffuse(self, soft: Tensor) -> Tensor:
         """Mean diffuse radiance (U, 3) of the samples under lobes of some amplitudes (K, 3)."""
         linear = self.seen.linear
-        below = torch.maximum(linear - self.fixed - self.lobes_sent @ soft, 0.02 * linear)
+        least = self.seen.config.least_diffuse * linear
+        below = torch.maximum(linear - self.fixed - self.lobes_sent @ soft, least)
         return sample_mean(below / self.through, self.rays, self.kept.shape[1])
 
     def across(self, fold: NDArray[np.int64], kept_error: float) -> Tensor:
@@ -263,7 +258,8 @@ class _Paint:
         """Squared errors of rays whose specular radiance (M, 3) is known; see `Trial`."""
         rays, seen = self.rays.of(chosen), self.seen.of(chosen)
         shone, through = specular[chosen], self.through[chosen]
-        return seen.squared(predicted_below(seen, rays, shone, through) + shone)
+        below = predicted_below(seen, rays, shone, through, self.proof)
+        return seen.squared(below + shone)
 
 
 def _reflected(
@@ -280,11 +276,14 @@ def _reflected(
     return fixed[:, 0], lobes, 1 - share
 
 
-def _radiance_of_codes(seen: Seen) -> Tensor:
-    """Radiance (M, 3) that is CODES about what is seen; of what is clipped nothing is known."""
+def _radiance_of_codes(seen: Seen, codes: float) -> Tensor:
+    """Radiance (M, 3) that is so many codes about what is seen.
+
+    Of what is clipped nothing is known.
+    """
     curve, step = seen.curve.display_from_linear, 0.01 * seen.linear.clamp(min=1e-4)
     slope = (curve(seen.linear + step) - curve(seen.linear)) / step
-    return (CODES / 255 / slope.clamp(min=0.02)).masked_fill(seen.clipped, UNKNOWN)
+    return (codes / 255 / slope.clamp(min=0.02)).masked_fill(seen.clipped, UNKNOWN)
 
 
 def sample_mean(values: Tensor, rays: ViewRays, size: int) -> Tensor:

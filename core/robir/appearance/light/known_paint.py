@@ -8,19 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.light.config import KnownPaintConfig
 from robir.errors import ConfigError
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import plane_cross
 from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
-
-READ, SHEEN = 0.02, 0.01
-"""Errors of a spot's reading: of each channel's logarithm, and what is added to all channels."""
-
-LEVEL, HUE = 2.0, 0.1
-"""Usual logs by which albedo is off at all, and each channel against the others: what white balance
-leaves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,20 +26,25 @@ class KnownPaint:
         position: (3,) of the spot, unit frame.
         normal: (3,) unit.
         albedo: (3,) linear Rec.709, above 0.
+        config: How far it is believed.
     """
 
     texel: tuple[float, float]
     position: Floats
     normal: Floats
     albedo: Floats
+    config: KnownPaintConfig
 
     @classmethod
-    def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownPaint | None:
+    def of(
+        cls, mesh: Mesh, white_point: tuple[float, ...], config: KnownPaintConfig
+    ) -> KnownPaint | None:
         """The spot of the setting `appearance.white_point` on an unwrapped mesh, if there is one.
 
         Args:
             mesh: Unit frame.
             white_point: u and v, over the tiles if the mesh has such, red, green, blue; or empty.
+            config: How far it is believed.
 
         Raises:
             ConfigError: If no face lies there.
@@ -75,19 +74,21 @@ class KnownPaint:
             position=position[0],
             normal=normal[0],
             albedo=np.asarray(white_point[2:], np.float32),
+            config=config,
         )
 
     def off(self, seen: Floats) -> Floats:
         """Log (3,) by which all albedo is too bright, if it is read as `seen` (N, 3) at the spot.
 
-        The likeliest, where readings err: each channel by READ, and all together by what a white
-        sheen adds, SHEEN, which is little of a bright channel and much of a dark one. A grey or
+        The likeliest, where readings err: each channel by `read_error`, and all together by what a
+        white `sheen` adds, which is little of a bright channel and much of a dark one. A grey or
         bright paint therefore tells level and hue as they are, a red one hardly any hue.
         """
         read = np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo.astype(np.float64))
-        sheen = SHEEN / self.albedo.astype(np.float64)
-        noise = READ**2 * np.eye(3) + np.outer(sheen, sheen)
-        prior = LEVEL**2 + HUE**2 * np.eye(3)
+        config = self.config
+        sheen = config.sheen / self.albedo.astype(np.float64)
+        noise = config.read_error**2 * np.eye(3) + np.outer(sheen, sheen)
+        prior = config.level_spread**2 + config.hue_spread**2 * np.eye(3)
         return (prior @ np.linalg.solve(prior + noise, read)).astype(np.float32)
 
     def texels(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:

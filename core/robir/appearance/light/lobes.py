@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.light.config import LobesConfig
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.photometry.statistics import Pairs, Radiance
@@ -29,13 +30,9 @@ from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_ir
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
 
-MEAN_ALBEDO = 0.3
-"""Geometric mean of the albedos of common scenes."""
-
-BRIGHTEST_QUANTILE = 0.97
-
 SOFT_SHARPNESS_PER_LOBE = 0.17
-"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak."""
+"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak.
+It says what amplitudes of a light mean."""
 
 EVEN_SHARPNESS = 1e-3
 """Sharpness of a lobe that stands for an even sky alone."""
@@ -155,35 +152,18 @@ def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Priors:
-    """Weights of the priors on albedo and light, relative to the neighbour term.
+    """What a solve knows of albedo and light beforehand.
 
     Attributes:
-        brightest: Albedo that the brightest materials should not exceed.
-        bounds: Weight of staying within a physical range.
-        hue: Weight of hues that lights have (maths/daylight.py), per squared deviation: of the
-            light as a whole, since surfaces that do not shine do not tell it from that of all
-            albedos, and under a tint bounced light is judged wrongly; and of suns against the sky.
-        part: The same of the sky's lobes against their mean, per deviation.
+        config: Limits and weights.
         told: What evidence tells of the light as a whole; it weighs as `hue` does, per squared
             deviation.
-        smooth: Weight of neighbouring soft lobes being alike.
-        spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
-            could else be as bright as it takes to shade what is painted.
-        shadow: Weight of equal albedo on both sides of a shadow.
         parsimony: Weight of few distinct albedos; 0 leaves the step out.
-        width: Width of an albedo cluster in log units, at the end of the annealing.
     """
 
-    brightest: float = 0.9
-    bounds: float = 1.0
-    hue: float = 0.0024
-    part: float = 0.005
+    config: LobesConfig
     told: Told = NOTHING_TOLD
-    smooth: float = 0.01
-    spread: float = 0.1
-    shadow: float = 0.25
     parsimony: float = 0.0
-    width: float = 0.15
 
 
 def solve_amplitudes(
@@ -200,7 +180,7 @@ def solve_amplitudes(
         radiance: Of the samples that take part (U,).
         transfer: Of the same samples.
         pairs: Neighbours among the same samples, and pairs across shadows.
-        priors: Weights.
+        priors: What is known beforehand.
         iterations: Adam steps.
         start: Where to begin; a neutral sky with equally strong suns if None.
 
@@ -208,8 +188,9 @@ def solve_amplitudes(
         Amplitudes and the final neighbour loss (mean absolute log difference).
     """
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
+    config = priors.config
     if start is None:
-        start = neutral_start(radiance, transfer)
+        start = neutral_start(radiance, transfer, config.start_albedo)
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
     optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
@@ -229,32 +210,33 @@ def solve_amplitudes(
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
-        loss = neighbour + priors.shadow * across.loss(log_albedo)
-        loss = loss + priors.bounds * range_loss(log_albedo, (whole, sure), priors)
+        loss = neighbour + config.shadow * across.loss(log_albedo)
+        loss = loss + config.bounds * range_loss(log_albedo, (whole, sure), priors)
         sky = torch.log(amplitudes.soft.mean(0))
-        loss = loss + priors.part * PART.absolute(log_soft - sky).mean()
+        loss = loss + config.part * PART.absolute(log_soft - sky).mean()
         if num_sharp:
-            loss = loss + priors.hue * SUN.squared(log_sharp - sky).mean()
+            loss = loss + config.hue * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        loss = loss + priors.hue * (WHOLE.squared(sent) + priors.told.squared(sent))
-        loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
-        loss = loss + priors.spread * unevenness(amplitudes.soft, hidden)
+        loss = loss + config.hue * (WHOLE.squared(sent) + priors.told.squared(sent))
+        loss = loss + config.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
+        loss = loss + config.spread * unevenness(amplitudes.soft, hidden)
         if priors.parsimony > 0:
-            width = priors.width * (4 - 3 * min(1.0, 1.5 * fraction))
-            loss = loss + priors.parsimony * parsimony_loss(log_albedo, whole, width, generator)
+            width = config.cluster_width * (4 - 3 * min(1.0, 1.5 * fraction))
+            few = parsimony_loss(log_albedo, whole, width, (config.cluster_pairs, generator))
+            loss = loss + priors.parsimony * few
         loss.backward()
-        rate = 0.06 * (1 - 0.9 * fraction)
+        rate = config.rate * (1 - 0.9 * fraction)
         optimiser.step((rate, rate))
         loss_value = float(neighbour.detach())
     return Amplitudes(soft=log_soft.detach().exp(), sharp=log_sharp.detach().exp()), loss_value
 
 
-def neutral_start(radiance: Radiance, transfer: Transfer) -> Amplitudes:
-    """A grey sky and equally strong suns, scaled so that the median albedo is 0.35."""
+def neutral_start(radiance: Radiance, transfer: Transfer, albedo: float) -> Amplitudes:
+    """A grey sky and equally strong suns, scaled to a median albedo."""
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
     sky = transfer.soft.sum(1)
     unit = sky + float(sky.mean()) * 2 * transfer.sharp.sum(1) / max(1, num_sharp)
-    wanted = np.pi * radiance.linear.mean(1) / 0.35
+    wanted = np.pi * radiance.linear.mean(1) / albedo
     scale = float((wanted.median() / unit.median().clamp(min=1e-6)).clamp(min=1e-6))
     soft = torch.full((num_soft, 3), scale)
     sharp = torch.full((num_sharp, 3), 2 * scale * float(sky.mean()) / max(1, num_sharp))
@@ -276,16 +258,16 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
         chosen: Samples of which no channel is clipped, and those of which it is sure.
         priors: Limits.
     """
-    whole, sure = chosen
+    (whole, sure), config = chosen, priors.config
     # the quantile, linear between ranks, without sorting what lies below
     brightness = log_albedo.index_select(0, sure).amax(1)
-    rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
+    rank, part = divmod(config.brightest_quantile * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
     if priors.told.level is not None:
         return 2 * brightest.clamp(min=0)
-    high = (brightest - np.log(priors.brightest)).clamp(min=0)
-    middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
+    high = (brightest - np.log(config.brightest)).clamp(min=0)
+    middle = (log_albedo.index_select(0, whole).mean() - np.log(config.mean_albedo)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()
 
 
@@ -308,7 +290,7 @@ def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
 
 
 def parsimony_loss(
-    log_albedo: Tensor, whole: Tensor, width: float, generator: torch.Generator | None
+    log_albedo: Tensor, whole: Tensor, width: float, drawn: tuple[int, torch.Generator | None]
 ) -> Tensor:
     """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy.
 
@@ -316,11 +298,11 @@ def parsimony_loss(
         log_albedo: (U, 3).
         whole: Samples of which no channel is clipped.
         width: Width of the kernel, log units.
-        generator: Source of the pairs.
+        drawn: How many pairs, and their source.
     """
     if len(whole) < 2:
         return log_albedo.sum() * 0
-    count = 20000
+    count, generator = drawn
     first = whole[torch.randint(len(whole), (count,), generator=generator)]
     second = whole[torch.randint(len(whole), (count,), generator=generator)]
     # a channel at a time: rows of three cost thrice as much, there and back

@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.known_paint import KnownPaint
-from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
+from robir.appearance.light.lobes import Transfer, soft_transfer
 from robir.appearance.photometry.exposure import Exposures, Gains
 from robir.appearance.photometry.statistics import (
     Pairs,
@@ -29,30 +30,6 @@ from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
 
-PAIR_REACHES = (0.05, 0.12, 0.25)
-"""Distances over which albedos are compared, unit frame: below and above the width of a shadow."""
-
-PARTNERS = 6
-"""Partners of a sample at each of these distances; with half as many the light hangs on chance."""
-
-EVERY_PARTNERS = 3
-"""The same where every sample takes part; 6 give the same light at twice the cost."""
-
-SKY_SHARE = 0.3
-"""Radiance of a surface in the shade, open to the whole sky, over the median of what is seen."""
-
-LOOK_ALIKES, LOOK_ALIKE_RANK = 64, 0.9
-"""Seen samples that tell a hidden one's albedo, the nearest, and the rank among them that does: the
-brighter ones are those in the light."""
-
-HIDDEN_ALBEDO = (0.05, 0.8)
-"""Least and greatest albedo of what no camera sees."""
-
-BOUNCES = 3
-"""Reflections between surfaces that no camera sees."""
-
-SUN_SAMPLES = 8
-
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -65,6 +42,7 @@ class Scene:
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
+        config: Of the stage.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
         by_camera: Whether cameras took the photographs, and no renderer.
         known_paint: A spot whose paint the user tells, if any.
@@ -77,6 +55,7 @@ class Scene:
     offset: float
     rows: NDArray[np.int64]
     pairs: Pairs
+    config: AppearanceConfig
     exposures: Exposures | None = None
     by_camera: bool = False
     known_paint: KnownPaint | None = None
@@ -91,7 +70,8 @@ class Scene:
         """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
         surfels = self.transport.surfels
         points = (surfels.position[rows], surfels.normal[rows])
-        return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, SUN_SAMPLES))
+        rays = 2 * self.config.light.problem.sun_ray_pairs
+        return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, rays))
 
     def sharp_transfer_at(
         self, points: tuple[Floats, Floats], axes: Floats, sharpness: Floats, samples: int
@@ -123,6 +103,7 @@ def make_scene(
     tracer: EmbreeTracer | None,
     offset: float,
     sizes: tuple[int, int],
+    config: AppearanceConfig,
     rng: np.random.Generator,
 ) -> Scene:
     """Choose the samples that take part and precompute the sky's transport.
@@ -132,6 +113,7 @@ def make_scene(
         tracer: Tracer of the mesh, or None where nothing blocks light.
         offset: Distance that rays start above the surface.
         sizes: Number of samples that take part and number of soft lobes.
+        config: Of the stage.
         rng: Source of randomness.
 
     Returns:
@@ -143,13 +125,14 @@ def make_scene(
     soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
     seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
     rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
-    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, PARTNERS, rng)
-    return Scene(transport, tracer, soft, offset, rows, pairs)
+    asked = config.light.problem
+    pairs = neighbour_pairs(surfels, rows, asked.pair_reaches, asked.num_partners, rng)
+    return Scene(transport, tracer, soft, offset, rows, pairs, config)
 
 
 def blocks_of(scene: Scene) -> NDArray[np.int64]:
     """Block number of the first sample of every ordered pair, (2 P,)."""
-    block = block_numbers(scene.transport.surfels.position[scene.rows])
+    block = block_numbers(scene.transport.surfels.position[scene.rows], scene.config.blocks)
     return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
 
 
@@ -177,8 +160,9 @@ class Problem:
 
     def without_highlights(self, diffuse: Tensor) -> Problem:
         """The problem once the radiance (S, V, 3) without its specular part is known."""
-        observations = self.scene.transport.observations
-        return replace(self, radiance=diffuse_radiance(observations, diffuse))
+        statistics = self.scene.config.photometry.statistics
+        radiance = diffuse_radiance(self.scene.transport.observations, diffuse, statistics)
+        return replace(self, radiance=radiance)
 
     def with_lobes(self, count: int) -> Problem:
         """The problem with so many soft lobes."""
@@ -194,7 +178,8 @@ class Problem:
             rng: Source of the neighbours.
         """
         rows, surfels = np.flatnonzero(self.radiance.seen), self.scene.transport.surfels
-        pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, EVERY_PARTNERS, rng)
+        config = self.scene.config.light.problem
+        pairs = neighbour_pairs(surfels, rows, config.pair_reaches, config.every_partners, rng)
         return replace(self, scene=replace(self.scene, rows=rows, pairs=pairs))
 
     def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
@@ -223,7 +208,7 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     observations = scene.transport.observations
     gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
     linear = linear_observations(observations, curve, gains, scene.transport.surfels.normal)
-    total = diffuse_radiance(observations, linear)
+    total = diffuse_radiance(observations, linear, scene.config.photometry.statistics)
     # What bounces is everything that leaves the surface, highlights aside.
     exitant = with_hidden(scene, total)
     indirect = scene.bounced(exitant)
@@ -256,9 +241,10 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
     openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[hidden, None]
     median = exitant[total.seen].median(0).values
     albedo = _hidden_albedo(scene, total, median)
-    sky = SKY_SHARE * median * openness * albedo / MEAN_ALBEDO
+    config = scene.config.light
+    sky = config.problem.sky_share * median * openness * albedo / config.lobes.mean_albedo
     exitant[hidden] = sky
-    for _ in range(BOUNCES):
+    for _ in range(config.problem.num_bounces):
         exitant[hidden] = sky + albedo / np.pi * scene.bounced(exitant)[hidden]
     return exitant
 
@@ -269,11 +255,14 @@ def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
     Args:
         scene: The scene.
         total: Radiance of all samples, right where `seen`.
-        median: (3,) radiance of what is seen, that of a surface of MEAN_ALBEDO.
+        median: (3,) radiance of what is seen, that of a surface of `mean_albedo`.
     """
+    asked, mean_albedo = scene.config.light.problem, scene.config.light.lobes.mean_albedo
     position, seen = scene.transport.surfels.position, total.seen.numpy()
-    count = min(LOOK_ALIKES, int(seen.sum()))
+    count = min(asked.look_alikes, int(seen.sum()))
     around = cKDTree(position[seen]).query(position[~seen], k=count)[1].reshape(-1, count)
-    bright = np.quantile(total.linear.numpy()[seen][around], LOOK_ALIKE_RANK, axis=1)
+    shown = total.linear.numpy()[seen][around]
+    bright = np.quantile(shown, asked.look_alike_rank, axis=1)
     relative = torch.from_numpy(bright).float() / median.clamp(min=1e-6)
-    return (MEAN_ALBEDO * relative).clamp(*HIDDEN_ALBEDO)
+    least, most = asked.least_hidden_albedo, asked.most_hidden_albedo
+    return (mean_albedo * relative).clamp(least, most)

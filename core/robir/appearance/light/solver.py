@@ -26,18 +26,6 @@ from robir.appearance.photometry.statistics import Pairs
 
 Floats = NDArray[np.float32]
 
-NEIGHBOUR_HUE = 0.2
-"""Difference of log albedo in hue at which neighbours hardly are one paint, once a light is known.
-Sky and sun differ in hue as well, and the sky is not known well. From .1 to .4 all gives about the
-same."""
-
-SHADOW_WEIGHT = 1.0
-"""Weight of equal albedo across shadows once a light tells which pairs are one material."""
-
-EVEN_SKY = 0.05
-"""Weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
-material into another."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
@@ -102,7 +90,7 @@ def fit(
         problem.rows_radiance(problem.scene.rows),
         transfer,
         (problem.scene.pairs, Pairs.joined(sunlight.across_shadows())),
-        Priors(),
+        Priors(config=problem.scene.config.light.lobes),
         iterations,
         start=start,
     )
@@ -143,15 +131,16 @@ def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) 
     light = light.tinted(told.missing(sent))
     irradiance = light.amplitudes.irradiance(transfer)
     log_albedo = log_ratio(radiance.linear, irradiance)
-    across = well_lit(sunlight.across_shadows(), irradiance)
+    across = well_lit(sunlight.across_shadows(), irradiance, config)
     neighbours = problem.scene.pairs
-    likeness = neighbours.likeness(log_albedo, NEIGHBOUR_HUE, np.inf)
-    parts = (neighbours.weighted(likeness), of_one_material(across, log_albedo, radiance.clipped))
+    solver = config.light.solver
+    likeness = neighbours.likeness(log_albedo, solver.neighbour_hue, np.inf)
+    alike = of_one_material(across, log_albedo, radiance.clipped, config)
+    parts = (neighbours.weighted(likeness), alike)
     priors = Priors(
-        parsimony=config.parsimony_weight,
-        smooth=EVEN_SKY,
-        shadow=SHADOW_WEIGHT,
+        config=replace(config.light.lobes, smooth=solver.smooth, shadow=solver.shadow),
         told=told,
+        parsimony=config.parsimony_weight,
     )
     amplitudes, loss = solve_amplitudes(
         radiance, transfer, parts, priors, config.iterations // 2, start=light.amplitudes

@@ -10,18 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, shadow_pairs
 
 Floats = NDArray[np.float32]
-
-EDGE_SHARPNESS = 250.0
-"""Lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 5 degrees
-across, about what a mesh error of one grid cell does to a shadow."""
-
-GRAZING_COSINE = 0.2
-"""Cosine to a sun, of either sign, below which an error of the normals gives or takes that sun: 12
-degrees; those of a draft are 7 to 10 off on average."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +25,15 @@ class Sunlight:
         position: (U, 3) unit frame.
         normal: (U, 3) unit.
         cosine: (U, J) between normal and sun.
-        share: (U, J) of a lobe of EDGE_SHARPNESS that is seen; anything where it is behind.
+        share: (U, J) of a lobe of `edge_sharpness` that is seen; anything where it is behind.
+        config: What is sure, and which pairs there are.
     """
 
     position: Floats
     normal: Floats
     cosine: Floats
     share: Floats
+    config: AppearanceConfig
 
     @classmethod
     def of(cls, problem: Problem, axes: Floats) -> Sunlight:
@@ -46,23 +41,29 @@ class Sunlight:
         scene, rows = problem.scene, problem.scene.rows
         surfels = scene.transport.surfels
         normal = surfels.normal[rows]
-        sharpness = np.full(len(axes), EDGE_SHARPNESS, np.float32)
+        edge_sharpness = scene.config.light.sunlight.edge_sharpness
+        sharpness = np.full(len(axes), edge_sharpness, np.float32)
         wide = scene.sharp_transfer(axes, sharpness, rows).numpy()
         cosine = normal @ axes.T
-        return cls(surfels.position[rows], normal, cosine, wide / np.maximum(cosine, 1e-3))
+        share = wide / np.maximum(cosine, 1e-3)
+        return cls(surfels.position[rows], normal, cosine, share, scene.config)
 
     def across_shadows(self) -> list[Pairs]:
         """Pairs across the shadow of each sun, away from its edge."""
-        facing = self.cosine > 0.15
-        lit, dark = facing & (self.share > 0.97), facing & (self.share < 0.03)
+        config, statistics = self.config.light.sunlight, self.config.photometry.statistics
+        facing = self.cosine > config.facing_cosine
+        lit = facing & (self.share > 1 - config.edge_share)
+        dark = facing & (self.share < config.edge_share)
         columns = zip(lit.T, dark.T, strict=True)
-        return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
+        return [shadow_pairs(self.position, self.normal, *sides, statistics) for sides in columns]
 
     def is_sure(self) -> Tensor:
         """Bool (U,), whether an error of the mesh would neither give nor take a sun.
 
         All, should that leave fewer than half.
         """
-        is_edge = (self.cosine > 0) & (self.share > 0.03) & (self.share < 0.97)
-        sure = ~(is_edge | (np.abs(self.cosine) < GRAZING_COSINE)).any(1)
+        config = self.config.light.sunlight
+        is_part = (self.share > config.edge_share) & (self.share < 1 - config.edge_share)
+        is_edge = (self.cosine > 0) & is_part
+        sure = ~(is_edge | (np.abs(self.cosine) < config.grazing_cosine)).any(1)
         return torch.from_numpy(sure if 2 * sure.sum() > len(sure) else np.ones_like(sure))

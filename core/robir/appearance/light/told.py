@@ -12,10 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-HUE_ERROR = 0.04
-"""Root of the mean square error of a hue that highlights tell, log units, of six rendered scenes
-under two lights each."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Told:
@@ -29,7 +25,7 @@ class Told:
     """
 
     hue: Tensor | None = None
-    hue_error: float = HUE_ERROR
+    hue_error: float = 1.0
     level: float | None = None
     level_error: float = 1.0
 

@@ -20,14 +20,15 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
-from robir.appearance.material.metal import metal_errors, metal_parts, metal_samples, neighbourhoods
+from robir.appearance.material.config import GlossConfig
+from robir.appearance.material.highlights import Highlights
+from robir.appearance.material.metal import likely_metal
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import Seen, dense, looked_at
 from robir.appearance.material.reflections import (
-    TILTS,
     Reflections,
     ViewRays,
     as_rays,
@@ -36,22 +37,12 @@ from robir.appearance.material.reflections import (
 )
 from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
 from robir.appearance.material.trial import Trial
+from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights, texture_weights
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
-
-ALIKE_NORMAL = 0.06
-"""Distance, unit frame, that half the difference of opposite normals counts as."""
-
-ALIKE_PAINT = 0.05
-"""Distance that a difference of one in the logarithm of albedo, as of paint, counts as: a small
-part of metal is judged with itself, not with the paint about it; what it mirrors differs too."""
-
-SHARPEST_SKY = 0.5
-"""Roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
-sky and of the surroundings, errors of both and of the mesh displace."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +102,8 @@ def specular_towards(
         rows, local = np.unique(sample[chosen], return_inverse=True)
         normal = problem.scene.transport.surfels.normal[sample[chosen]]
         rays = as_rays(local, np.zeros_like(local), view_dir[chosen], normal, directions)
-        both = Reflections(problem, light, rows).radiance(rays, float(roughness))
+        reflections = Reflections(problem, light, rows)
+        both = reflections.radiance(rays, float(roughness))
         result[:, chosen] = both.numpy().transpose(1, 0, 2)
         kept[chosen] = 1 - reflected_share(rays, float(roughness))[:, None].numpy()
     if not gloss.has_highlights:
@@ -120,31 +112,33 @@ def specular_towards(
 
 
 def _costs(
-    reflections: Reflections, rays: ViewRays, seen: Seen, valid: Tensor
+    looked: tuple[Reflections, ViewRays, Seen, Tensor], config: AppearanceConfig
 ) -> tuple[Highlights, Floats]:
     """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
-    sky is reflected as by the surface itself, but no sharper than SHARPEST_SKY.
+    sky is reflected as by the surface itself, but no sharper than `sharpest_sky`.
     """
-    linear, sample = seen.linear, rays.sample
+    reflections, rays, seen, valid = looked
+    material, statistics, sample = config.material, config.photometry.statistics, rays.sample
+    levels, sharpest_sky = material.highlights.levels, material.gloss.sharpest_sky
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
     others = torch.ones(len(sample), dtype=torch.bool).index_fill_(0, near, value=False)
-    peaks, predicted = (torch.zeros(len(near), len(LEVELS)) for _ in range(2))
-    noise = torch.zeros(int(others.sum()), len(LEVELS))
+    peaks, predicted = (torch.zeros(len(near), len(levels)) for _ in range(2))
+    noise = torch.zeros(int(others.sum()), len(levels))
 
     def summed(values: Tensor, rays: ViewRays) -> Tensor:
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
 
     def below(specular: Tensor, through: Tensor) -> Tensor:
-        return diffuse_below(linear, specular, through, (rays, valid))
+        return diffuse_below(seen, specular, through, (rays, valid), statistics)
 
-    highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
-    dielectric = torch.zeros(len(valid), len(LEVELS))
-    blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
-    for index, level in enumerate(LEVELS):
+    highlight = torch.full((len(valid), len(levels)), float("inf"))
+    dielectric = torch.zeros(len(valid), len(levels))
+    blurred = reflections.from_sky(rays, sharpest_sky)[:, 0]
+    for index, level in enumerate(levels):
         through = 1 - reflected_share(rays, level)[:, None]
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
         lit, even = (sky + sun)[:, 0], sky[:, 0]
@@ -152,16 +146,17 @@ def _costs(
         excess = seen.excess(base + lit)
         dielectric[:, index] = summed(seen.counted(excess, base + lit), rays)
         noise[:, index] = excess[others].mean(1)
-        if level < SHARPEST_SKY:
+        if level < sharpest_sky:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
         peaks[:, index] = near_seen.excess(soft).mean(1)
         predicted[:, index] = peaks[:, index] - near_seen.excess(soft + sun[near, 0]).mean(1)
-        for tilt in TILTS:
+        for tilt in reflections.tilts:
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    plain = summed(near_seen.error(low_mean(linear, rays, valid)[near_rays.sample]), near_rays)
+    dull = low_mean(seen.linear, rays, valid, statistics)[near_rays.sample]
+    plain = summed(near_seen.error(dull), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
     highlights = Highlights(
@@ -178,31 +173,37 @@ def _costs(
 
 
 def diffuse_below(
-    linear: Tensor, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
+    seen: Seen,
+    specular: Tensor,
+    through: Tensor,
+    seen_by: tuple[ViewRays, Tensor],
+    config: StatisticsConfig,
 ) -> Tensor:
     """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
 
     Args:
-        linear: (M, 3) radiance along the rays.
+        seen: What the rays show.
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that the layer lets through.
         seen_by: The rays, and (U, V) which views show the samples.
+        config: Which of them are the darker ones.
     """
     rays, valid = seen_by
-    diffuse = torch.maximum(linear - specular, 0.02 * linear) / through
-    return low_mean(diffuse, rays, valid)[rays.sample] * through
+    least = seen.config.least_diffuse * seen.linear
+    diffuse = torch.maximum(seen.linear - specular, least) / through
+    return low_mean(diffuse, rays, valid, config)[rays.sample] * through
 
 
-def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor, config: StatisticsConfig) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (table * darker_view_weights(table, valid)[..., None]).sum(1)
+    return (table * darker_view_weights(table, valid, config)[..., None]).sum(1)
 
 
 def estimate_gloss(
     problem: Problem,
     light: Light,
-    num_patches: int,
+    num_materials: int,
     seed: int,
     step: int = 1,
     told: float | None = None,
@@ -212,7 +213,7 @@ def estimate_gloss(
     Args:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        num_patches: Patches of paint that have a roughness each.
+        num_materials: How many patches of paint have a roughness each.
         seed: Of the clustering.
         step: Every so manieth of the samples that take part in the light solve is judged.
         told: Roughness of all paint where it is known already.
@@ -220,43 +221,39 @@ def estimate_gloss(
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
     """
-    surfels = problem.scene.transport.surfels
+    config, surfels = problem.scene.config, problem.scene.transport.surfels
+    material = config.material
     seen = np.flatnonzero(problem.radiance.seen.numpy())
     in_solve = np.isin(seen, problem.scene.rows[::step])
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
-    reflections, rays, shown, _ = looked
-    highlights, dielectric = _costs(*looked)
-    trial = Trial(reflections=reflections, rays=rays, seen=shown)
-    features = np.concatenate([_features(problem, light, seen), surfels.position[seen]], axis=1)
-    normal, paint = surfels.normal[seen], features[:, :3]
-    points = np.concatenate(
-        [surfels.position[seen], ALIKE_NORMAL * normal, ALIKE_PAINT * paint], axis=1
-    )
-    around = neighbourhoods(points[in_solve])
-    errors, bright = metal_errors(problem, light, rows, dielectric, around)
-    likely, certain = metal_samples(dielectric, errors, around)
-    certain &= metal_samples(dielectric, bright, around)[1]
-    hue = (paint - paint.mean(1, keepdims=True))[in_solve][around].mean(1)
-    spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    place = surfels.position[rows], hue, spacing
-    observed = reflections, rays, shown.linear
-    parts = metal_parts((likely, certain), place, observed, errors)
+    highlights, dielectric = _costs(looked, config)
+    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2], config=config.proof)
+    features = _features(problem, light, seen)
+    paint = features[:, :3]
+    points = _points(surfels.position[seen], surfels.normal[seen], paint, material.gloss)
+    hue = paint - paint.mean(1, keepdims=True)
+    alike = points[in_solve], hue[in_solve]
+    parts = likely_metal((problem, light), rows, alike, trial, dielectric)
     by_camera = problem.scene.by_camera
-    parts, metal_choice = proven_parts(parts, trial, dielectric, by_camera=by_camera)
+    levels = material.highlights
+    parts, metal_choice = proven_parts(parts, trial, dielectric, levels, by_camera=by_camera)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
-    cluster = clusters(features, num_patches, seed)
+    cluster = clusters(features, num_materials, seed)
     patches = Patches(features=_means(features, cluster), number=cluster[in_solve])
     if told is None:
-        choice = choose_roughness(highlights, patches, trial, ~is_metal, by_camera=by_camera)
+        choice = choose_roughness(
+            highlights, patches, trial, ~is_metal, material, by_camera=by_camera
+        )
     else:
-        choice = known_roughness(told, len(patches.features))
+        choice = known_roughness(told, len(patches.features), material.highlights)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
-    gloss, diffuse = _apply(problem, light, seen, level, metallic, choice.has_highlights)
+    shown = choice.has_highlights
+    gloss, diffuse = _apply((problem, light), seen, level, metallic, shown)
     metal = np.zeros((len(surfels), 3), np.float32)
     if is_metal.any():
         nearest = cKDTree(surfels.position[rows[is_metal]]).query(surfels.position)[1]
@@ -265,12 +262,25 @@ def estimate_gloss(
         Gloss(
             **gloss,
             metal=metal,
-            has_highlights=choice.has_highlights,
+            has_highlights=shown,
             table=_table((choice.roughness, cluster), (parts.roughness, part)),
             choices=(*choice.choices, metal_choice),
         ),
         diffuse,
     )
+
+
+def _points(position: Floats, normal: Floats, paint: Floats, config: GlossConfig) -> Floats:
+    """Points (N, 9) that lie close together where samples are to be judged together.
+
+    Args:
+        position: (N, 3) unit frame.
+        normal: (N, 3) unit.
+        paint: (N, 3) log albedo, as of paint.
+        config: What normals and albedos count against places.
+    """
+    parts = [position, config.normal_scale * normal, config.paint_scale * paint]
+    return np.concatenate(parts, axis=1)
 
 
 def _table(
@@ -292,7 +302,7 @@ def _table(
 
 
 def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats:
-    """Log albedo and how much the views of a sample differ, (N, 4)."""
+    """Log albedo, how much the views of a sample differ, and where it lies, (N, 7)."""
     observations = problem.scene.transport.observations
     irradiance = light.irradiance(problem, seen)
     albedo = np.pi * problem.radiance.linear[seen] / irradiance.clamp(min=1e-4)
@@ -301,7 +311,10 @@ def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats
     mean = (linear.log() * valid).sum(1) / valid.sum(1)
     spread = (((linear.log() - mean[:, None]) ** 2 * valid).sum(1) / valid.sum(1)).sqrt()
     log_albedo = albedo.clamp(0.01, 1.0).log()
-    return torch.cat([log_albedo, 1.5 * spread[:, None]], 1).numpy()
+    scale = problem.scene.config.material.gloss.spread_scale
+    look = torch.cat([log_albedo, scale * spread[:, None]], 1).numpy()
+    position = problem.scene.transport.surfels.position[seen]
+    return np.concatenate([look, position], axis=1)
 
 
 def clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
@@ -320,8 +333,7 @@ def _means(features: Floats, cluster: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _apply(
-    problem: Problem,
-    light: Light,
+    solved: tuple[Problem, Light],
     seen: NDArray[np.int64],
     level: NDArray[np.float64],
     metal: NDArray[np.float64],
@@ -331,13 +343,14 @@ def _apply(
 
     Without highlights it is all there is; that of metal is left as it is seen.
     """
-    scene = problem.scene
+    (problem, light), scene = solved, solved[0].scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)
     diffuse = problem.linear.clone()
     floor = np.zeros((num, 3), np.float32)
     kept = np.ones((num, 1), np.float32)
-    full_level, full_metal = np.full(num, UNKNOWN, np.float32), np.zeros(num, np.float32)
+    unknown = scene.config.material.highlights.unknown
+    full_level, full_metal = np.full(num, unknown, np.float32), np.zeros(num, np.float32)
     full_level[seen], full_metal[seen] = level, metal
     for roughness in np.unique(level) if has_highlights else ():
         rows = seen[level == roughness]
@@ -348,12 +361,14 @@ def _apply(
         dielectric = dense(both[:, 0], rays, shape)
         through = 1 - dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
         linear = diffuse[rows]
-        below = torch.maximum(linear - dielectric, 0.02 * linear) / through
+        least = scene.config.material.observed.least_diffuse * linear
+        below = torch.maximum(linear - dielectric, least) / through
         # the views that the textures are read from, see texture.py
         low = texture_weights(
             (observations.weight[rows], observations.positions),
             surfels.position[rows],
             linear,
+            scene.config.photometry.statistics,
             below_gloss=not scene.by_camera,
         )[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()

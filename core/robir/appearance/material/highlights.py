@@ -15,60 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.material.config import HighlightsConfig
+
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
 
-LEVELS = (0.12, 0.2, 0.3, 0.42, 0.56, 0.72, 0.9)
-"""Roughnesses that are tried."""
 
-BEYOND = 0.66
-"""Share of the highlight at 0.9 that is left at roughness 1: (0.9 / 1)^4."""
-
-NARROW = 4
-"""Levels whose highlight is narrower than 10 degrees: an error of the mesh may put it anywhere."""
-
-FEWEST_VIEWS = 30
-"""Views near a sun's mirror direction that a patch must have for its roughness to be read."""
-
-HALF_BELIEVED = 300
-"""Views at which what they say counts half: neighbouring samples and views err alike. From 100 to
-600 all give about the same."""
-
-STEEPNESS = 12.0
-"""Power of an error ratio that is its likelihood: as if a dozen views erred each in its own way,
-however many there are, for neighbours err alike. From 6 to 20 all give about the same."""
-
-PEAK_ERROR = 0.25
-"""Deviation of the log of a peak that is seen from the one predicted at the true roughness. From
-0.2 to 0.35 all give about the same."""
-
-UNSEEN_CODES, PEAK_CODES = 0.3, 1.0
-"""Errors and heights of peaks, codes, below which ratios mean nothing."""
-
-TOP_SHARE = 0.03
-"""Brightest views of a patch, as a share: all but one in thirty are beside a narrow highlight."""
-
-STEADY_SHARE = 0.8
-"""Samples of a patch, as a share, that speak for it. The others' views err most where no highlight
-is: they lie beside an outline or a shadow that the mesh has in the wrong place, and what they show
-may be another surface, as bright as a highlight. From .65 to .9 all give about the same."""
-
-UNKNOWN = 0.5
-"""Roughness given to what the views say nothing about."""
-
-READING_ERROR = 0.05
-"""Error of the best of readings: the true 0.75 of many grounds is read as 0.68 to 0.74."""
-
-SPREAD = 0.3
-"""How far paints differ in roughness, within one scene and from scene to scene: all between
-polished and matte is common."""
-
-ALIKE = 1.0
-"""Distance of patches, in log albedo and place in the unit frame, over which they tell of each
-other. From 0.6 to 1.2 all give the same."""
-
-GRID = np.linspace(0.1, 1.0, 46)
+def grid_of(config: HighlightsConfig) -> Reals:
+    """Roughnesses (G,) whose likelihood is told: every one that paint may have."""
+    least = config.least_roughness
+    return np.linspace(least, 1.0, round((1.0 - least) / config.step) + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,49 +83,55 @@ class Readings:
     roughness: Reals
     variance: Reals
 
-    def weighted_mean(self) -> float:
-        """The one roughness that fits all readings best; UNKNOWN where there is none."""
+    def weighted_mean(self, unknown: float) -> float:
+        """The one roughness that fits all readings best; `unknown` where there is none."""
         weight = 1 / self.variance
-        return float(weight @ self.roughness / weight.sum()) if len(weight) else UNKNOWN
+        return float(weight @ self.roughness / weight.sum()) if len(weight) else unknown
 
 
-def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
+def read(
+    highlights: Highlights, patch: Rows, num_patches: int, config: HighlightsConfig
+) -> Readings:
     """Roughness of every patch by its own highlights alone.
 
     Args:
         highlights: Of U samples.
         patch: (U,) of each, below `num_patches`.
         num_patches: K.
+        config: What highlights say.
 
     Returns:
         What is left of each once the roughness that is likely anyhow is taken out, so that patches
         that say little weigh little.
     """
-    steady = _steady(highlights, patch)
+    steady, grid = _steady(highlights, patch, config.steady_share), grid_of(config)
     highlights, patch = highlights.of(steady), patch[steady]
     count = np.bincount(patch, highlights.count, num_patches)
-    known = np.flatnonzero(count >= FEWEST_VIEWS)
-    fit = fit_of(*_costs(highlights, patch, known, count))
-    peaks = -0.5 * (_peak_ratios(highlights, patch, known) / PEAK_ERROR) ** 2
-    log = (fit + _on_grid(peaks)) * (count[known] / (count[known] + HALF_BELIEVED))[:, None]
+    known = np.flatnonzero(count >= config.fewest_views)
+    fit = fit_of(*_costs(highlights, patch, known, count, config.narrow), config)
+    peaks = -0.5 * (_peak_ratios(highlights, patch, known, config) / config.peak_error) ** 2
+    believed = count[known] / (count[known] + config.half_believed)
+    log = (fit + _on_grid(peaks, config)) * believed[:, None]
     likely = np.exp(log - log.max(1, keepdims=True))
     likely /= likely.sum(1, keepdims=True)
-    mean = likely @ GRID
-    variance = (likely * (GRID - mean[:, None]) ** 2).sum(1)
-    anyhow = float(GRID.var())
+    mean = likely @ grid
+    variance = (likely * (grid - mean[:, None]) ** 2).sum(1)
+    anyhow = float(grid.var())
     precision = 1 / variance - 1 / anyhow
     says = precision > 0.5
     mean, variance, precision = mean[says], variance[says], precision[says]
-    own = (mean / variance - GRID.mean() / anyhow) / precision
-    return Readings(known[says], own.clip(GRID[0], GRID[-1]), 1 / precision + READING_ERROR**2)
+    own = (mean / variance - grid.mean() / anyhow) / precision
+    variance = 1 / precision + config.reading_error**2
+    return Readings(known[says], own.clip(grid[0], grid[-1]), variance)
 
 
-def _steady(highlights: Highlights, patch: Rows) -> NDArray[np.bool_]:
+def _steady(highlights: Highlights, patch: Rows, share: float) -> NDArray[np.bool_]:
     """Those (U,) of the samples whose views away from highlights err less than others' on a patch.
 
     Args:
         highlights: Of U samples.
         patch: (U,) of each.
+        share: Of the samples of each patch that are taken.
     """
     size = len(patch)
     total = np.bincount(highlights.other, np.abs(highlights.noise).mean(1), size)
@@ -177,68 +140,74 @@ def _steady(highlights: Highlights, patch: Rows) -> NDArray[np.bool_]:
     members = np.bincount(patch)
     rank = np.empty(size, np.int64)
     rank[order] = np.arange(size) - (np.cumsum(members) - members)[patch[order]]
-    return rank < np.ceil(STEADY_SHARE * members)[patch]
+    return rank < np.ceil(share * members)[patch]
 
 
-def fit_of(codes: Reals, plain: Reals) -> Reals:
-    """Log likelihood (R, GRID) of roughnesses.
+def fit_of(codes: Reals, plain: Reals, config: HighlightsConfig) -> Reals:
+    """Log likelihood (R, G) of roughnesses.
 
     Args:
         codes: (R, L) that a near view differs by at every level.
         plain: (R,) without any highlight.
+        config: What errors say.
     """
-    rough = codes[:, -1] + (1 - BEYOND) * np.maximum(plain - codes[:, -1], 0)
-    return _on_grid(-STEEPNESS * np.log(np.c_[codes, rough] + UNSEEN_CODES))
+    left = 1 - config.rough_share
+    rough = codes[:, -1] + left * np.maximum(plain - codes[:, -1], 0)
+    likely = -config.steepness * np.log(np.c_[codes, rough] + config.unseen_codes)
+    return _on_grid(likely, config)
 
 
-def _on_grid(values: Reals) -> Reals:
-    """Values (R, GRID) between those (R, L + 1) at every level and at roughness 1."""
-    levels = [*LEVELS, 1.0]
-    return np.array([np.interp(GRID, levels, row) for row in values]).reshape(-1, len(GRID))
+def _on_grid(values: Reals, config: HighlightsConfig) -> Reals:
+    """Values (R, G) between those (R, L + 1) at every level and at roughness 1."""
+    levels, grid = [*config.levels, 1.0], grid_of(config)
+    return np.array([np.interp(grid, levels, row) for row in values]).reshape(-1, len(grid))
 
 
 def _costs(
-    highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any]
+    highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any], narrow: int
 ) -> tuple[Reals, Reals]:
     """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight.
 
-    A narrow highlight in the wrong place is worse than none. That speaks against the place, so it
-    costs no more than none would.
+    A narrow highlight in the wrong place is worse than none. That speaks against the place, so at
+    the `narrow` first levels it costs no more than none would.
     """
     columns = [*highlights.error.T, highlights.plain]
     sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
     *errors, plain = 255 * sums / count[known]
-    levels = [np.minimum(each, plain) if i < NARROW else each for i, each in enumerate(errors)]
+    levels = [np.minimum(each, plain) if i < narrow else each for i, each in enumerate(errors)]
     return np.array(levels).T, plain
 
 
-def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:
+def _peak_ratios(
+    highlights: Highlights, patch: Rows, known: Rows, config: HighlightsConfig
+) -> Reals:
     """Log (R, L + 1) of the brightest near views over the brightest that are predicted.
 
     Errors of mesh and albedo brighten some views as well; the other views tell by how much.
     """
     near, far = patch[highlights.sample], patch[highlights.other]
-    result = np.zeros((len(known), len(LEVELS) + 1))
+    share, codes = config.top_share, config.peak_codes
+    result = np.zeros((len(known), len(config.levels) + 1))
     for row, index in enumerate(known):
-        seen = _brightest(highlights.seen[near == index])
-        predicted = _brightest(highlights.predicted[near == index])
-        noise = _brightest(highlights.noise[far == index])
-        shown = np.append(predicted, BEYOND * predicted[-1])
+        seen = _brightest(highlights.seen[near == index], share)
+        predicted = _brightest(highlights.predicted[near == index], share)
+        noise = _brightest(highlights.noise[far == index], share)
+        shown = np.append(predicted, config.rough_share * predicted[-1])
         expected = np.hypot(shown, np.append(noise, noise[-1]))
         height = np.append(seen, seen[-1]).clip(0)
-        result[row] = np.log((height + PEAK_CODES) / (expected + PEAK_CODES))
+        result[row] = np.log((height + codes) / (expected + codes))
     return result
 
 
-def _brightest(values: Floats) -> Reals:
-    """Mean codes (L,) of the brightest TOP_SHARE of views (N, L); 0 where there are none."""
+def _brightest(values: Floats, share: float) -> Reals:
+    """Mean codes (L,) of the brightest share of views (N, L); 0 where there are none."""
     if not len(values):
         return np.zeros(values.shape[1])
-    top = max(2, int(np.ceil(TOP_SHARE * len(values))))
+    top = max(2, int(np.ceil(share * len(values))))
     return 255 * np.partition(values, max(0, len(values) - top), axis=0)[-top:].mean(0)
 
 
-def pooled(readings: Readings, features: Reals) -> Reals:
+def pooled(readings: Readings, features: Reals, config: HighlightsConfig) -> Reals:
     """Roughness (K,) of all patches, each from its own reading and those of patches like it.
 
     Kriging: patches alike in albedo and place are expected to be alike in roughness. What has no
@@ -247,10 +216,12 @@ def pooled(readings: Readings, features: Reals) -> Reals:
     Args:
         readings: Of some of the patches.
         features: (K, D) log albedo and place of all.
+        config: How alike patches are.
     """
+    unknown, grid = config.unknown, grid_of(config)
     apart = ((features[:, None] - features[None]) ** 2).sum(2)
-    prior = SPREAD**2 * (np.exp(-0.5 * apart / ALIKE**2) + 1)
+    prior = config.spread**2 * (np.exp(-0.5 * apart / config.alike**2) + 1)
     rows = readings.patch
     seen = prior[np.ix_(rows, rows)] + np.diag(readings.variance)
-    weight = np.linalg.solve(seen, readings.roughness - UNKNOWN)
-    return (UNKNOWN + prior[:, rows] @ weight).clip(GRID[0], GRID[-1])
+    weight = np.linalg.solve(seen, readings.roughness - unknown)
+    return (unknown + prior[:, rows] @ weight).clip(grid[0], grid[-1])

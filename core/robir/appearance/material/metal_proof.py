@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.material.highlights import LEVELS
+from robir.appearance.material.config import HighlightsConfig
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.trial import Trial
 from robir.jobs.choice import Choice
@@ -15,7 +15,12 @@ Floats = NDArray[np.float32]
 
 
 def proven_parts(
-    parts: MetalParts, trial: Trial, dielectric: Floats, *, by_camera: bool
+    parts: MetalParts,
+    trial: Trial,
+    dielectric: Floats,
+    config: HighlightsConfig,
+    *,
+    by_camera: bool,
 ) -> tuple[MetalParts, Choice]:
     """The parts of which photographs that had no part in their fit prove that they are metal.
 
@@ -31,6 +36,7 @@ def proven_parts(
         parts: As read from the photographs.
         trial: The U samples.
         dielectric: (U, L) display error of each sample as paint at every roughness, in those.
+        config: These roughnesses.
         by_camera: Whether a camera took the photographs.
 
     Returns:
@@ -41,7 +47,7 @@ def proven_parts(
     for index, roughness in enumerate(parts.roughness):
         inside = parts.part == index
         own = trial.rays_of(inside)
-        level = LEVELS[int(dielectric[inside].mean(0).argmin())]
+        level = config.levels[int(dielectric[inside].mean(0).argmin())]
         glossy = trial.paint_errors(own, np.full(len(inside), level))
         plain[own] = min(trial.paint_errors(own, None), glossy, key=np.sum)
         metal[own] = trial.metal_errors(own, float(roughness))

@@ -12,11 +12,9 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.material.config import ObservedConfig
 from robir.appearance.material.reflections import Reflections, ViewRays, view_rays
 from robir.maths.tone_curve import AbstractToneCurve
-
-MOST_ERROR = 0.15
-"""Display error beyond which the mesh is wrong, whatever the material, and more says no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +23,7 @@ class Seen:
 
     Attributes:
         curve: Tone curve.
+        config: How it is compared with predictions.
         linear: (M, 3) radiance.
         display: (M, 3) display codes, 0..1.
         clipped: (M, 3) whether the true value is at least `linear`.
@@ -32,6 +31,7 @@ class Seen:
     """
 
     curve: AbstractToneCurve
+    config: ObservedConfig
     linear: Tensor
     display: Tensor
     clipped: Tensor
@@ -40,7 +40,7 @@ class Seen:
     def of(self, chosen: Tensor) -> Seen:
         """Some of the rays."""
         parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return Seen(self.curve, *parts)
+        return Seen(self.curve, self.config, *parts)
 
     def excess(self, prediction: Tensor) -> Tensor:
         """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
@@ -53,12 +53,12 @@ class Seen:
     def squared(self, prediction: Tensor) -> NDArray[np.float64]:
         """Squared display error (M,) of a predicted radiance (M, 3), for proofs."""
         off = self.excess(prediction).masked_fill(self.clipped & (prediction > self.linear), 0)
-        return (off**2).mean(1).clamp(max=MOST_ERROR**2).double().numpy()
+        return (off**2).mean(1).clamp(max=self.config.most_error**2).double().numpy()
 
     def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
         """The same where the excess (M, 3) is known."""
         shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
-        return shown.clamp(max=MOST_ERROR).mean(1)
+        return shown.clamp(max=self.config.most_error).mean(1)
 
 
 def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
@@ -69,6 +69,7 @@ def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> See
     off_axis = observations.off_axis[rows][rays.sample, rays.view]
     return Seen(
         curve=problem.curve,
+        config=problem.scene.config.material.observed,
         linear=problem.linear[rows][sample, view],
         display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
         clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
@@ -90,7 +91,8 @@ def looked_at(
     observations, directions = transport.observations, transport.visibility.directions
     rays = view_rays(transport.surfels, observations, rows, directions)
     valid = torch.from_numpy(observations.weight[rows] > 0)
-    return Reflections(problem, light, rows), rays, seen_along(problem, rays, rows), valid
+    reflections = Reflections(problem, light, rows)
+    return reflections, rays, seen_along(problem, rays, rows), valid
 
 
 def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:

@@ -19,6 +19,7 @@ from torch import Tensor
 from robir.appearance.light.lobes import sky_radiance
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.material.config import ReflectionsConfig
 from robir.maths import microfacet
 from robir.maths.vectors import normalise, orthonormal_frame
 from robir.transport.observe import Observations
@@ -28,16 +29,6 @@ Floats = NDArray[np.float32]
 
 F0 = 0.04
 """Reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)."""
-
-SHARPEST_HIGHLIGHT = 0.12
-"""Roughness below which a sun's highlight is narrower than the samples can tell."""
-
-HIGHLIGHT_COSINE = 0.87
-"""Cosine between normal and half vector, 30 degrees, within which a view is near the mirror."""
-
-
-TILTS = ((0.0, 0.0), *((0.12 * np.cos(a), 0.12 * np.sin(a)) for a in np.arange(6) * np.pi / 3))
-"""Tilts of the normal a highlight may need, as tangents: 7 degrees, about the mesh's error."""
 
 CHUNK = 1024
 """Rays at a time, whose cosines with all directions then stay in the processor's cache."""
@@ -138,6 +129,12 @@ def metal_share(rays: ViewRays, roughness: float) -> Tensor:
     return scale + bias
 
 
+def tilts_of(config: ReflectionsConfig) -> tuple[tuple[float, float], ...]:
+    """Tilts of the normal, along two tangents, that are tried: none, and six about it."""
+    around = np.arange(6) * np.pi / 3
+    return ((0.0, 0.0), *((config.tilt * np.cos(a), config.tilt * np.sin(a)) for a in around))
+
+
 def _product_at(
     tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
 ) -> list[Tensor]:
@@ -219,6 +216,7 @@ class Reflections:
         # Where no ray tells the surface: the mean radiance that the bounce carries.
         bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
         surfaces, is_hit = _radiance_of_surfaces(problem, rows)
+        self._config = scene.config.material.reflections
         self._directions = directions
         self._incident = [
             seen * sky[:, channel]
@@ -230,6 +228,11 @@ class Reflections:
         self._normal = normal
         self._light = light
         self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
+
+    @property
+    def tilts(self) -> tuple[tuple[float, float], ...]:
+        """See `tilts_of`."""
+        return tilts_of(self._config)
 
     def radiance(self, rays: ViewRays, roughness: float) -> Tensor:
         """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
@@ -253,7 +256,8 @@ class Reflections:
         # Width of the GGX lobe about the mirror direction at a typical slant.
         alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
         sharpness = float(1 / (2 * alpha**2 * 0.75))
-        return torch.exp(min(sharpness, 200.0) * (self._directions @ self._directions.T - 1))
+        sharpness = min(sharpness, self._config.sharpest_kernel)
+        return torch.exp(sharpness * (self._directions @ self._directions.T - 1))
 
     def from_lobes(self, rays: ViewRays, roughness: float, count: int) -> Tensor:
         """What soft lobes of amplitude 1 send, per unit of a metal's base colour.
@@ -283,8 +287,8 @@ class Reflections:
         near = torch.zeros(len(sample), dtype=torch.bool)
         for index in range(len(self._light.axes)):
             half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
-            facing = (self._normal[sample] * half).sum(1) > HIGHLIGHT_COSINE
-            near |= facing & (self._sun[sample, index] > 0.1)
+            facing = (self._normal[sample] * half).sum(1) > self._config.highlight_cosine
+            near |= facing & (self._sun[sample, index] > self._config.least_sun)
         return near.nonzero()[:, 0]
 
     def tilted(self, rays: ViewRays, tilt: tuple[float, float]) -> ViewRays:
@@ -317,7 +321,7 @@ class Reflections:
             # About the half vector a sun is half as wide, and widths add as squares: a lobe of
             # sharpness s widens alpha^2 by 1 / (2 s).
             blurred = (roughness**4 + 0.5 / float(sharpness)) ** 0.25
-            wide = torch.full_like(rays.cosine, max(blurred, SHARPEST_HIGHLIGHT))
+            wide = torch.full_like(rays.cosine, max(blurred, self._config.sharpest_highlight))
             axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
             arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
             lobe = microfacet.specular_brdf(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.material.config import HighlightsConfig, MaterialConfig
 from robir.appearance.material.highlights import Highlights, pooled, read
 from robir.appearance.material.trial import Trial
 from robir.jobs.choice import Choice
@@ -26,20 +27,6 @@ Reals = NDArray[np.floating[Any]]
 
 MATTE = 1.0
 """Roughness stated for paint without highlights; it has no bearing on how it looks."""
-
-MIN_HIGHLIGHTS = 100
-"""Views near a sun's mirror direction that an object must have for anything to be judged."""
-
-STEP = 0.02
-"""Roughnesses are whole multiples of this: finer differences are below the errors of the readings,
-and every one of them has its own pass over its samples."""
-
-NO_DIFFERENCE = 0.04
-"""Deviation of the roughness over the surface below which there is one: nobody sees it, and patches
-are fitted to all views, so that chance alone lets them predict a little better."""
-
-STRIDE = 3
-"""Every so manieth sample of paint is tried."""
 
 ONE, EACH = "one for the whole object", "one per patch of like paint"
 GLOSSY, DULL = "as of any paint: F0 = 0.04", "none"
@@ -78,6 +65,7 @@ def choose_roughness(
     patches: Patches,
     trial: Trial,
     paint: NDArray[np.bool_],
+    config: MaterialConfig,
     *,
     by_camera: bool,
 ) -> RoughnessChoice:
@@ -88,6 +76,7 @@ def choose_roughness(
         patches: That they lie on.
         trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
+        config: How roughness is read, and how many there are.
         by_camera: Whether a camera took the photographs. Those of a rendering may differ from patch
             to patch, and have a specular layer, as they mostly do, unless the contrary is proven.
 
@@ -95,19 +84,22 @@ def choose_roughness(
         The choice.
     """
     started = time.process_time()
-    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features)
-    kept = trial.rays_of(paint & (np.arange(len(paint)) % STRIDE == 0))
-    levels = np.full(len(paint), _stepped(one)), each[patches.number]
+    reading, limits = config.highlights, config.roughness
+    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features, reading)
+    kept = trial.rays_of(paint & (np.arange(len(paint)) % limits.stride == 0))
+    levels = np.full(len(paint), _stepped(one, reading.step)), each[patches.number]
     plain = trial.paint_errors(kept, None)
     single, several = (trial.paint_errors(kept, level) for level in levels)
     many = trial.proof(kept, single, several)
     is_likely = many.is_given or not by_camera
     gloss = trial.proof(kept, plain, several if is_likely else single)
     of_paint = each[patches.number[paint]]
-    is_alike = not len(of_paint) or float(of_paint.std()) < NO_DIFFERENCE
+    is_alike = not len(of_paint) or float(of_paint.std()) < limits.no_difference
     is_dull = not (gloss.is_given if by_camera else gloss.is_open)
     is_one = is_dull or is_alike or not is_likely
-    roughness = np.full(len(each), MATTE if is_dull else _stepped(one)) if is_one else each
+    roughness = (
+        np.full(len(each), MATTE if is_dull else _stepped(one, reading.step)) if is_one else each
+    )
     choices = (
         Choice(
             choice="specular",
@@ -128,9 +120,9 @@ def choose_roughness(
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
 
 
-def known_roughness(told: float, count: int) -> RoughnessChoice:
+def known_roughness(told: float, count: int, config: HighlightsConfig) -> RoughnessChoice:
     """One roughness for all patches (K = count), told by what paint reflects of the sky."""
-    told = float(_stepped(told))
+    told = float(_stepped(told, config.step))
     why = "told by the sky that paint reflects, which no sun's highlights tell better"
     return RoughnessChoice(
         has_highlights=True,
@@ -143,13 +135,17 @@ def known_roughness(told: float, count: int) -> RoughnessChoice:
 
 
 def _fitted(
-    highlights: Highlights, number: NDArray[np.int64], features: Reals
+    highlights: Highlights,
+    number: NDArray[np.int64],
+    features: Reals,
+    config: HighlightsConfig,
 ) -> tuple[float, NDArray[np.float64]]:
     """Roughness of all samples together, and of every patch (K,), in whole steps."""
-    readings = read(highlights, number, len(features))
-    return readings.weighted_mean(), _stepped(pooled(readings, features))
+    readings = read(highlights, number, len(features), config)
+    each = _stepped(pooled(readings, features, config), config.step)
+    return readings.weighted_mean(config.unknown), each
 
 
-def _stepped(roughness: Any) -> Any:
-    """The nearest whole multiples of STEP."""
-    return np.round(np.asarray(roughness, np.float64) / STEP) * STEP
+def _stepped(roughness: Any, step: float) -> Any:
+    """The nearest whole multiples of a step."""
+    return np.round(np.asarray(roughness, np.float64) / step) * step

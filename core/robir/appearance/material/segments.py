@@ -11,15 +11,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from robir.appearance.material.config import SegmentsConfig
+
 Reals = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
 
-CLEAR_GAP = 4.0
-"""Ashman's distance of two halves' means, in their mean deviations, from which they are two hues.
-Hues spread evenly along a line have 3.5 when cut in the middle, a normal distribution 2.7."""
 
-
-def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
+def pieces(position: Reals, hue: Reals, gap: float, fewest: int, config: SegmentsConfig) -> Rows:
     """Number (N,) of the piece of every sample.
 
     What touches may be two things: the cap of a bottle, the paint about a bumper. Links from sample
@@ -31,6 +29,7 @@ def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
         hue: (N, 3) log colour without its mean over the channels, mean of each one's surroundings.
         gap: Across which samples are near each other.
         fewest: Samples that either side of a cut must have.
+        config: When hues are two.
     """
     near = cKDTree(position).query_pairs(gap, output_type="ndarray")
     ones = np.ones(len(near))
@@ -40,7 +39,7 @@ def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
     number, done = np.zeros(len(position), np.int64), 0
     while waiting:
         rows = waiting.pop()
-        is_low = _two_heaps(hue[rows], fewest)
+        is_low = _two_heaps(hue[rows], fewest, config.clear_gap)
         if is_low is None:
             number[rows] = done
             done += 1
@@ -49,7 +48,7 @@ def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
     return number
 
 
-def _two_heaps(hue: Reals, fewest: int) -> NDArray[np.bool_] | None:
+def _two_heaps(hue: Reals, fewest: int, clear_gap: float) -> NDArray[np.bool_] | None:
     """Which of hues (N, 3) lie in the lower of two heaps; None if they lie in one.
 
     The cut that leaves the least variance (Otsu) along the axis of the greatest.
@@ -66,7 +65,7 @@ def _two_heaps(hue: Reals, fewest: int) -> NDArray[np.bool_] | None:
     cut = size[int((lower**2 / (size * (count - size))).argmax())]
     low, high = along[order[:cut]], along[order[cut:]]
     deviation = np.sqrt(0.5 * (low.var() + high.var()))
-    if high.mean() - low.mean() <= CLEAR_GAP * max(deviation, 1e-9):
+    if high.mean() - low.mean() <= clear_gap * max(deviation, 1e-9):
         return None
     is_low = np.zeros(count, bool)
     is_low[order[:cut]] = True

@@ -22,7 +22,8 @@ from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.observed import Seen, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
-from robir.appearance.proof import EVERY, Proof
+from robir.appearance.proof import Proof
+from robir.appearance.step_config import ProofConfig
 
 Reals = NDArray[np.float64]
 
@@ -35,22 +36,25 @@ class Trial:
         reflections: What the U samples reflect.
         rays: Their observations.
         seen: What these show.
+        config: Into how many folds views are parted.
     """
 
     reflections: Reflections
     rays: ViewRays
     seen: Seen
+    config: ProofConfig
 
     @classmethod
     def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
         """Samples (U,) of a scene under a light."""
         reflections, rays, seen, _ = looked_at(problem, light, rows)
-        return cls(reflections=reflections, rays=rays, seen=seen)
+        config = problem.scene.config.proof
+        return cls(reflections=reflections, rays=rays, seen=seen, config=config)
 
     def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
         """Numbers of the rays of chosen samples (U,) that views of another fold show as well."""
-        fold = self.rays.view % EVERY
-        count = np.zeros((len(chosen), EVERY))
+        fold = self.rays.view % self.config.every
+        count = np.zeros((len(chosen), self.config.every))
         np.add.at(count, (self.rays.sample, fold), 1)
         elsewhere = count.sum(1)[self.rays.sample] > count[self.rays.sample, fold]
         return torch.from_numpy(np.flatnonzero(chosen[self.rays.sample] & elsewhere))
@@ -70,7 +74,8 @@ class Trial:
             part = rays.of(own)
             specular[own] = self.reflections.radiance(part, float(roughness))[:, 0]
             through[own] = 1 - reflected_share(part, float(roughness))[:, None]
-        return seen.squared(predicted_below(seen, rays, specular, through) + specular)
+        below = predicted_below(seen, rays, specular, through, self.config)
+        return seen.squared(below + specular)
 
     def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
         """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
@@ -89,7 +94,9 @@ class Trial:
         return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
 
 
-def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor) -> Tensor:
+def predicted_below(
+    seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor, config: ProofConfig
+) -> Tensor:
     """Diffuse radiance (M, 3) that leaves rays' samples, as other folds of the views have it.
 
     Args:
@@ -97,20 +104,22 @@ def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tenso
         rays: All of some samples.
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that is let through.
+        config: Into how many folds views are parted.
     """
-    below = torch.maximum(seen.linear - specular, 0.02 * seen.linear) / through
+    least = seen.config.least_diffuse * seen.linear
+    below = torch.maximum(seen.linear - specular, least) / through
     shown = seen.curve.display_from_linear(below).float()
-    others = _by_other_folds(shown, rays).clamp(0, 1)
+    others = _by_other_folds(shown, rays, config.every).clamp(0, 1)
     return through * seen.curve.linear_from_display(others).float()
 
 
-def _by_other_folds(shown: Tensor, rays: ViewRays) -> Tensor:
+def _by_other_folds(shown: Tensor, rays: ViewRays, every: int) -> Tensor:
     """Mean (M, 3) over the rays of the same sample in all other folds than each one's own."""
     sample = torch.from_numpy(rays.sample)
-    number = sample * EVERY + torch.from_numpy(rays.view % EVERY)
+    number = sample * every + torch.from_numpy(rays.view % every)
     size = int(sample.max()) + 1 if len(sample) else 0
     values = torch.cat([shown, torch.ones(len(shown), 1)], 1)
     whole = torch.zeros(size, 4).index_add_(0, sample, values)
-    own = torch.zeros(size * EVERY, 4).index_add_(0, number, values)
+    own = torch.zeros(size * every, 4).index_add_(0, number, values)
     rest = whole[sample] - own[number]
     return rest[:, :3] / rest[:, 3:].clamp(min=1)

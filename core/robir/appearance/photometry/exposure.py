@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.photometry.config import ExposureConfig, PhotometryConfig
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.own_light import solve_slopes
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
@@ -29,15 +30,6 @@ from robir.transport.observe import Observations
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-
-FRONTAL = 0.5
-"""Cosine from which a view of a point counts: flatter views show mostly sheen."""
-
-DARKEST, BRIGHTEST = 10, 250
-"""Codes between which a curve's slope is worth something in all three channels."""
-
-FEWEST_VIEWS = 4
-"""Views of a point from which photographs can be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +110,7 @@ class Exposures:
     Attributes:
         observations: A few surface points in all views, the held-out ones included.
         normals: (N, 3) of the points.
+        config: How they are compared.
         are_apart: Whether photographs have gains of their own.
         has_falloff: Whether they are darker towards their corners.
         has_own_lights: Whether each is in a light of its own.
@@ -125,26 +118,27 @@ class Exposures:
 
     observations: Observations
     normals: Floats
+    config: PhotometryConfig
     are_apart: bool
     has_falloff: bool
     has_own_lights: bool = False
 
     def gains(self, curve: AbstractToneCurve) -> Gains:
         """Gains of all views, and their falloff, under a tone curve."""
-        log, kept = comparable(self.observations, curve)
+        log, kept = comparable(self.observations, curve, self.config.exposure)
         normals, off_axis = self.normals[kept], self.observations.off_axis[kept]
         falloff = NO_FALLOFF
         if self.has_falloff:
-            falloff = solve_falloff(log, normals, off_axis)
+            falloff = solve_falloff(log, normals, off_axis, self.config)
             log = log - falloff.log(off_axis)[..., None]
         if not self.are_apart:
             return Gains({}, falloff)
         names, slopes = self.observations.views, {}
         if self.has_own_lights:
-            rows = solve_slopes(log, normals)
+            rows = solve_slopes(log, normals, self.config.robust)
             slopes = dict(zip(names, rows, strict=True))
             log = log - (normals @ rows.T)[..., None]
-        rows = solve_gains(log, normals)
+        rows = solve_gains(log, normals, self.config.robust)
         by_view = {name: np.exp(row) for name, row in zip(names, rows, strict=True)}
         return Gains(by_view, falloff, slopes)
 
@@ -154,28 +148,31 @@ def _rows(by_view: Mapping[str, Array], plain: Array, views: Sequence[str]) -> T
 
 
 def comparable(
-    observations: Observations, curve: AbstractToneCurve
+    observations: Observations, curve: AbstractToneCurve, config: ExposureConfig
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Log radiance (P, V, 3) of the points that enough views show well, NaN where they do not.
 
     Args:
         observations: N points.
         curve: Tone curve to undo.
+        config: Which views are enough.
 
     Returns:
         Log radiance, and which (N,) points are left.
     """
-    log = log_radiance(observations, curve)
-    kept = np.isfinite(log[..., 0]).sum(1) >= FEWEST_VIEWS
+    log = log_radiance(observations, curve, config)
+    kept = np.isfinite(log[..., 0]).sum(1) >= config.least_views
     return log[kept], kept
 
 
-def log_radiance(observations: Observations, curve: AbstractToneCurve) -> Array:
+def log_radiance(
+    observations: Observations, curve: AbstractToneCurve, config: ExposureConfig
+) -> Array:
     """Log radiance (N, V, 3) under a tone curve, NaN where a view does not show a point well."""
     log = np.log(decoded(observations, curve).numpy().astype(np.float64).clip(1e-4))
     display = observations.display
-    poor = (observations.weight < FRONTAL)[..., None] | observations.clipped
-    poor = poor | (display < DARKEST) | (display > BRIGHTEST)
+    poor = (observations.weight < config.least_cosine)[..., None] | observations.clipped
+    poor = poor | (display < config.darkest) | (display > config.brightest)
     log[poor.any(2)] = np.nan
     return log
 

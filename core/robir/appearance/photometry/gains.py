@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.appearance.photometry.config import GainsConfig, PhotometryConfig, RobustConfig
 from robir.appearance.photometry.robust import Weighing, solve_views
 from robir.appearance.proof import Proof
 from robir.maths.tone import curve_from_name
@@ -18,31 +19,22 @@ from robir.maths.tone import curve_from_name
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-LEAST_STEPS = 0.12
-"""Root mean square of the gains, steps, below which photographs count as exposed alike; gloss
-of paint and plates feigns up to 0.07."""
 
-NORMAL_STEPS = 1.5
-"""Steps of a normal's components within which points err together: some forty degrees."""
-
-FEWEST_POINTS = 50
-"""Points in all from which photographs can be compared."""
-
-
-def solve_gains(log: Array, normals: Floats) -> Array:
+def solve_gains(log: Array, normals: Floats, config: RobustConfig) -> Array:
     """Gains of views by the points they share.
 
     Args:
         log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
             point is shown by some view.
         normals: (P, 3) unit.
+        config: How observations are weighed.
 
     Returns:
         Log gains (V, 3) of mean 0 in every channel.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log)
-    weighing = Weighing(known, normals)
+    weighing = Weighing(known, normals, config)
     gains = np.zeros(log.shape[1:])
     for _ in weighing.rounds():
         gains, points = _least_squares(values, weighing.weight, weighing.prior())
@@ -69,24 +61,25 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
     return gains, mean - weight @ gains / mass[:, None]
 
 
-def are_uneven(log: Array, normals: Floats) -> bool:
+def are_uneven(log: Array, normals: Floats, config: PhotometryConfig) -> bool:
     """Whether photographs were exposed apart, by more than sheen feigns.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
             does not show a point.
         normals: (P, 3) of the points.
+        config: What counts as uneven, and how observations are weighed.
     """
-    gains = solve_gains(log, normals)
-    if np.sqrt((gains**2).mean()) <= LEAST_STEPS * np.log(2):
+    gains = solve_gains(log, normals, config.robust)
+    if np.sqrt((gains**2).mean()) <= config.gains.least_steps * np.log(2):
         return False
-    orientation = orientations(normals)
+    orientation = orientations(normals, config.gains)
     is_first = halves(orientation)[orientation]
-    if min(is_first.sum(), (~is_first).sum()) < FEWEST_POINTS:
+    if min(is_first.sum(), (~is_first).sum()) < config.gains.least_points:
         return False
     plain, rich, groups = [], [], []
     for judged in (is_first, ~is_first):
-        gains = solve_gains(log[~judged], normals[~judged])
+        gains = solve_gains(log[~judged], normals[~judged], config.robust)
         shown = log[judged]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
         groups.append(np.stack([view, orientation[judged][point]]))
@@ -98,9 +91,9 @@ def are_uneven(log: Array, normals: Floats) -> bool:
     return proof.is_given
 
 
-def orientations(normals: Floats) -> NDArray[np.int64]:
+def orientations(normals: Floats, config: GainsConfig) -> NDArray[np.int64]:
     """Numbers (P,) of orientations that err together, from 0 without gaps."""
-    cells = np.rint(NORMAL_STEPS * normals)
+    cells = np.rint(config.orientation_cells * normals)
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 

@@ -12,64 +12,59 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.photometry.config import OtherLightConfig
+
 Array = NDArray[np.float64]
 
-LEAST_STEPS = 0.5
-"""How much brighter or darker than the rest a photograph must be: more than gloss makes it."""
 
-LEAST_LEFT = 0.3
-"""How much of that its points must differ among each other: more than in one exposed otherwise."""
-
-MOST_LEFT = 0.25
-"""Median difference, log radiance, beyond which the rest do not agree themselves: metal, of which
-all photographs differ, comes to .35, and so does a light that moves with the camera."""
-
-MOST_VIEWS = 0.25
-"""Share of photographs beyond which there is no common light that they differ from."""
-
-FEWEST_POINTS = 20
-"""Points that a photograph must show to be judged."""
-
-
-def unlike(log: Array, points: Array) -> NDArray[np.bool_]:
+def unlike(log: Array, points: Array, config: OtherLightConfig) -> NDArray[np.bool_]:
     """Which photographs show points in another light than they have in the rest.
 
     Args:
         log: (P, V, 3) log radiance, NaN where a photograph does not show a point.
         points: (P, 3) log radiance of the points under the common light, NaN where unknown.
+        config: What counts as unlike.
 
     Returns:
         (V,); True for photographs that are much brighter or darker, and not by one factor.
     """
-    return _is_unlike(*_compared(log, points))
+    return _is_unlike(*_compared(log, points, config.least_points), config)
 
 
-def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
+def find_unlike(
+    log: Array, gains: Array, config: OtherLightConfig
+) -> tuple[NDArray[np.bool_], Array]:
     """The photographs under another light than most, and what points are like under that of most.
 
     Args:
         log: (P, V, 3) log radiance, NaN where a photograph does not show a point.
         gains: (V, 3) log gains of the photographs, from `exposure.solve_gains`.
+        config: What counts as unlike.
 
     Returns:
         (V,), all False where the rest do not agree or are too few; and (P, 3) log radiance.
     """
     points = np.nanmedian(log - gains, axis=1) + np.median(gains, axis=0)
-    gain, left = _compared(log, points)
-    odd = _is_unlike(gain, left)
-    if odd.mean() > MOST_VIEWS or not np.nanmedian(left[~odd]) < MOST_LEFT:
+    gain, left = _compared(log, points, config.least_points)
+    odd = _is_unlike(gain, left, config)
+    most = config.most_common_spread
+    if odd.mean() > config.most_views or not np.nanmedian(left[~odd]) < most:
         odd = np.zeros_like(odd)
     return odd, points
 
 
-def _is_unlike(gain: Array, left: Array) -> NDArray[np.bool_]:
+def _is_unlike(gain: Array, left: Array, config: OtherLightConfig) -> NDArray[np.bool_]:
     """Which photographs (V,) are much brighter or darker, and not by one factor."""
-    return (np.abs(gain) > LEAST_STEPS * np.log(2)) & (left > LEAST_LEFT * np.abs(gain))
+    is_far = np.abs(gain) > config.least_steps * np.log(2)
+    return is_far & (left > config.least_spread * np.abs(gain))
 
 
-def _compared(log: Array, points: Array) -> tuple[Array, Array]:
-    """How much brighter photographs are (V,), and how much their points differ in that (V,)."""
+def _compared(log: Array, points: Array, least: int) -> tuple[Array, Array]:
+    """How much brighter photographs are (V,), and how much their points differ in that (V,).
+
+    Both are 0 of those that show less than so many points.
+    """
     apart = (log - points[:, None]).mean(2)
-    apart[:, np.isfinite(apart).sum(0) < FEWEST_POINTS] = 0.0
+    apart[:, np.isfinite(apart).sum(0) < least] = 0.0
     gain = np.nanmedian(apart, axis=0)
     return gain, np.nanmedian(np.abs(apart - gain), axis=0)

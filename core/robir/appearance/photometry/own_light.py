@@ -20,36 +20,23 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.photometry.gains import (
-    FEWEST_POINTS,
-    halves,
-    others_errors,
-    solve_gains,
-)
-from robir.appearance.photometry.robust import FIRST_WIDTH, LAST_WIDTH, NARROWING, Weighing
+from robir.appearance.photometry.config import PhotometryConfig, RobustConfig
+from robir.appearance.photometry.gains import halves, others_errors, solve_gains
+from robir.appearance.photometry.robust import Weighing
 from robir.appearance.proof import Proof
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-PLACE = 0.15
-"""Side of the cubes, scene radii, within which points err together."""
 
-DEGREE = 3
-"""Of the sheen's polynomials: of the second, a ball with a Phong exponent of 8 passes for one in
-lights of its own."""
-
-TURNS, RIDGE = 8, 1e-4
-"""Turns of points and sheen, and the weight of its prior against the trace of its equations."""
-
-
-def solve_slopes(log: Array, normals: Floats) -> Array:
+def solve_slopes(log: Array, normals: Floats, config: RobustConfig) -> Array:
     """By how much each photograph is brighter on what faces one way than on what faces another.
 
     Args:
         log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
             point is shown by some view.
         normals: (P, 3) unit.
+        config: How observations are weighed.
 
     Returns:
         (V, 3) log radiance per unit of the normal, alike in all channels, of mean 0 over the views:
@@ -58,7 +45,7 @@ def solve_slopes(log: Array, normals: Floats) -> Array:
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
     basis = np.column_stack([np.ones(len(normals)), normals]).astype(np.float64)
-    weighing = Weighing(known, normals)
+    weighing = Weighing(known, normals, config)
     unknowns = np.zeros((log.shape[1], 4))
     for _ in weighing.rounds():
         unknowns, points = _least_squares(values, basis, weighing.weight, weighing.prior())
@@ -95,7 +82,9 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
     return unknowns, mean - (weight * (basis @ unknowns.T)).sum(1) / mass
 
 
-def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
+def have_own_lights(
+    log: Array, normals: Floats, places: tuple[Floats, Floats], config: PhotometryConfig
+) -> bool:
     """Whether photographs are each in a light of its own.
 
     Slopes of points in some places must let photographs predict those in others, better than gains
@@ -106,69 +95,73 @@ def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) 
             does not show a point.
         normals: (P, 3) of the points.
         places: Where the points (P, 3) and the cameras (V, 3) are, unit frame.
+        config: Of places and sheen, and how observations are weighed.
     """
     positions, cameras = places
-    place = np.unique(np.floor(positions / PLACE), axis=0, return_inverse=True)[1].reshape(-1)
+    cells = np.floor(positions / config.own_light.place_size)
+    place = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
     is_first = halves(place)[place]
-    if min(is_first.sum(), (~is_first).sum()) < FEWEST_POINTS:
+    if min(is_first.sum(), (~is_first).sum()) < config.gains.least_points:
         return False
-    mirrored = _mirrored(positions, normals, cameras)
+    mirrored = _mirrored(positions, normals, cameras, config.own_light.sheen_degree)
     groups: list[NDArray[np.int64]] = []
     errors: list[list[Array]] = []
     for judged in (is_first, ~is_first):
         fitted, shown = ~judged, log[judged]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
         groups.append(np.stack([view, place[judged][point]]))
-        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted])
-        slopes = normals @ solve_slopes(log[fitted], normals[fitted]).T
+        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted], config)
+        slopes = normals @ solve_slopes(log[fitted], normals[fitted], config.robust).T
         errors.append([])
         for more in (np.zeros_like(sheen), sheen, slopes):
             added = more[..., None]
-            gains = solve_gains(log[fitted] - added[fitted], normals[fitted])
+            gains = solve_gains(log[fitted] - added[fitted], normals[fitted], config.robust)
             errors[-1].append(others_errors(shown, gains + added[judged])[point, view])
     plain, sheeny, own = (np.concatenate(both) for both in zip(*errors, strict=True))
     grouped = tuple(np.concatenate(groups, axis=1))
     return all(Proof.of(rival, own, grouped).is_given for rival in (plain, sheeny))
 
 
-def _mirrored(positions: Floats, normals: Floats, cameras: Floats) -> Array:
-    """Polynomials (P, V, K) to the third degree of where points mirror each camera to.
+def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) -> Array:
+    """Polynomials (P, V, K) to some degree of where points mirror each camera to.
 
-    On the sphere they span spherical harmonics to the third order, as far as rough sheens reach; of
-    those with z squared or more nothing is left beside x and y.
+    On the sphere they span spherical harmonics to that order, the third being as far as rough
+    sheens reach; of those with z squared or more nothing is left beside x and y.
     """
     towards = cameras[None] - positions[:, None].astype(np.float64)
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
     facing = np.einsum("pvi,pi->pv", towards, normals)
     x, y, z = np.moveaxis(2 * facing[..., None] * normals[:, None] - towards, -1, 0)
-    powers = product(range(DEGREE + 1), range(DEGREE + 1), range(2))
-    return np.stack([x**a * y**b * z**c for a, b, c in powers if 0 < a + b + c <= DEGREE], axis=-1)
+    powers = product(range(degree + 1), range(degree + 1), range(2))
+    return np.stack([x**a * y**b * z**c for a, b, c in powers if 0 < a + b + c <= degree], axis=-1)
 
 
-def _solve_sheen(log: Array, normals: Floats, mirrored: Array) -> Array:
+def _solve_sheen(log: Array, normals: Floats, mirrored: Array, config: PhotometryConfig) -> Array:
     """Coefficients (K,) of a sheen under one light, by points and gains in turns.
 
     Args:
         log: (P, V, 3) log radiance, NaN where a view does not show a point.
         normals: (P, 3) of the points.
         mirrored: (P, V, K) what the sheen is a sum of.
+        config: Of the sheen, and how observations are weighed.
     """
     known = np.isfinite(log[..., 0])
     gray = np.nan_to_num(log).mean(2)
-    sheen, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH
-    for _ in range(TURNS):
+    own, robust = config.own_light, config.robust
+    sheen, width = np.zeros(mirrored.shape[2]), robust.first_width
+    for _ in range(own.sheen_rounds):
         shown = mirrored @ sheen
-        left = gray - shown - solve_gains(log - shown[..., None], normals).mean(1)
+        left = gray - shown - solve_gains(log - shown[..., None], normals, robust).mean(1)
         left = np.where(known, left, 0.0)
         apart = left - left.sum(1, keepdims=True) / known.sum(1, keepdims=True)
         weight = known / (1 + (apart / width) ** 2) ** 2
-        width = max(LAST_WIDTH, NARROWING * width)
+        width = max(robust.last_width, robust.narrowing * width)
         mass = weight.sum(1)
         kinds = mirrored - (np.einsum("pv,pvk->pk", weight, mirrored) / mass[:, None])[:, None]
         left = left - (weight * left).sum(1, keepdims=True) / mass[:, None]
         system = np.einsum("pv,pvk,pvl->kl", weight, kinds, kinds)
         right = np.einsum("pv,pvk,pv->k", weight, kinds, left)
         sheen = sheen + np.linalg.solve(
-            system + RIDGE * np.trace(system) * np.eye(len(right)), right
+            system + own.sheen_ridge * np.trace(system) * np.eye(len(right)), right
         )
     return sheen

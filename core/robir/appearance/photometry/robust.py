@@ -8,22 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.photometry.config import RobustConfig
+
 Array = NDArray[np.float64]
-
-PRIOR_STEPS = 0.5
-"""Standard deviation of gains before anything is seen, steps."""
-
-NORMAL_SHARPNESS = 10.0
-"""Of the lobe within which normals share one vote, about 25 degrees."""
-
-MATTE = 0.02
-"""Deviation between views, log radiance, of which a photograph's noise alone is capable."""
-
-FIRST_WIDTH, LAST_WIDTH, NARROWING = 0.4, 0.05, 0.7
-"""Deviations, log radiance, from which an observation counts little (Geman-McClure): at first, in
-the end, and by what this shrinks from round to round."""
-
-ROUNDS = 20
 
 
 class Weighing:
@@ -39,30 +26,35 @@ class Weighing:
         noise: Typical deviation of what counts, log radiance.
     """
 
-    def __init__(self, known: NDArray[np.bool_], normals: NDArray[np.float32]) -> None:
+    def __init__(
+        self, known: NDArray[np.bool_], normals: NDArray[np.float32], config: RobustConfig
+    ) -> None:
         self.known = known
-        self.noise = FIRST_WIDTH
+        self.noise = config.first_width
+        self._config = config
         self.weight = known.astype(np.float64)
-        self._alike = np.exp(NORMAL_SHARPNESS * (normals @ normals.T - 1))
+        self._alike = np.exp(config.normal_sharpness * (normals @ normals.T - 1))
         self._dull, self._trust = np.ones(len(known)), known.astype(np.float64)
-        self._width = FIRST_WIDTH
+        self._width = config.first_width
 
     def rounds(self) -> Iterator[int]:
         """Rounds; in each, solve with `weight` and hand what is left to `renew`."""
-        for step in range(ROUNDS):
+        config = self._config
+        for step in range(config.num_rounds):
             self.weight = self._trust * (self._dull / (self._alike @ self._dull))[:, None]
-            self._width = max(LAST_WIDTH, FIRST_WIDTH * NARROWING**step)
+            self._width = max(config.last_width, config.first_width * config.narrowing**step)
             yield step
 
     def prior(self) -> float:
         """Weight with which every gain is drawn to 0."""
-        return self.weight[self.known].mean() * (self.noise / (PRIOR_STEPS * np.log(2))) ** 2
+        deviation = self._config.prior_steps * np.log(2)
+        return self.weight[self.known].mean() * (self.noise / deviation) ** 2
 
     def renew(self, apart: Array) -> None:
         """Take what is left, (P, V) absolute deviations, into account."""
         self._trust = self.known / (1 + (apart / self._width) ** 2) ** 2
         apart[~self.known] = np.nan
-        self._dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + MATTE**2)
+        self._dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + self._config.noise**2)
         self.noise = 1.48 * float(np.nanmedian(apart))
 
 

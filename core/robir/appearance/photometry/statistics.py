@@ -11,42 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.exposure import Gains, decoded
 from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
-
-LOW_SHARE, HIGH_SHARE = 0.1, 0.5
-"""Between these ranks of brightness a sample's views are averaged: highlights lie above, pixels
-darkened by an outline below."""
-
-SHADOW_REACH = 0.8
-"""How far apart, unit frame, a sample in shadow and its lit partner may lie. Under a low sun
-shadows are longer than what casts them."""
-
-SHADOW_NORMAL = 0.6
-"""What a difference of one unit of normal counts in that distance."""
-
-MIN_SHADOW_SAMPLES = 20
-
-SHADOW_PARTNERS, SHADOW_PARTS, LARGEST_PART = 12, 4, 1250
-"""Lit partners of a sample in shadow; of how many lit ones one may be its partner, at least; and of
-how many samples, lit or not, a part of these consists at most. The nearest all hug the shadow's
-edge, where photographs blur it and the mesh displaces it; of those far away more are of another
-paint."""
-
-STEP_WIDTH = 0.15
-"""Width of the kernel that finds the commonest step across shadows, log units: more than noise,
-less than the difference between the materials of a scene."""
-
-STEP_HUE = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, STEP_WIDTH)))
-"""Hue of a step, seen through that kernel: what a light lacks is light, what two paints differ by
-is not. On a chessboard a step from brown to white was as common as the light's own, and a turn of
-the sun by a fifth of a degree made it the commonest."""
-
-MAX_STEP_PAIRS, STEP_STARTS, STEP_ROUNDS = 4000, 400, 30
-"""Pairs that tell a step, those of them from which it is searched, and rounds of the search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,20 +57,21 @@ def sharpest_views(weight: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(weight > 0.5 * best, weight, 0).astype(np.float32)
 
 
-def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
-    """Weights of the views between LOW_SHARE and HIGH_SHARE of each sample's brightness.
+def darker_view_weights(linear: Tensor, valid: Tensor, config: StatisticsConfig) -> Tensor:
+    """Weights of the views between two ranks of each sample's brightness.
 
     Args:
         linear: (N, V, 3) radiance.
         valid: (N, V) bool, views that show the sample.
+        config: The ranks.
 
     Returns:
         (N, V) float32; a row sums to 1, or to 0 where no view shows the sample.
     """
     count = valid.sum(1)
     rank = linear.sum(2).masked_fill(~valid, float("inf")).argsort(1).argsort(1).float()
-    low = (LOW_SHARE * count).floor()[:, None]
-    high = (HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
+    low = (config.low_share * count).floor()[:, None]
+    high = (config.high_share * count).ceil().clamp(min=1)[:, None]
     chosen = (valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)).float()
     return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
 
@@ -109,6 +80,7 @@ def texture_weights(
     seen: tuple[NDArray[np.float32], NDArray[np.float32]],
     position: NDArray[np.float32],
     linear: Tensor,
+    config: StatisticsConfig,
     *,
     below_gloss: bool,
 ) -> Tensor:
@@ -121,6 +93,7 @@ def texture_weights(
         seen: Weights (N, V) of the observations, and camera centres (V, 3).
         position: (N, 3) of the points.
         linear: (N, V, 3) radiance of the observations.
+        config: Which views are the darker ones.
         below_gloss: Whether only darker views count.
 
     Returns:
@@ -128,31 +101,38 @@ def texture_weights(
     """
     weight, cameras = seen
     if below_gloss:
-        return darker_view_weights(linear, torch.from_numpy(sharpest_views(weight) > 0))
+        is_sharp = torch.from_numpy(sharpest_views(weight) > 0)
+        return darker_view_weights(linear, is_sharp, config)
     apart = cameras[None] - position[:, None]
     pixels = torch.from_numpy(weight / np.einsum("nvd,nvd->nv", apart, apart))
     return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
 
 
-def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
+def diffuse_radiance(
+    observations: Observations, linear: Tensor, config: StatisticsConfig
+) -> Radiance:
     """Robust low mean over the views: highlights drop out, noise averages.
 
     Args:
         observations: Colours in the photographs.
         linear: (N, V, 3) their radiance under the tone curve, specular part removed if known.
+        config: Which views are the darker ones.
 
     Returns:
         Radiance per sample.
     """
     valid = torch.from_numpy(observations.weight > 0)
-    return weighted_radiance(observations, linear, darker_view_weights(linear, valid))
+    share = darker_view_weights(linear, valid, config)
+    return weighted_radiance(observations, linear, share, config)
 
 
-def weighted_radiance(observations: Observations, linear: Tensor, share: Tensor) -> Radiance:
+def weighted_radiance(
+    observations: Observations, linear: Tensor, share: Tensor, config: StatisticsConfig
+) -> Radiance:
     """Mean over the views, each sample's counting (N, V) as told; else as `diffuse_radiance`."""
     mean = (linear * share[..., None]).sum(1)
     top = torch.from_numpy(observations.clipped) & (share > 0)[..., None]
-    clipped = (top.float() * share[..., None]).sum(1) > 0.3
+    clipped = (top.float() * share[..., None]).sum(1) > config.clipped_share
     seen = (observations.weight > 0).sum(1) >= 2
     return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=torch.from_numpy(seen))
 
@@ -229,7 +209,7 @@ class Pairs:
             ),
         )
 
-    def common_step(self, log_albedo: Tensor) -> Tensor:
+    def common_step(self, log_albedo: Tensor, config: StatisticsConfig) -> Tensor:
         """The commonest difference (3,) of log albedo between first and second samples.
 
         Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
@@ -239,20 +219,23 @@ class Pairs:
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
+            config: Of the search.
 
         Returns:
-            The mode found by mean shift with a kernel of STEP_WIDTH; zeros without pairs.
+            The mode found by mean shift with a kernel of `step_width`; zeros without pairs.
         """
         if not len(self.first):
             return torch.zeros(3)
-        some = torch.linspace(0, len(self.first) - 1, MAX_STEP_PAIRS).long().unique()
+        some = torch.linspace(0, len(self.first) - 1, config.step_pairs).long().unique()
         apart = log_albedo[self.first[some]] - log_albedo[self.second[some]]
-        weight = self.weight[some]
-        starts = apart[:: max(1, len(apart) // STEP_STARTS)]
-        votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
-        step = starts[(votes * torch.exp(-0.5 * STEP_HUE.squared(starts))).argmax()]
-        for _ in range(STEP_ROUNDS):
-            near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * STEP_WIDTH**2))
+        weight, width = self.weight[some], config.step_width
+        starts = apart[:: max(1, len(apart) // config.step_starts)]
+        votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * width**2)) @ weight
+        # seen through that kernel: what a light lacks is light, what two paints differ by is not
+        hue = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, width)))
+        step = starts[(votes * torch.exp(-0.5 * hue.squared(starts))).argmax()]
+        for _ in range(config.step_rounds):
+            near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * width**2))
             step = near @ apart / near.sum()
         return step
 
@@ -325,6 +308,7 @@ def shadow_pairs(
     normal: NDArray[np.float32],
     lit: NDArray[np.bool_],
     dark: NDArray[np.bool_],
+    config: StatisticsConfig,
 ) -> Pairs:
     """Pairs across a sun's shadow: samples wholly in it with near ones that are wholly lit.
 
@@ -336,22 +320,23 @@ def shadow_pairs(
         normal: (U, 3) unit; partners face alike, so that only visibility differs.
         lit: (U,) wholly lit by the sun.
         dark: (U,) wholly in its shadow.
+        config: How far and how many.
 
     Returns:
         Pairs over the samples; none where the sun casts no shadow.
     """
-    points = np.concatenate([position, SHADOW_NORMAL * normal], axis=1)
+    points = np.concatenate([position, config.shadow_normal * normal], axis=1)
     lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
     first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    if min(len(lit_rows), len(dark_rows)) >= MIN_SHADOW_SAMPLES:
+    if min(len(lit_rows), len(dark_rows)) >= config.least_shadow_samples:
         # each part of those in shadow has its own part of the lit ones
-        parts = max(SHADOW_PARTS, round(len(position) / LARGEST_PART))
-        parts = max(1, min(parts, len(lit_rows) // SHADOW_PARTNERS))
+        parts = max(config.shadow_parts, round(len(position) / config.largest_part))
+        parts = max(1, min(parts, len(lit_rows) // config.shadow_partners))
         for part in range(parts):
             own, partners = dark_rows[part::parts], lit_rows[part::parts]
-            count = min(SHADOW_PARTNERS, len(partners))
+            count = min(config.shadow_partners, len(partners))
             distance, index = cKDTree(points[partners]).query(points[own], k=count)
-            near = distance < SHADOW_REACH
+            near = distance < config.shadow_reach
             first.append(np.repeat(own, count)[near.ravel()])
             second.append(partners[index[near]])
     left, right = np.concatenate(first), np.concatenate(second)

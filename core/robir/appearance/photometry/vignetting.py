@@ -20,13 +20,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.robust import Weighing, solve_views
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
-
-PRIOR = 1.0
-"""Standard deviation of the strength before anything is seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,9 @@ NO_FALLOFF = Falloff()
 """Corners as bright as the middle."""
 
 
-def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:
+def solve_falloff(
+    log: Array, normals: NDArray[np.float32], off_axis: Codes, config: PhotometryConfig
+) -> Falloff:
     """Falloff of all views by the points they share.
 
     Args:
@@ -66,6 +66,7 @@ def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> 
             point is shown by some view.
         normals: (P, 3) unit.
         off_axis: (P, V) codes as in `Observations.off_axis`.
+        config: How strong it may be, and how observations are weighed.
 
     Returns:
         The falloff, proven or not.
@@ -73,18 +74,21 @@ def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> 
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
     square = off_axis / 255.0
-    weighing = Weighing(known, normals)
+    weighing = Weighing(known, normals, config.robust)
     strength, gains = 0.0, np.zeros(log.shape[1])
     for _ in weighing.rounds():
-        strength, gains, points = _least_squares(values, square, weighing)
+        strength, gains, points = _least_squares(values, square, weighing, config.vignetting.prior)
         weighing.renew(np.abs(values + strength * square - gains - points[:, None]))
     return Falloff(strength)
 
 
-def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[float, Array, Array]:
+def _least_squares(
+    values: Array, square: Array, weighing: Weighing, prior: float
+) -> tuple[float, Array, Array]:
     """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V).
 
-    Points are eliminated first, then gains.
+    Points are eliminated first, then gains. Before anything is seen the strength is 0, give or take
+    `prior`.
     """
     weight = weighing.weight
     mass = weight.sum(1)
@@ -95,7 +99,7 @@ def _least_squares(values: Array, square: Array, weighing: Weighing) -> tuple[fl
     system = np.diag(weight.sum(0)) - weight.T @ share
     through = solve_views(system, right, weighing.prior())
     moments = np.einsum("pvk,pv,pvl->kl", columns, weight, columns) - right.T @ through
-    ridge = weight[weighing.known].mean() * (weighing.noise / PRIOR) ** 2
+    ridge = weight[weighing.known].mean() * (weighing.noise / prior) ** 2
     strength = float(moments[0, 1] / (moments[0, 0] + ridge))
     gains = through[:, 1] - strength * through[:, 0]
     points = (share * (values + strength * square - gains)).sum(1)

@@ -24,6 +24,7 @@ from robir.appearance.photometry.statistics import (
     texture_weights,
     weighted_radiance,
 )
+from robir.appearance.texture.config import TextureConfig
 from robir.appearance.texture.residual_shading import evened, most_albedo, with_normals
 from robir.appearance.texture.shadow_edges import (
     Reference,
@@ -32,8 +33,6 @@ from robir.appearance.texture.shadow_edges import (
     settle_edges,
 )
 from robir.appearance.texture.texels import (
-    MAX_ALBEDO,
-    MIN_ALBEDO,
     Blend,
     TexelAlbedo,
     Texels,
@@ -46,10 +45,6 @@ from robir.steps import Course, Step
 from robir.transport.observe import Observations, observe
 
 Floats = NDArray[np.float32]
-
-GLOSS_ERROR = 0.4
-"""Error of the specular light that is subtracted, over itself: little is known of a dark material
-in the shade, most of whose light is reflected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,11 +120,9 @@ class Painting:
     @classmethod
     def of(
         cls,
-        problem: Problem,
-        light: Light,
+        solved: tuple[Problem, Light, Gloss],
         texels: Texels,
         views: tuple[View, ...],
-        gloss: Gloss,
         tracer: EmbreeTracer,
     ) -> Painting:
         """Texels with what photographs show of them and what arrives at them; see `texel_albedo`.
@@ -137,16 +130,21 @@ class Painting:
         Darker views show what is diffuse below a specular layer; a camera's photographs are darker
         for many other reasons too, and the asset came out darker than they are.
         """
+        problem, light, gloss = solved
         blend = Blend(problem, texels)
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
         linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
         below_gloss = gloss.has_highlights and not problem.scene.by_camera
         observed = seen.weight, seen.positions
-        share = texture_weights(observed, texels.position, linear, below_gloss=below_gloss)
-        radiance = weighted_radiance(seen, linear, share)
+        config = problem.scene.config
+        statistics = config.photometry.statistics
+        share = texture_weights(
+            observed, texels.position, linear, statistics, below_gloss=below_gloss
+        )
+        radiance = weighted_radiance(seen, linear, share, statistics)
         shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
-        nothing = np.zeros(len(soft), np.float32)
+        rays, nothing = 2 * config.light.problem.sun_ray_pairs, np.zeros(len(soft), np.float32)
         return cls(
             problem=problem,
             light=light,
@@ -156,13 +154,18 @@ class Painting:
             total=shown.clamp(min=1e-5).numpy(),
             clipped=radiance.clipped.numpy(),
             soft=soft,
-            narrow=sun_transfer(problem, light, texels, light.sharpness, 8),
+            narrow=sun_transfer(problem, light, texels, light.sharpness, rays),
             albedo=np.zeros_like(soft),
             spread=_spread(linear, seen),
             edge=nothing > 0,
             disagreement=nothing,
             unknown=nothing,
         )
+
+    @property
+    def config(self) -> TextureConfig:
+        """How they are read."""
+        return self.problem.scene.config.texture
 
     @property
     def sun(self) -> Floats:
@@ -177,7 +180,9 @@ class Painting:
     @property
     def below(self) -> Floats:
         """(N, 3) radiance of the paint below a specular layer."""
-        return np.maximum(self.total - self.material.floor, 0.1 * self.total)
+        return np.maximum(
+            self.total - self.material.floor, self.config.albedo.least_paint * self.total
+        )
 
     @property
     def exitant(self) -> Floats:
@@ -200,7 +205,9 @@ class Painting:
     def values(self) -> TexelAlbedo:
         """All that is known of the texels."""
         smooth = self.albedo if self.smooth is None else self.smooth
-        distance = distance_to_seen(self.texels.position, self.coverage > 0)
+        distance = distance_to_seen(
+            self.texels.position, self.coverage > 0, self.config.uncertainty
+        )
         changed = np.abs(np.log(smooth / self.albedo)).mean(1)
         return TexelAlbedo(
             albedo=smooth.astype(np.float32),
@@ -208,29 +215,27 @@ class Painting:
             disagreement=self.disagreement.astype(np.float32),
             read=self.albedo.astype(np.float32),
             unknown=self.unknown.astype(np.float32),
-            uncertainty=standard_error(self.spread, changed, self.coverage, distance),
+            uncertainty=standard_error(
+                self.spread, changed, self.coverage, distance, self.config.uncertainty
+            ),
             roughness=self.material.roughness.astype(np.float32),
             metallic=self.material.metallic.astype(np.float32),
         )
 
 
 def texel_albedo(
-    problem: Problem,
-    light: Light,
+    solved: tuple[Problem, Light, Gloss],
     texels: Texels,
     views: tuple[View, ...],
-    gloss: Gloss,
     tracer: EmbreeTracer,
     course: Course,
 ) -> TexelAlbedo:
     """Albedo of every texel.
 
     Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
+        solved: Scene under the chosen tone curve, its light, and specular material.
         texels: Points of the atlas.
         views: Photographs, at the size they are to be read at.
-        gloss: Specular material of the samples.
         tracer: Tracer of the mesh.
         course: Of the stage's steps.
 
@@ -238,7 +243,7 @@ def texel_albedo(
         Albedo (base colour where the material is metal), how well it is known, roughness and metal;
         texels no view shows take their neighbours' albedo.
     """
-    start = Painting.of(problem, light, texels, views, gloss, tracer)
+    start = Painting.of(solved, texels, views, tracer)
     return course.carry_out(ALBEDO, start).values
 
 
@@ -253,23 +258,25 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
 
 
 def _divide(state: Painting) -> Painting:
-    irradiance, metallic = state.irradiance, state.material.metallic
-    albedo = state.exitant / np.hypot(irradiance, 0.02 * irradiance.mean(0))
+    config, irradiance, metallic = state.config, state.irradiance, state.material.metallic
+    albedo = state.exitant / np.hypot(irradiance, config.albedo.dim_share * irradiance.mean(0))
     albedo[metallic] = state.material.metal[metallic]
     sky = float(state.soft.mean())
     edge = on_edges(state.problem, state.light, state.texels, albedo, sky) & ~metallic
     certain = (state.coverage >= 2) & ~edge & ~state.clipped.any(1)
-    doubt = irradiance_doubt(torch.from_numpy(irradiance)).numpy()
-    known = np.sqrt(state.spread**2 + np.where(edge, 0.25, 0.05) ** 2 + doubt**2)
+    shade = state.problem.scene.config.light.shade
+    doubt = irradiance_doubt(torch.from_numpy(irradiance), shade).numpy()
+    common = np.where(edge, config.albedo.edge_error, config.albedo.view_error)
+    known = np.sqrt(state.spread**2 + common**2 + doubt**2)
     disagreement = np.where(state.coverage > 0, known, 1.0).clip(0.0, 1.0)
-    reflected = GLOSS_ERROR * state.material.floor.mean(1) / state.below.mean(1)
+    reflected = config.albedo.gloss_error * state.material.floor.mean(1) / state.below.mean(1)
     return replace(
         state,
         albedo=albedo,
         edge=edge,
         disagreement=disagreement,
         unknown=np.hypot(disagreement, reflected).clip(0.0, 1.0),
-        reference=Reference(state.texels, albedo, certain),
+        reference=Reference(state.texels, albedo, certain, config),
     )
 
 
@@ -292,15 +299,17 @@ def _settle_clipped(state: Painting) -> Painting:
 def _fill_unseen(state: Painting) -> Painting:
     hidden, albedo = state.coverage == 0, state.albedo.copy()
     albedo[hidden] = state.known.nearest_albedo(state.texels, hidden)
-    return replace(state, albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO))
+    limits = state.config.texels
+    return replace(state, albedo=np.clip(albedo, limits.min_albedo, limits.max_albedo))
 
 
 def _even(state: Painting) -> Painting:
-    points = with_normals(state.texels.position, state.texels.normal)
+    evening, texels = state.config.residual_shading, state.config.texels
+    points = with_normals(state.texels.position, state.texels.normal, texels.normal_scale)
     reflected = state.total * state.material.kept / state.below
-    most = most_albedo(state.albedo, reflected, state.disagreement)
-    smooth = np.minimum(evened(state.albedo, state.unknown, points), most)
-    return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
+    most = most_albedo(state.albedo, reflected, state.disagreement, evening.alike_brightness)
+    smooth = np.minimum(evened(state.albedo, state.unknown, points, evening, texels.step), most)
+    return replace(state, smooth=smooth.clip(texels.min_albedo, texels.max_albedo))
 
 
 ALBEDO: tuple[Step[Painting], ...] = (

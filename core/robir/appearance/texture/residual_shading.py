@@ -10,55 +10,45 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robir.appearance.texture.config import ResidualShadingConfig
+
 Floats = NDArray[np.float32]
-
-NORMAL_SCALE = 0.15
-"""How far apart two opposite normals count in neighbour searches, half of it, unit frame."""
-
-MESH_ERROR = 0.02
-"""Length over which errors of the mesh's normals vary, unit frame."""
-
-EVEN_REACH, EVEN_COUNT, EVEN_STEPS = 0.4, 128, 3
-"""How far the surroundings reach that a texel is compared with, unit frame, how many of their
-texels, and how often."""
-
-ALIKE, ALIKE_HUE = 0.35, 0.17
-"""Difference of log albedo, in brightness and in hue, within which texels may be one material."""
-
-HUE_DOUBT = 0.5
-"""Standard deviation of a texel's hue against that of its brightness: how much sun arrives, which
-nobody knows at a shadow's edge, changes the one more than the other. With 1 a tan mat became as
-pale as the tray beside it there."""
-
-NODE_STEP = 4
-"""Every so manieth texel stands for its neighbours: the atlas is finer than the photographs."""
 
 CHUNK = 256
 """Nodes at a time, whose surroundings then stay in the processor's cache."""
 
 
-def with_normals(position: Floats, normal: Floats) -> Floats:
-    """Points (N, 6) among which near ones lie close together and face alike."""
-    return np.concatenate([position, NORMAL_SCALE * normal], axis=1)
+def with_normals(position: Floats, normal: Floats, scale: float) -> Floats:
+    """Points (N, 6) among which near ones lie close together and face alike.
+
+    Args:
+        position: (N, 3).
+        normal: (N, 3) unit.
+        scale: How far apart two opposite normals count, half of it.
+    """
+    return np.concatenate([position, scale * normal], axis=1)
 
 
-def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats) -> Floats:
+def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats, alike: float) -> Floats:
     """Albedo (N, 3) that no surroundings may lift a texel above.
 
     Were none of its light reflected, all of it would be the paint's; a dark polished part is not
     known well, but known to be darker than the bright stone about it. To that comes what mesh and
-    light may be wrong by: without ALIKE, what a wrong normal darkens stays dark.
+    light may be wrong by: without `alike`, what a wrong normal darkens stays dark.
 
     Args:
         albedo: (N, 3) of the light that is not reflected.
         reflected: (N, 3) radiance over that of the paint alone, about 1 or more.
         disagreement: (N,) one standard deviation of log albedo by views, shadow edges, dim light.
+        alike: Difference of log albedo within which texels may be one material.
     """
-    slack = np.exp(np.hypot(disagreement, ALIKE))[:, None]
+    slack = np.exp(np.hypot(disagreement, alike))[:, None]
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
-def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
+def evened(
+    albedo: Floats, unknown: Floats, points: Floats, config: ResidualShadingConfig, step: int
+) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
     Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
@@ -71,30 +61,34 @@ def evened(albedo: Floats, unknown: Floats, points: Floats) -> Floats:
         albedo: (N, 3), > 0.
         unknown: (N,) one standard deviation of its logarithm.
         points: (N, 6) result of `with_normals`.
+        config: What texels are compared with, and what is alike.
+        step: Every so manieth texel stands for its neighbours.
 
     Returns:
         (N, 3).
     """
-    nodes = np.arange(0, len(points), NODE_STEP)
-    afar = np.arange(0, len(nodes), NODE_STEP)
-    distance, index = _nearest(points[nodes], points[nodes[afar]], EVEN_COUNT, EVEN_REACH)
+    nodes = np.arange(0, len(points), step)
+    afar = np.arange(0, len(nodes), step)
+    distance, index = _nearest(points[nodes], points[nodes[afar]], config.count, config.reach)
     other = afar[index]
     before = smooth = np.log(albedo[nodes].T.astype(np.float32))
     doubt = unknown[nodes].astype(np.float32)
-    certainty = 1 / (0.03 + doubt) ** 2
+    certainty = 1 / (config.least_doubt + doubt) ** 2
     # not everything resembles the unknown
-    wider = np.stack([doubt, np.minimum(HUE_DOUBT * doubt, ALIKE_HUE)])
-    width = 1 / (2 * (np.array([[ALIKE], [ALIKE_HUE]], np.float32) ** 2 + wider**2))
+    wider = np.stack([doubt, np.minimum(config.hue_doubt * doubt, config.alike_hue)])
+    alike = np.array([[config.alike_brightness], [config.alike_hue]], np.float32)
+    width = 1 / (2 * (alike**2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
     starts = range(0, len(nodes), CHUNK)
-    for _ in range(EVEN_STEPS):
+    for _ in range(config.rounds):
         parts = []
         for rows in (slice(start, start + CHUNK) for start in starts):
             own = (smooth[:, rows], certainty[rows], width[:, rows])
             parts.append(_drawn_together(own, smooth[:, other[rows]], known[rows]))
         smooth = np.concatenate(parts, axis=1)
-    distance, index = _nearest(points, points[nodes], 12, 3 * MESH_ERROR)
-    weight = np.exp(-(distance**2) / (2 * MESH_ERROR**2))
+    length = config.mesh_error
+    distance, index = _nearest(points, points[nodes], config.blurred, 3 * length)
+    weight = np.exp(-(distance**2) / (2 * length**2))
     change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
     return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
 

@@ -22,40 +22,16 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 from robir.appearance.light.lobes import sky_radiance
-from robir.appearance.light.problem import SUN_SAMPLES, Problem
+from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels
+from robir.appearance.texture.config import ShadingNormalsConfig
+from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
-
-TEXEL_STEP = 4
-"""Every so manieth texel is asked: there are thirty for a vertex."""
-
-NORMAL_ERROR = 0.7
-"""Error of a normal over its difference from its neighbours'."""
-
-LEAST_ERROR, MOST_ERROR = 0.01, 0.3
-"""Bounds of that error, radians."""
-
-READ_ERROR = 0.08
-"""Standard deviation of log albedo as read from the photographs that is neither known of nor due to
-normals."""
-
-MOST_CHANGE = 0.5
-"""Of log albedo: what differs by more is another error than the normal's."""
-
-MOST_TURN = 0.35
-"""No normal is turned further, radians."""
-
-GRAZING = 0.01
-"""Cosine to a sun below which the share of it that arrives cannot be told from a texel's light."""
-
-ROUNDS, TOLERANCE = 60, 1e-3
-"""Steps of the conjugate gradients, and the remainder at which they end."""
 
 
 def shading_normals(
@@ -76,20 +52,23 @@ def shading_normals(
         atlas: Face (N,) and barycentric coordinates (N, 3) of the texels.
         values: Of the texels, baked with the mesh's own normals.
     """
+    config = problem.scene.config.texture
+    limits = config.shading_normals
     usable = (values.coverage > 0) & (values.metallic < 0.5)
-    rows = np.flatnonzero(usable)[::TEXEL_STEP]
+    rows = np.flatnonzero(usable)[:: config.texels.step]
     if len(rows) < len(mesh.normals):  # of a finer mesh than the texels hardly a normal is asked
         return mesh.normals
     face, barycentric = atlas[0][rows], atlas[1][rows]
     position, normal = interpolate(mesh, face, barycentric)
     slope = _log_slope(problem, light, Texels(position=position, normal=normal))
     taken = np.log(values.read[rows] / values.albedo[rows]).mean(1)
-    wanted = np.expm1(taken.clip(-MOST_CHANGE, MOST_CHANGE))
-    certainty = 1 / (READ_ERROR**2 + values.unknown[rows] ** 2)
-    error = (NORMAL_ERROR * _variation(mesh)).clip(LEAST_ERROR, MOST_ERROR)
-    turn = _least_turn(mesh, (mesh.faces[face], barycentric), slope, (wanted, certainty), error)
+    wanted = np.expm1(taken.clip(-limits.most_change, limits.most_change))
+    certainty = 1 / (limits.read_error**2 + values.unknown[rows] ** 2)
+    error = (limits.error_ratio * _variation(mesh)).clip(limits.least_error, limits.most_error)
+    place = (mesh.faces[face], barycentric)
+    turn = _least_turn(mesh, place, slope, (wanted, certainty), error, limits)
     length = np.linalg.norm(turn, axis=1, keepdims=True).clip(1e-9)
-    turned = mesh.normals + turn * (MOST_TURN * np.tanh(length / MOST_TURN) / length)
+    turned = mesh.normals + turn * (limits.most_turn * np.tanh(length / limits.most_turn) / length)
     return (turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32)
 
 
@@ -98,11 +77,12 @@ def _log_slope(problem: Problem, light: Light, texels: Texels) -> Floats:
     scene = problem.scene
     blend = Blend(problem, texels)
     sun = light.amplitudes.sharp.numpy()
-    points = (texels.position, texels.normal)
-    lit = scene.sharp_transfer_at(points, light.axes, light.sharpness, SUN_SAMPLES)
+    rays = 2 * scene.config.light.problem.sun_ray_pairs
+    lit = sun_transfer(problem, light, texels, light.sharpness, rays)
     soft = blend(scene.soft @ light.amplitudes.soft + problem.indirect)
     irradiance = (soft + lit @ sun).mean(1)
-    facing = np.maximum(texels.normal @ light.axes.T, GRAZING)
+    least_cosine = scene.config.texture.shading_normals.least_cosine
+    facing = np.maximum(texels.normal @ light.axes.T, least_cosine)
     arriving = (lit / facing).clip(0, 1) * sun.mean(1)
     slope = blend(_sky_vector(problem, light)) + arriving @ light.axes
     slope -= (slope * texels.normal).sum(1, keepdims=True) * texels.normal
@@ -143,6 +123,7 @@ def _least_turn(
     slope: Floats,
     measured: tuple[Reals, Reals],
     error: Reals,
+    config: ShadingNormalsConfig,
 ) -> Reals:
     """Tangential change (V, 3) of normals that best explains changes of irradiance.
 
@@ -154,6 +135,7 @@ def _least_turn(
         slope: (N, 3) gradient of log irradiance by the normal.
         measured: Relative change of irradiance (N,) and the inverse of its variance (N,).
         error: (V,) standard deviation of the normals before anything is measured, radians.
+        config: Of the conjugate gradients.
     """
     corners, share = place
     wanted, certainty = measured
@@ -168,5 +150,6 @@ def _least_turn(
     crowd = np.maximum(np.bincount(corners.ravel(), share.ravel(), len(error)), 1.0)
     weight = certainty / np.einsum("nk,nk->n", share, crowd[corners])
     system = matrix.T @ (diags(weight) @ matrix) + diags(np.repeat(1 / error**2, 2))
-    turn, _ = cg(system, matrix.T @ (weight * wanted), rtol=TOLERANCE, maxiter=ROUNDS)
+    measured_turn = matrix.T @ (weight * wanted)
+    turn, _ = cg(system, measured_turn, rtol=config.tolerance, maxiter=config.rounds)
     return np.einsum("va,vad->vd", turn.reshape(-1, 2), frame)

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from robir.appearance.light.problem import Problem, Scene
 from robir.appearance.light.solver import Light
-from robir.appearance.light.sunlight import EDGE_SHARPNESS
+from robir.appearance.texture.config import ShadowEdgesConfig, TextureConfig
 from robir.appearance.texture.residual_shading import with_normals
 from robir.appearance.texture.texels import Texels, sun_transfer
 from robir.maths.vectors import orthonormal_frame
@@ -26,25 +26,8 @@ from robir.transport.visibility import lobe_transfer
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 
-SIDE_STEP = 0.02
-"""Error of the mesh along the surface that a shadow may have, unit frame."""
-
-REFERENCE_STEP = 8
-"""Every so manieth certain texel is looked up, so that a few of them reach far."""
-
-EDGE_PALETTE = 128
-"""Certain texels whose albedos one at a shadow's edge may have. The nearest few all lie on one side
-of the uncertain band: where the band also holds a border of two paints, the other paint was
-missing, and the share of sun was bent until the near one fitted. Of 8, 32, 64 and 128 each gave
-better re-renders than the one before."""
-
 EDGE_CHUNK = 1 << 13
 """Texels at shadows' edges that are settled at a time: their palettes then stay small."""
-
-BRIGHTEST = 0.9
-"""Albedo that hardly anything exceeds: a texel in shadow that does was taken for shaded wrongly."""
-
-SUN_SHARES = np.linspace(0.0, 1.0, 11)
 
 
 def on_edges(
@@ -62,25 +45,29 @@ def on_edges(
     if not len(light.axes):
         return np.zeros(len(albedo), bool)
     strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
-    sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
-    wide = sun_transfer(problem, light, texels, sharpness, 12)
+    config = problem.scene.config.texture.shadow_edges
+    edge_sharpness = problem.scene.config.light.sunlight.edge_sharpness
+    sharpness = np.full(len(light.axes), edge_sharpness, np.float32)
+    wide = sun_transfer(problem, light, texels, sharpness, 2 * config.ray_pairs)
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     share = wide / np.maximum(facing, 1e-3)
-    unsure = (share > 0.02) & (share < 0.98) | _contested(problem.scene, light, texels)
-    unsure |= (share < 0.98) & (albedo.max(1) > BRIGHTEST)[:, None]
-    return (unsure & (facing * strength > 0.1)).any(1)
+    partly = share < 1 - config.least_share
+    unsure = (share > config.least_share) & partly
+    unsure |= _contested(problem.scene, light, texels, config.mesh_error)
+    unsure |= partly & (albedo.max(1) > config.brightest)[:, None]
+    return (unsure & (facing * strength > config.least_strength)).any(1)
 
 
-def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
+def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) -> NDArray[np.bool_]:
     """Whether points a mesh error away along the surface see a sun differently, (N, J).
 
-    The lobe of EDGE_SHARPNESS spans little where the blocker is near; contact shadows are found by
-    stepping aside instead.
+    The lobe of `edge_sharpness` spans little where the blocker is near; contact shadows are found
+    by stepping aside instead.
     """
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
     lit = []
     for step in (0 * first, first, -first, second, -second):
-        position = texels.position + SIDE_STEP * step.numpy()
+        position = texels.position + mesh_error * step.numpy()
         columns = [
             lobe_transfer(scene.tracer, position, texels.normal, axis[None], scene.offset) > 0
             for axis in light.axes
@@ -91,30 +78,42 @@ def _contested(scene: Scene, light: Light, texels: Texels) -> NDArray[np.bool_]:
 
 
 class Reference:
-    """Texels whose albedo is certain, to look up what the surroundings are like."""
+    """Texels whose albedo is certain, to look up what the surroundings are like.
 
-    def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
+    Attributes:
+        config: Of edges, and of what is clipped.
+    """
+
+    def __init__(
+        self,
+        texels: Texels,
+        albedo: Floats,
+        certain: NDArray[np.bool_],
+        config: TextureConfig,
+    ) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        self._points = with_normals(texels.position, texels.normal)[certain]
+        self.config = config.shadow_edges
+        self._scale = config.texels.normal_scale
+        self._points = with_normals(texels.position, texels.normal, self._scale)[certain]
         self._albedo = albedo[certain]
-        self._thinned = cKDTree(self._points[::REFERENCE_STEP])
+        self._thinned = cKDTree(self._points[:: self.config.reference_step])
 
     def nearest_albedo(self, texels: Texels, rows: NDArray[np.bool_]) -> Floats:
         """Mean albedo (M, 3) of the few nearest certain texels."""
         if not rows.any():
             return np.zeros((0, 3), np.float32)
-        query = with_normals(texels.position[rows], texels.normal[rows])
+        query = with_normals(texels.position[rows], texels.normal[rows], self._scale)
         # hardly any of them lies next to one that is seen: twice the least distance will do
         index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
         return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.int64], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels; fewer where there are not as many."""
-        query = with_normals(texels.position[rows], texels.normal[rows])
+        query = with_normals(texels.position[rows], texels.normal[rows], self._scale)
         count = min(count, self._thinned.n)
         index = self._thinned.query(query, k=np.arange(1, count + 1), eps=0.2)[1]
-        return self._albedo[::REFERENCE_STEP][index]
+        return self._albedo[:: self.config.reference_step][index]
 
 
 def settle_edges(
@@ -136,6 +135,7 @@ def settle_edges(
         edge: (N,) those at edges.
         reference: Certain texels.
     """
+    config = reference.config
     (albedo, exitant), (soft, narrow, sun) = paint, arriving
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     strongest = int(sun.mean(1).argmax())
@@ -147,14 +147,19 @@ def settle_edges(
     settled = albedo.copy()
     for start in range(0, len(rows), EDGE_CHUNK):
         part = slice(start, start + EDGE_CHUNK)
-        among = reference.palette(texels, rows[part], EDGE_PALETTE)
+        among = reference.palette(texels, rows[part], config.palette)
         settled[rows[part]] = _likeliest(
-            exitant[rows[part]], (rest[part], full[part], traced[part]), among
+            exitant[rows[part]], (rest[part], full[part], traced[part]), among, config
         )
     return settled
 
 
-def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) -> Floats:
+def _likeliest(
+    exitant: Floats,
+    sun: tuple[Reals, Reals, Reals],
+    among: Floats,
+    config: ShadowEdgesConfig,
+) -> Floats:
     """Of the albedos that shares of sun would give, the one most like some surroundings'.
 
     Args:
@@ -162,6 +167,7 @@ def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) 
         sun: Irradiance without the sun (M, 3), that of the whole sun (M, 3), and the share (M,) of
             it that the rays say.
         among: (M, K, 3) albedos of the surroundings.
+        config: Shares that are tried, and what the rays count.
 
     Returns:
         (M, 3).
@@ -172,12 +178,12 @@ def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) 
     few = min(3, palette.shape[2])
     best = np.full(len(exitant), np.inf)
     result = np.empty((len(exitant), 3), np.float32)
-    for share in SUN_SHARES:
+    for share in np.linspace(0.0, 1.0, config.num_shares):
         trial = exitant / np.maximum(rest + share * full, 1e-6)
         log = np.log(np.clip(trial, 1e-3, None)).astype(np.float32)
         distance = sum(np.abs(palette[c] - log[:, c, None]) for c in range(3))
         nearest = np.partition(distance, few - 1, axis=1)[:, :few].mean(1)
-        cost = nearest + 0.3 * np.abs(share - traced)
+        cost = nearest + config.traced_weight * np.abs(share - traced)
         better = cost < best
         best[better] = cost[better]
         result[better] = trial[better]
@@ -189,7 +195,9 @@ def settle_clipped(
 ) -> Floats:
     """Where a channel was clipped, the brightest certain surroundings, never less than measured."""
     rows = np.flatnonzero(clipped.any(1))
-    around = np.quantile(reference.palette(texels, rows, 8), 0.8, axis=1)
+    config = reference.config
+    palette = reference.palette(texels, rows, config.clipped_palette)
+    around = np.quantile(palette, config.clipped_quantile, axis=1)
     settled = albedo.copy()
     raised = np.maximum(albedo[rows], around)
     settled[rows] = np.where(clipped[rows], raised, albedo[rows])

@@ -13,9 +13,6 @@ from robir.capture.camera import Camera
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport
 
-MOST_TOGETHER = 8192
-"""Texels along a side of an atlas of UDIM tiles at most: what memory is planned for."""
-
 
 def solved_side(config: AppearanceConfig, cells: int = 1) -> int:
     """Texels along a side of the atlas that is solved: no more than the textures may have.
@@ -36,11 +33,13 @@ def most_side(config: AppearanceConfig, cells: int = 1) -> int:
 
     Args:
         config: Sizes.
-        cells: Along a side of an atlas of UDIM tiles; all of these have at most MOST_TOGETHER.
+        cells: Along a side of an atlas of UDIM tiles; all of these have at most
+            `texel_size.most_together`.
     """
     if cells == 1:
         return config.texture_size
-    return cells * 2 ** int(math.log2(min(config.texture_size, MOST_TOGETHER / cells)))
+    most = config.texture.texel_size.most_together / cells
+    return cells * 2 ** int(math.log2(min(config.texture_size, most)))
 
 
 def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:

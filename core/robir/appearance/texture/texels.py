@@ -16,8 +16,6 @@ from robir.appearance.texture.residual_shading import with_normals
 
 Floats = NDArray[np.float32]
 
-MIN_ALBEDO, MAX_ALBEDO = 0.002, 0.95
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texels:
@@ -74,10 +72,12 @@ class Blend:
         """
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
-        points = with_normals(surfels.position, surfels.normal)[seen]
-        query = with_normals(texels.position, texels.normal)
+        config = problem.scene.config.texture.texels
+        scale = config.normal_scale
+        points = with_normals(surfels.position, surfels.normal, scale)[seen]
+        query = with_normals(texels.position, texels.normal, scale)
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
-        weight = 1 / (distance + 0.2 * surfels.spacing) ** 2
+        weight = 1 / (distance + config.least_distance * surfels.spacing) ** 2
         self._index = seen[index]
         self.nearest = self._index[:, 0]
         self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)

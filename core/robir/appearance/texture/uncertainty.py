@@ -3,13 +3,14 @@
 
 The causes of an error hardly depend on each other, so their variances add:
 
-    e^2 = FLOOR^2 + (SPREAD s)^2 + (CHANGED c)^2 + FEW^2 / n + (DISTANCE d)^2
+    e^2 = floor^2 + (spread s)^2 + (changed c)^2 + few^2 / n + (distance d)^2
 
 with s the standard error of the views about the texel's brightness, c how far its albedo lay off
 that of its surroundings, n the number of views and d the distance to the nearest texel that has
-any. The factors are no theory: they make bands of e hold what a normal error would on captures with
-known albedo, 90 % of the texels within 1.645 e (docs/uncertainty.md). The error is that of albedo
-up to one factor a channel for the whole object, which photographs do not fix.
+any. The factors, `UncertaintyConfig`, are no theory: they make bands of e hold what a normal error
+would on captures with known albedo, 90 % of the texels within 1.645 e (docs/uncertainty.md). The
+error is that of albedo up to one factor a channel for the whole object, which photographs do not
+fix.
 
 Given these, the share of sun in a texel's light, shadow edges, dimness and clipping said nothing
 more: where they go wrong, c is large.
@@ -23,21 +24,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats = NDArray[np.float32]
+from robir.appearance.texture.config import UncertaintyConfig
 
-FLOOR = 0.025
-SPREAD = 3.02
-CHANGED = 1.67
-FEW = 0.13
-DISTANCE = 10.0
-"""Per unit frame. Assumed, not calibrated: test views hardly show what no training view does."""
+Floats = NDArray[np.float32]
 
 LARGEST = 1.0
 """From here on the albedo is unknown; code 255 of uncertainty.png."""
 
 
 def standard_error(
-    spread: Floats, changed: Floats, count: NDArray[np.integer[Any]], distance: Floats
+    spread: Floats,
+    changed: Floats,
+    count: NDArray[np.integer[Any]],
+    distance: Floats,
+    config: UncertaintyConfig,
 ) -> Floats:
     """One standard error of log albedo.
 
@@ -47,16 +47,20 @@ def standard_error(
             for, absolute.
         count: (N,) views that show the texel.
         distance: (N,) to the nearest texel that a view shows, unit frame.
+        config: Factors.
 
     Returns:
-        (N,) float32 in [FLOOR, LARGEST].
+        (N,) float32 in [floor, LARGEST].
     """
-    variance = FLOOR**2 + (SPREAD * spread) ** 2 + (CHANGED * changed) ** 2
-    variance = variance + FEW**2 / np.maximum(count, 1) + (DISTANCE * distance) ** 2
+    variance = config.floor**2 + (config.spread * spread) ** 2 + (config.changed * changed) ** 2
+    variance = variance + config.few**2 / np.maximum(count, 1)
+    variance = variance + (config.distance * distance) ** 2
     return np.minimum(np.sqrt(variance), LARGEST).astype(np.float32)
 
 
-def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
+def distance_to_seen(
+    position: Floats, seen: NDArray[np.bool_], config: UncertaintyConfig
+) -> Floats:
     """Distance of every point (N, 3) to the nearest that is seen.
 
     Infinite if none is, and from where it alone makes an albedo unknown: points far from all others
@@ -65,6 +69,6 @@ def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
     distance = np.where(seen, 0.0, np.inf).astype(np.float32)
     if seen.any() and not seen.all():
         tree = cKDTree(position[seen])
-        reach = LARGEST / DISTANCE
+        reach = LARGEST / config.distance
         distance[~seen] = tree.query(position[~seen], eps=0.1, distance_upper_bound=reach)[0]
     return distance

@@ -63,8 +63,10 @@ class ToneChoice:
             config=config,
             seed=seed,
             allowed=allowed,
-            evidence=clipping_evidence(observations, by_camera=scene.by_camera),
-            beyond=unable(allowed, observations),
+            evidence=clipping_evidence(
+                observations, config.tone.clipping, by_camera=scene.by_camera
+            ),
+            beyond=unable(allowed, observations, config.tone.gamut),
         )
 
     @property

@@ -24,14 +24,11 @@ from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, Scene, blocks_of, make_problem
-from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
+from robir.appearance.tone.config import ToneConfig
 from robir.appearance.tone.highlight_evidence import highlight_tables
-from robir.appearance.tone.shoulder import CAMERA_MARGIN, PlainLead, mismatch_table
+from robir.appearance.tone.shoulder import PlainLead, mismatch_table
 from robir.maths.tone_curve import AbstractToneCurve
-
-ERROR_CAP = 0.08
-"""Display error beyond which a pair is of two materials and says nothing more."""
 
 PLAIN = "standard"
 """Name of the plain curve, the sRGB transfer function."""
@@ -45,18 +42,6 @@ NEUTRAL = "khronos_pbr_neutral"
 HEDGE = "robir_aces"
 """Name of a curve that no common renderer has. It lies between the others and is nearest to what
 cameras do; where it does not lead all others, one of those is the likelier."""
-
-SIMPLER_MARGIN = 1.0
-"""Standard errors within which the simpler one of two curves of a kind is taken."""
-
-SETTLED_FROM = -1.0
-"""Lead in standard errors, of the plain curve over a shoulder, below which their lights need not be
-settled: that moves it by less, and the plain curve must lead by PLAIN_MARGIN."""
-
-LEAST_LEAD = 0.1
-"""Codes by which mean display errors differ for no reason; adds to their standard error. The
-photographs hold whole codes, and where highlights are faint the errors of all curves agree so well
-from block to block that a twentieth of a code passed for five standard errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,14 +63,14 @@ class Candidate:
     problem: Problem
 
 
-def _lead_error(mine: Table, other: Table) -> float:
+def _lead_error(mine: Table, other: Table, code_error: float) -> float:
     """Standard error, codes, of the difference of two mean display errors."""
-    return float(np.hypot(LEAST_LEAD, 255 * difference_error(mine, other)))
+    return float(np.hypot(code_error, 255 * difference_error(mine, other)))
 
 
 def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
     """Display error and weight of every ordered pair, (2 P,) each."""
-    scene = problem.scene
+    scene, config = problem.scene, problem.scene.config.tone.ranking
     irradiance = light.irradiance(problem, scene.rows)
     radiance = problem.rows_radiance(scene.rows)
     albedo = log_ratio(radiance.linear, irradiance).exp()
@@ -96,8 +81,9 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     error = (carried - shown[first]).abs()
     error = error.masked_fill(radiance.clipped[first] | radiance.clipped[second], 0)
     contrast = (irradiance[first].log() - irradiance[second].log()).abs().mean(1)
-    weight = (contrast.clamp(max=1.5) - 0.3).clamp(min=0)
-    return error.clamp(max=ERROR_CAP).mean(1), weight
+    contrast = contrast.clamp(max=config.most_contrast)
+    weight = (contrast - config.least_contrast).clamp(min=0)
+    return error.clamp(max=config.error_cap).mean(1), weight
 
 
 def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
@@ -105,7 +91,8 @@ def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
     log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
-    alike = scene.pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
+    shade = scene.config.light.shade
+    alike = scene.pairs.likeness(log_albedo, shade.alike_hue, shade.alike_brightness)
     return torch.cat([alike, alike])
 
 
@@ -118,6 +105,7 @@ class Judged:
         blocks: (2 P,) of every ordered pair.
         weight: (2 P,) by which pairs count: what the models say on average.
         tables: Display errors of the pairs under each curve.
+        config: Of the choice.
         settled: The models, by number, whose lights were settled so far.
     """
 
@@ -125,10 +113,11 @@ class Judged:
     blocks: NDArray[np.int64]
     weight: NDArray[np.float64]
     tables: list[Table]
+    config: AppearanceConfig
     settled: dict[int, tuple[Problem, Light]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, models: list[tuple[Problem, Light]]) -> Judged:
+    def of(cls, models: list[tuple[Problem, Light]], config: AppearanceConfig) -> Judged:
         """From the models alone."""
         judged = [pair_errors(*model) for model in models]
         contrast = torch.stack([weight for _, weight in judged]).mean(0)
@@ -136,7 +125,7 @@ class Judged:
         weight = (contrast * likeness).double().numpy()
         blocks = blocks_of(models[0][0].scene)
         tables = [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
-        return cls(models=models, blocks=blocks, weight=weight, tables=tables)
+        return cls(models=models, blocks=blocks, weight=weight, tables=tables, config=config)
 
     def lead(self, index: int, shoulder: int, steps: int, seed: int) -> PlainLead:
         """How far one curve leads another that has a shoulder.
@@ -152,7 +141,7 @@ class Judged:
             seed: Of what is looked at.
         """
         lead, unsettled = self._compared(index, shoulder, seed), {index, shoulder} - {*self.settled}
-        if lead.total < SETTLED_FROM or not unsettled:
+        if lead.total < self.config.tone.ranking.settled_below or not unsettled:
             return lead
         for number in unsettled:
             problem, light = self.models[number]
@@ -164,11 +153,13 @@ class Judged:
     def _compared(self, index: int, shoulder: int, seed: int) -> PlainLead:
         """The same with the lights as they are."""
         two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
+        tone = self.config.tone
         mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
         highlights = highlight_tables((two[0], two[1]), seed)
         names = (two[0][0].curve.name, two[1][0].curve.name)
-        lead = PlainLead.of(names, (mine, other), highlights)
-        return replace(lead, margin=CAMERA_MARGIN) if two[0][0].scene.by_camera else lead
+        lead = PlainLead.of(names, (mine, other), highlights, tone)
+        by_camera = two[0][0].scene.by_camera
+        return replace(lead, margin=tone.shoulder.camera_margin) if by_camera else lead
 
 
 def ranked(
@@ -184,14 +175,16 @@ def ranked(
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
         models.append((problem, replace(light, history=found.history)))
-    judged = Judged.of(models)
+    judged = Judged.of(models, config)
     chosen, lead = chosen_number(judged, [curve.name for curve in curves], config.iterations, seed)
     tables = judged.tables
     candidates = [
         Candidate(
             curve=curve,
             score=255 * mean_of(table),
-            standard_error=0.0 if index == chosen else _lead_error(table, tables[chosen]),
+            standard_error=0.0
+            if index == chosen
+            else _lead_error(table, tables[chosen], config.tone.code_error),
             light=light,
             problem=problem,
         )
@@ -214,8 +207,8 @@ def chosen_number(
         steps: Further steps that settle the lights of two that are compared closely.
         seed: Of what is looked at.
     """
-    tables = judged.tables
-    shoulder, plain, lead = best_shoulder(names, tables), None, None
+    tables, config = judged.tables, judged.config.tone
+    shoulder, plain, lead = best_shoulder(names, tables, config), None, None
     if PLAIN in names or CAMERA in names:
         plain = _plain_number(judged, names, steps, seed)
     chosen = next((number for number in (shoulder, plain) if number is not None), 0)
@@ -224,7 +217,7 @@ def chosen_number(
         chosen = plain if lead.is_clear else shoulder
     if NEUTRAL in names:
         neutral = names.index(NEUTRAL)
-        leads = _lags(tables[chosen], tables[neutral], SIMPLER_MARGIN)
+        leads = _lags(tables[chosen], tables[neutral], config)
         # but for the brightest it is the plain one, and must lead a shoulder as that must
         if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
             chosen = neutral
@@ -246,15 +239,16 @@ def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> in
     return camera if judged.lead(camera, plain, steps, seed).is_clear else plain
 
 
-def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
+def best_shoulder(names: list[str], tables: list[Table], config: ToneConfig) -> int | None:
     """Number of the curve with a shoulder that is taken if the plain one is not.
 
-    The simplest within SIMPLER_MARGIN of the lowest error; HEDGE only if it leads all others.
+    The simplest within `simpler_margin` of the lowest error; HEDGE only if it leads all others.
     NEUTRAL is none of them: it would pass for the plain one.
 
     Args:
         names: Of the curves, simplest first.
         tables: Of their errors.
+        config: Margins.
 
     Returns:
         Its number; None where there is none.
@@ -264,13 +258,14 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     if HEDGE in names:
         hedge = names.index(HEDGE)
         others = [table for index, table in enumerate(tables) if index != hedge]
-        if not shoulders or all(_lags(table, tables[hedge], SIMPLER_MARGIN) for table in others):
+        if not shoulders or all(_lags(table, tables[hedge], config) for table in others):
             return hedge
     best = min(shoulders, key=lambda index: mean_of(tables[index]), default=0)
-    near = [i for i in shoulders if not _lags(tables[i], tables[best], SIMPLER_MARGIN)]
+    near = [i for i in shoulders if not _lags(tables[i], tables[best], config)]
     return min(near, default=None)
 
 
-def _lags(table: Table, other: Table, margin: float) -> bool:
-    """Whether the first error is clearly the greater, by so many standard errors."""
-    return 255 * (mean_of(table) - mean_of(other)) > margin * _lead_error(table, other)
+def _lags(table: Table, other: Table, config: ToneConfig) -> bool:
+    """Whether the first error is clearly the greater."""
+    lead = 255 * (mean_of(table) - mean_of(other))
+    return lead > config.ranking.simpler_margin * _lead_error(table, other, config.code_error)

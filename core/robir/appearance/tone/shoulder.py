@@ -2,7 +2,7 @@
 """Whether photographs went through the plain curve or through one with a shoulder.
 
 Two signs are weighed, each by its own error. Albedos of one material must not differ between light
-and shade; and highlights must be explained, see tone_highlights.py. Where a sun meets one bright
+and shade; and highlights must be explained, see highlight_evidence.py. Where a sun meets one bright
 material and one dark one, shadows alone may fit either curve.
 
 Display errors of carried albedo cannot be the first sign: one error of the modelled light, such as
@@ -25,30 +25,9 @@ from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.tone.config import ToneConfig
 
 Reals = NDArray[np.floating[Any]]
-
-PLAIN_MARGIN = 2.0
-"""Standard errors by which the plain curve must lead those with a shoulder where white does not
-tell. Photographs that are not rolled off and use the range of the display have clipped highlights,
-so where the errors cannot tell, the shoulder is the likelier. The lead was 1.3 at most on 14
-captures under Filmic and 2.9 at least on the two under Standard without white (docs/tone.md)."""
-
-CAMERA_MARGIN = -2.0
-"""The same of photographs: cameras apply the plain curve, with a shoulder of their own that none of
-the others is, and one of those must lead it as clearly."""
-
-MISMATCH_CAP = 1.0
-"""Mismatch beyond which a pair is of two materials and says nothing more."""
-
-LEAST_MISMATCH = 0.005
-"""Mismatches by which curves differ for no reason; adds to their standard error. Blocks of one
-shadow err alike and agree better than they are right: from draw to draw of the samples leads differ
-by .004 to .006."""
-
-LEAST_CODES = 0.1
-"""The same of display errors near highlights, codes. The photographs hold whole codes, and where
-highlights are faint all curves err alike from block to block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +77,7 @@ class PlainLead:
     shoulder: str
     shadows: Lead
     highlights: Lead | None
-    margin: float = PLAIN_MARGIN
+    margin: float
 
     @property
     def total(self) -> float:
@@ -117,13 +96,15 @@ class PlainLead:
         names: tuple[str, str],
         shadows: tuple[Table, Table],
         highlights: tuple[Table, Table] | None,
+        config: ToneConfig,
     ) -> PlainLead:
         """From tables of mismatches and of display errors, 0..1, in the order of the names."""
         return cls(
             plain=names[0],
             shoulder=names[1],
-            shadows=Lead.of(shadows, 1.0, LEAST_MISMATCH),
-            highlights=Lead.of(highlights, 255.0, LEAST_CODES) if highlights else None,
+            shadows=Lead.of(shadows, 1.0, config.shoulder.mismatch_error),
+            highlights=Lead.of(highlights, 255.0, config.code_error) if highlights else None,
+            margin=config.shoulder.plain_margin,
         )
 
 
@@ -154,4 +135,5 @@ def mismatch_table(
     told = weight * np.concatenate([is_known, is_known])
     contrast = float(told @ apart(irradiance.log()).numpy()) / max(told.sum(), 1e-9)
     mismatch = apart(log_albedo) / max(contrast, 1e-9)
-    return table_of(blocks, mismatch.clamp(max=MISMATCH_CAP).numpy(), told)
+    cap = problem.scene.config.tone.shoulder.mismatch_cap
+    return table_of(blocks, mismatch.clamp(max=cap).numpy(), told)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the steps that stand in no room of the appearance stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from robir.settings import Within
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlocksConfig:
+    """What standard errors are taken over.
+
+    Attributes:
+        side: Of a block. Samples in one share their materials and the errors of the mesh.
+    """
+
+    side: Annotated[float, Within(0.01, 2, "unit frame")] = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofConfig:
+    """By which photographs whatever enters the model is proven.
+
+    Attributes:
+        every: One view in so many takes no part in a fit.
+    """
+
+    every: Annotated[int, Within(2, 50)] = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelSizeConfig:
+    """How much of the light model a scene needs beside its suns.
+
+    Attributes:
+        bounced_quantile: Rank among the samples at which light from the object itself is judged.
+        least_bounced: Share of a sample's light below which there is none.
+        num_partners: Others that each sample is compared with where albedos must be alike, drawn
+            from all; those of another hue count little.
+        other_paint: Difference beyond which two are of other paints.
+    """
+
+    bounced_quantile: Annotated[float, Within(0, 1)] = 0.99
+    least_bounced: Annotated[float, Within(0, 1)] = 0.02
+    num_partners: Annotated[int, Within(1, 1000)] = 16
+    other_paint: Annotated[float, Within(0.01, 10, "log albedo")] = 0.7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProvenSunsConfig:
+    """Whether photographs by a camera prove the suns.
+
+    Attributes:
+        margin: By which suns must lead, as whatever enters the model must.
+    """
+
+    margin: Annotated[float, Within(-100, 100, "standard errors")] = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResponseConfig:
+    """Whether photographs by a camera went through another curve than cameras have.
+
+    Attributes:
+        margin: By which another curve must lead: cameras have cameras' responses.
+        num_samples: Of the samples that take part in the light solve, predicted.
+    """
+
+    margin: Annotated[float, Within(-100, 100, "standard errors")] = 2.0
+    num_samples: Annotated[int, Within(100, 1000000)] = 4000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothNormalsConfig:
+    """How normals of a photographed surface are freed of its grain.
+
+    Attributes:
+        reach: Distance that is averaged over.
+        edge: Angle between normals at which they count a third: twice the error of a good one.
+        num_samples: Samples that are averaged at most, the nearest.
+    """
+
+    reach: Annotated[float, Within(0, 1, "unit frame")] = 0.08
+    edge: Annotated[float, Within(0.1, 180, "degrees")] = 25.0
+    num_samples: Annotated[int, Within(2, 1024)] = 128
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderConfig:
+    """Our own re-renders of views.
+
+    Attributes:
+        pixel_rays: Rays along each side of a pixel.
+        held_out_side: Longer side of the held-out views at most.
+    """
+
+    pixel_rays: Annotated[int, Within(1, 8)] = 2
+    held_out_side: Annotated[int, Within(32, 8192, "pixels")] = 400
