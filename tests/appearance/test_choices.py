@@ -145,4 +145,5 @@ def test_gold_is_metal_and_nothing_else():
     seen = seen_samples(scene)
     assert gloss.metallic[seen].mean() > 0.95
     red, green, blue = np.median(gloss.metal[seen], 0)
-    assert red > 1.15 * green > 1.15**2 * blue
+    # what is read is drawn towards what metals there are
+    assert red > 1.1 * green > 1.1**2 * blue

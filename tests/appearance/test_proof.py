@@ -128,7 +128,8 @@ def test_metal_that_predicts_worse_than_paint_is_kept_on_renderings_alone(trials
     parts = MetalParts(
         part=np.where(np.arange(count) % 3 == 0, np.arange(count) % 2, -1),
         base=np.full((2, 3), 0.7, np.float32),
-        roughness=np.array([0.2, 0.3]),
+        roughness=np.array([0.2, 0.3], np.float32),
+        read=np.zeros(2, np.float32),
     )
     dielectric = np.zeros((count, len(READING.levels)), np.float32)
     for by_camera, number in ((True, 0), (False, 2)):
@@ -145,7 +146,8 @@ def test_parts_that_one_fold_of_views_alone_shows_are_not_proven(trials):
     parts = MetalParts(
         part=np.zeros(count, np.int64),
         base=np.full((1, 3), 0.7, np.float32),
-        roughness=np.array([0.2]),
+        roughness=np.array([0.2], np.float32),
+        read=np.zeros(1, np.float32),
     )
     dielectric = np.zeros((count, len(READING.levels)), np.float32)
     kept, _ = proven_parts(parts, few, dielectric, READING, by_camera=True)

@@ -101,8 +101,11 @@ def _polish(state: Solution) -> Solution:
 
 
 def _by_every_sample(state: Solution) -> Solution:
-    whole = state.problem.by_every_sample(np.random.default_rng(state.seed))
-    light = refit(whole, state.light, state.told, state.thorough)
+    rng = np.random.default_rng(state.seed)
+    whole = matte = state.problem.by_every_sample(rng)
+    if (metal := whole.scene.metal) is not None:
+        matte = whole.by_samples(whole.scene.rows[~metal[whole.scene.rows]], rng)
+    light = refit(matte, state.light, state.told, state.thorough)
     return replace(state, problem=whole, matte=whole, light=light)
 
 
@@ -119,11 +122,16 @@ def _with_gloss(state: Solution, step: int, told: float | None = None) -> Soluti
     gloss, diffuse = estimate_gloss(
         state.problem, state.light, state.config.num_materials, state.seed, step, told
     )
-    return replace(state, gloss=gloss, matte=state.problem.without_highlights(diffuse))
+    matte, rows = state.problem.without_highlights(diffuse), state.problem.scene.rows
+    # metal has no diffuse light, so that its brightness tells nothing of what it receives
+    paint = gloss.solved_by(rows, state.config.material.metal.solved_without)
+    if len(paint) < len(rows):
+        matte = matte.by_samples(paint, np.random.default_rng(state.seed))
+    return replace(state, gloss=gloss, matte=matte)
 
 
 def _hue(state: Solution) -> Solution:
-    told, witnesses = told_hue(state.problem, state.light, state.material, state.config)
+    told, witnesses = told_hue(state.problem, state.light, state.material, state.matte.scene.rows)
     state = replace(state, witnesses=(*state.witnesses, *witnesses))
     if told is None:
         return state
@@ -132,7 +140,8 @@ def _hue(state: Solution) -> Solution:
 
 
 def _level(state: Solution) -> Solution:
-    told = told_level(state.problem, state.light, state.material, state.config, state.seed)
+    solved = state.matte.scene.rows
+    told = told_level(state.problem, state.light, state.material, solved, state.seed)
     if not told:
         return state
     *_, together = told
@@ -217,7 +226,7 @@ SOLUTION: tuple[Step[Solution], ...] = (
     ),
     Step(
         name="level",
-        purpose="takes the light's level from highlights, common paints and common exposures",
+        purpose="takes the light's level from highlights, metal, common paints and exposures",
         source="ours: Bayes' rule; Fresnel reflectance of .04 at normal incidence",
         run=_level,
     ),

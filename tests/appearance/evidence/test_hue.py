@@ -44,7 +44,7 @@ def test_highlights_tell_the_hue(ball, wrong):
     problem, light = ball
     supposed = light.tinted(torch.from_numpy(wrong.astype(np.float32)))
     gloss, _ = estimate_gloss(problem, supposed, 2, 0)
-    told, (balance, shine, together) = told_hue(problem, supposed, gloss, AppearanceConfig())
+    told, (balance, shine, together) = told_hue(problem, supposed, gloss, problem.scene.rows)
     assert told is not None
     np.testing.assert_allclose(told.numpy(), hue_of(problem, light), atol=0.04)
     red_over_blue = float(hue_of(problem, light) @ [1, 0, -1])
@@ -71,7 +71,7 @@ def test_without_highlights_nothing_is_told(ball):
     dull = replace(gloss, has_highlights=False)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
     for nothing in (
-        told_hue(problem, light, other, AppearanceConfig()) for other in (dull, all_metal)
+        told_hue(problem, light, other, problem.scene.rows) for other in (dull, all_metal)
     ):
         assert nothing[0] is None
         assert [witness.by for witness in nothing[1]] == ["white balance", "all"]

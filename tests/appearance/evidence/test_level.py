@@ -48,7 +48,7 @@ def level_of(problem, light):
 
 def witnesses_of(problem, light, gloss):
     """What each tells, by its name."""
-    return {told.by: told for told in told_level(problem, light, gloss, CONFIG, 0)}
+    return {told.by: told for told in told_level(problem, light, gloss, problem.scene.rows, 0)}
 
 
 @pytest.mark.parametrize("wrong", [-1.2, -0.4, 0.0, 0.4, 1.2])
@@ -75,7 +75,7 @@ def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
     gloss, _ = estimate_gloss(problem, light, 2, 0)
     all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    assert told_level(problem, light, all_metal, CONFIG, 0) == ()
+    assert told_level(problem, light, all_metal, problem.scene.rows, 0) == ()
 
 
 def test_what_shows_no_highlights_tells_by_what_is_common_alone(ball):

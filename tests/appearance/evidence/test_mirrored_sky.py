@@ -44,6 +44,7 @@ def gloss_of(problem, where):
         roughness=np.full(count, ROUGHNESS, np.float32),
         metallic=where(position).astype(np.float32),
         metal=np.tile(BASE, (count, 1)),
+        metal_reads=None,
         floor=np.zeros((count, 3), np.float32),
         kept=np.ones((count, 1), np.float32),
         has_highlights=False,

@@ -1,28 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tells metal from dark paint, and what a part is taken for that is read badly."""
+"""What tells metal from paint, what a part is made of, and what metal has no part in."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.evidence.level import log_factors, told_level, usual_metal
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.config import MaterialConfig
-from robir.appearance.material.gloss import estimate_gloss
-from robir.appearance.material.metal import (
-    metal_errors,
-    metal_parts,
-    neighbourhoods,
-)
+from robir.appearance.material.gloss import estimate_gloss, likely_metal
+from robir.appearance.material.metal import likely_base, metal_errors, metal_odds, metal_parts
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
 
 MATERIAL = MaterialConfig()
-LEVELS = MATERIAL.metal_levels
+METAL, LEVELS = MATERIAL.metal, MATERIAL.metal_levels
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 SOOT = synthetic.Material(np.float32([0.2, 0.14, 0.1]), 0.3, specular=1.0)
+PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 FAR = 99.0
 
 
@@ -43,82 +44,153 @@ def soot():
     return ball_of(SOOT)
 
 
-def test_a_mirror_as_dark_as_no_metal_is_paint(gold, soot):
-    share = [
-        float((gloss.metallic[problem.radiance.seen.numpy()] > 0.5).mean())
-        for gloss, problem in ((estimate_gloss(*ball, 4, 0)[0], ball[0]) for ball in (gold, soot))
-    ]
-    assert share[0] > 0.9
-    assert share[1] < 0.05
+@pytest.fixture(scope="module")
+def halves():
+    """A ball half of gold and half of plastic: its problem, light, and which samples are gold."""
+    light, curve = synthetic.sun_and_uneven_sky(), curve_from_name("filmic")
+    parts = [(lambda at: at[:, 1] > 0, GOLD), (lambda at: at[:, 1] <= 0, PLASTIC)]
+    scene, _ = synthetic.ball(parts, light, curve)
+    return make_problem(scene, curve), light, scene.transport.surfels.position[:, 1] > 0
 
 
 def test_bright_metal_explains_what_is_bright_alone(gold, soot):
     for (problem, light), is_bright in ((gold, True), (soot, False)):
-        rows = np.flatnonzero(problem.radiance.seen.numpy())
-        around = neighbourhoods(
-            problem.scene.transport.surfels.position[rows], MATERIAL.metal.neighbours
-        )
-        asking = np.full((len(rows), 7), 0.06, np.float32)
-        free, bright = metal_errors(problem, light, rows, asking, around)
-        assert np.isfinite(free).any()
+        free, bright = metal_errors(problem, light, np.flatnonzero(problem.radiance.seen.numpy()))
         ratio = bright.min(1) / free.min(1)
         assert (np.median(ratio) < 1.05) == is_bright
         assert (np.median(ratio) > 2.0) != is_bright
 
 
-def read_of(problem, light, rows, radiance, errors, certain):
-    """Parts of all samples as they are placed; `radiance` (M, 3) is what is seen."""
-    transport = problem.scene.transport
+@pytest.mark.parametrize("strength", [0.7, 1.0, 3.0])
+def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
+    problem, light, is_gold = halves
+    wrong = light.tinted(torch.full((3,), float(np.log(strength))))
+    metal, seen = likely_metal(problem, wrong), problem.radiance.seen.numpy()
+    assert metal[seen & is_gold].mean() > 0.85
+    assert metal[seen & ~is_gold].mean() < 0.1
+
+
+def test_each_figure_speaks_for_metal_by_itself():
+    around = np.zeros((1, 1), np.int64)
+
+    def odds(paint: float, free: float, bright: float) -> float:
+        errors = [np.full((1, len(LEVELS)), value, np.float32) for value in (paint, free, bright)]
+        return float(metal_odds(errors[0], (errors[1], errors[2]), around, METAL)[0])
+
+    usual = odds(0.03, 0.03, 0.04)
+    assert odds(0.04, 0.04, 0.04 * 4 / 3) > usual  # paint explains it worse
+    assert odds(0.03, 0.025, 0.025 * 4 / 3) > usual  # metal explains it better
+    assert odds(0.03, 0.03, 0.03) > usual  # bright metal does as well
+    assert odds(0.001, 1.0, 1.0) == -METAL.most_odds
+
+
+def read_of(problem, light, odds, shown):
+    """Parts of the seen samples in two halves far apart; `shown` (M, 3) of white metal is seen."""
+    transport, rows = problem.scene.transport, np.flatnonzero(problem.radiance.seen.numpy())
     rays = view_rays(
         transport.surfels, transport.observations, rows, transport.visibility.directions
     )
     reflections = Reflections(problem, light, rows)
     position = transport.surfels.position[rows].copy()
     position[: len(rows) // 2] += FAR
-    place = position, np.zeros((len(rows), 3)), 9.0
-    seen = radiance(reflections, rays)
-    everything = np.ones(len(rows), bool)
-    return metal_parts((everything, certain), place, (reflections, rays, seen), errors, MATERIAL)
+    white = reflections.radiance(rays, LEVELS[0])[:, 1]
+    errors = np.tile(np.float32([0.01, *[0.02] * (len(LEVELS) - 1)]), (len(rows), 1))
+    return metal_parts(
+        odds(len(rows)),
+        (position, np.zeros((len(rows), 3)), 9.0),
+        (reflections, rays, white * torch.from_numpy(shown(rays.sample, len(rows))).float()),
+        errors,
+        MATERIAL,
+    )
 
 
-@pytest.mark.parametrize(("one_in", "own"), [(1, True), (2, False)])
-def test_a_part_that_is_half_explained_is_of_the_others_metal(gold, one_in, own):
+def test_parts_are_what_is_certain_on_the_whole(gold):
     problem, light = gold
-    rows = np.flatnonzero(problem.radiance.seen.numpy())
-    half = len(rows) // 2
-    # the first half reads dimmer by mistake
-    certain = (np.arange(len(rows)) % one_in == 0) | (np.arange(len(rows)) >= half)
 
-    def radiance(reflections, rays):
-        dim = np.where(rays.sample < half, 0.45, 0.8)[:, None]
-        return reflections.radiance(rays, LEVELS[0])[:, 1] * torch.from_numpy(dim).float()
+    def odds(count):
+        doubtful = np.full(count, METAL.certain - 0.01)
+        doubtful[count // 2 :] = METAL.certain + 0.01
+        return doubtful
 
-    errors = np.zeros((len(rows), len(LEVELS)), np.float32)
-    found = read_of(problem, light, rows, radiance, errors, certain)
-    dim, sure = found.base[found.part[0]].mean(), found.base[found.part[-1]].mean()
-    assert sure == pytest.approx(0.8, abs=0.05)
-    # 0.55 is the darkest that any metal is taken for
-    assert (dim < 0.57) == own
-    assert (dim > 0.6) != own
+    found = read_of(problem, light, odds, lambda sample, count: np.full((len(sample), 3), 0.5))
+    half = len(found.part) // 2
+    assert (found.part[:half] == -1).all() and (found.part[half:] == 0).all()
+    assert found.roughness.tolist() == pytest.approx([LEVELS[0]])
+    np.testing.assert_allclose(np.exp(found.read), [0.5], rtol=1e-3)
 
 
-def test_what_reads_dark_as_rough_metal_alone_is_sharper(gold):
+def test_a_part_that_is_misread_is_of_the_other_parts_metal(gold):
     problem, light = gold
-    rows = np.flatnonzero(problem.radiance.seen.numpy())
-    # where a rough metal mirrors the sun in every view
-    sun = problem.scene.transport.surfels.normal[rows] @ light.axes[0]
-    rows = rows[sun > np.quantile(sun, 0.7)]
-    errors = np.tile(np.float32([0.06, 0.06, 0.06, 0.06, 0.055]), (len(rows), 1))
+    certain = np.float64(METAL.certain + 1)
 
-    def radiance(reflections, rays):
-        sharp, rough = (
-            reflections.radiance(rays, level)[:, 1] for level in (LEVELS[0], LEVELS[-1])
-        )
-        factor = float((sharp / rough).median())
-        assert factor < 0.8
-        return sharp * MATERIAL.metal.darkest_reading / factor**0.5
+    def shown(sample, count):
+        return np.where((sample < count // 4)[:, None], 0.01, 0.8) * np.array([1.0, 0.8, 0.5])
 
-    found = read_of(problem, light, rows, radiance, errors, np.ones(len(rows), bool))
+    found = read_of(problem, light, lambda count: np.full(count, certain), shown)
     assert len(found.base) == 2
-    assert (found.roughness < LEVELS[-1]).all()
-    assert MATERIAL.metal.bright_metal >= MATERIAL.metal.darkest_reading
+    alone = np.exp(likely_base(np.log([[0.01, 0.008, 0.005]]), np.array([500]), METAL))[0]
+    # a quarter of the first half is misread: its median is right all the same
+    assert (found.base.max(1) > 0.65).all()
+    assert alone.max() > 0.4
+
+
+def test_base_colours_are_posterior_means():
+    """Monte Carlo: what is drawn of metals and read with errors is told without a bias."""
+    rng, config = np.random.default_rng(3), replace(METAL, misread_share=0.0, alike=1.0, enough=0.0)
+    count = 4000
+    bright = config.brightness - 0.5 + config.brightness_spread * rng.normal(size=count)
+    config = replace(config, brightness=config.brightness - 0.5)
+    blue = config.blue + config.blue_spread * rng.normal(size=count)
+    green = config.green_spread * rng.normal(size=count)
+
+    def colour(bright, blue, green):
+        log = np.stack([-0.5 * blue - green / 3, 2 / 3 * green, 0.5 * blue - green / 3], axis=1)
+        return log - log.max(1, keepdims=True) + bright[:, None]
+
+    read = colour(
+        bright + config.brightness_error * rng.normal(size=count),
+        blue + config.blue_error * rng.normal(size=count),
+        green + config.green_error * rng.normal(size=count),
+    )
+    one = np.array([500])
+    told = np.concatenate([likely_base(row[None], one, config) for row in read])
+    # one part alone is the whole scene, and read twice: once as the scene, once as the part
+    off = (told[:, 2] - told[:, 0]) - blue
+    assert abs(off.mean()) < 4 * off.std() / np.sqrt(count)
+    assert off.std() < (read[:, 2] - read[:, 0] - blue).std()
+    assert off.std() < config.blue_spread
+    assert (told <= 0).all()
+
+
+def test_a_level_at_which_metal_is_as_bright_as_metals_are_is_likeliest():
+    config = AppearanceConfig()
+    factors = log_factors(config.evidence.level)
+    for wrong in (-0.5, 0.0, 1.0):
+        likely = usual_metal(METAL.brightness + wrong, config)
+        assert factors[likely.argmax()] == pytest.approx(wrong, abs=0.13)
+
+
+def test_metal_tells_the_level(halves):
+    problem, light, _ = halves
+    dim = light.tinted(torch.full((3,), float(np.log(0.4))))
+    gloss, _ = estimate_gloss(problem, dim, 4, 0)
+    paint = gloss.solved_by(problem.scene.rows, METAL.solved_without)
+    assert len(paint) < len(problem.scene.rows)
+    by = {one.by: one for one in told_level(problem, dim, gloss, paint, 0)}
+    asked = light.irradiance(problem, paint) + problem.indirect[paint]
+    true = float(asked.clamp(min=1e-6).log().mean())
+    assert by["metal"].value == pytest.approx(true, abs=2 * by["metal"].deviation)
+    assert by["metal"].value > true - 0.6
+
+
+def test_metal_takes_no_part_in_the_light_but_where_there_is_hardly_anything_else(halves, gold):
+    problem, light, is_gold = halves
+    gloss, _ = estimate_gloss(problem, light, 4, 0)
+    rows = gloss.solved_by(problem.scene.rows, METAL.solved_without)
+    assert is_gold[rows].mean() < 0.1 < is_gold[problem.scene.rows].mean()
+    aside = problem.scene.without_metal(is_gold, np.random.default_rng(0))
+    assert not is_gold[aside.rows].any()
+    assert int(aside.pairs.first.max()) < len(aside.rows)
+    whole, light = gold
+    gloss, _ = estimate_gloss(whole, light, 4, 0)
+    assert len(gloss.solved_by(whole.scene.rows, METAL.solved_without)) == len(whole.scene.rows)

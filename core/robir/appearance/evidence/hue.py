@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import Problem
@@ -34,7 +33,7 @@ Floats = NDArray[np.float32]
 
 
 def told_hue(
-    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig
+    problem: Problem, light: Light, gloss: Gloss, solved: NDArray[np.int64]
 ) -> tuple[Tensor | None, tuple[Witness, ...]]:
     """Hue of what sky and suns send together, where highlights tell it.
 
@@ -42,13 +41,14 @@ def told_hue(
         problem: Scene under a tone curve, highlights included.
         light: Its light, of which all but the hue as a whole is taken for right.
         gloss: Specular material under it.
-        config: What highlights tell a hue.
+        solved: Samples by which the light is solved.
 
     Returns:
-        Log (3,) of the mean irradiance of the samples that take part, less its mean over the
+        Log (3,) of the mean irradiance of these, less its mean over the
         channels; None where too few highlights show or they prove nothing. And what white balance,
         highlights and both tell of its red over blue; of highlights only where they prove it.
     """
+    config = problem.scene.config
     asked = config.evidence.hue
     balanced = Witness(of="hue", by="white balance", value=0.0, deviation=WHOLE.blue)
     nothing = None, (balanced, replace(balanced, by=BY_ALL))
@@ -59,8 +59,7 @@ def told_hue(
     clear = np.flatnonzero(is_clear & (predicted > 0).all(1))
     if len(clear) < asked.least_views:
         return nothing
-    rows = problem.scene.rows
-    sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
+    sent = log_sent(light.irradiance(problem, solved), problem.indirect[solved])
     grey = (sent.mean() - sent).numpy()
     off = _off(shown[clear], predicted[clear])
     told = sent + torch.from_numpy(off)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """How bright the light as a whole is, by all that tells it.
 
-Photographs of diffuse surfaces know light and albedo by their product alone. Three witnesses tell
+Photographs of diffuse surfaces know light and albedo by their product alone. Four witnesses tell
 the light's part of it, and their log likelihoods are added:
 
 - Paints: how bright they commonly are.
 - Exposure: photographs are exposed for the light that there is, as by an incident-light meter, so
   that white paint is about as bright as the brightest that a photograph shows.
+- Metal: how bright the base colours of metals are, as what they mirror is read.
 - Highlights: what a specular layer on paint returns of sky and suns is known, F0 = 0.04: beside the
   diffuse light it is weaker the brighter the paint is. How views differ by it depends on the
   roughness too, so both are tried together, and what a brightness is worth is summed over all
@@ -27,9 +28,10 @@ from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, clusters, diffuse_below
+from robir.appearance.material.gloss import Gloss, diffuse_below
 from robir.appearance.material.observed import looked_at
 from robir.appearance.material.reflections import reflected_share
+from robir.appearance.material.segments import clusters
 
 Reals = NDArray[np.float64]
 
@@ -40,15 +42,15 @@ def log_factors(config: LevelConfig) -> Reals:
 
 
 def told_level(
-    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig, seed: int
+    problem: Problem, light: Light, gloss: Gloss, solved: NDArray[np.int64], seed: int
 ) -> tuple[Witness, ...]:
     """What sky and suns likely send, of which diffuse surfaces tell the product with albedo alone.
 
     Args:
         problem: Scene under a tone curve, highlights included.
         light: Its light, of which all but the brightness as a whole is taken for right.
-        gloss: Specular material under it; only what is no metal is asked.
-        config: What is common, and what is tried.
+        gloss: Specular material under it.
+        solved: Samples by which the light is solved: of what these receive the level is told.
         seed: Of the patches.
 
     Returns:
@@ -56,6 +58,7 @@ def told_level(
         together last; of highlights only where some are known and enough views show them. Nothing
         where all is metal: paints and exposures of metal are not common ones.
     """
+    config = problem.scene.config
     asked = config.evidence.level
     chosen = problem.radiance.seen.numpy() & gloss.is_paint
     every = problem.scene.rows
@@ -64,7 +67,7 @@ def told_level(
         return ()
     rows = rows[:: -(-len(rows) // asked.num_samples) or 1]
     albedo = log_ratio(problem.radiance.linear[rows], light.irradiance(problem, rows)).numpy()
-    sent = float(log_sent(light.irradiance(problem, every), problem.indirect[every]).mean())
+    sent = float(log_sent(light.irradiance(problem, solved), problem.indirect[solved]).mean())
     told = {"common paints": usual_paint(albedo, config), "exposure": usual_exposure(sent, asked)}
     if gloss.has_highlights:
         errors, count = _errors(problem, light, rows, log_factors(asked))
@@ -72,6 +75,8 @@ def told_level(
             position = problem.scene.transport.surfels.position[rows]
             patch = clusters(np.concatenate([albedo, position], axis=1), asked.num_patches, seed)
             told["highlights"] = misread(_evidence(errors, count, patch, config), asked)
+    if gloss.metal_reads is not None:
+        told["metal"] = usual_metal(gloss.metal_reads, config)
     told[BY_ALL] = sum(told.values(), start=np.zeros(asked.num_factors))
     return tuple(_witness(by, likely, sent, asked) for by, likely in told.items())
 
@@ -143,6 +148,24 @@ def usual_paint(albedo: NDArray[np.floating], config: AppearanceConfig) -> Reals
     mean = (albedo.mean() - factors - asked.paint) / asked.paint_spread
     brightest = np.quantile(albedo.max(1), rank) - factors
     return -0.5 * (mean**2 + (brightest.clip(0) / asked.excess) ** 2)
+
+
+def usual_metal(read: float, config: AppearanceConfig) -> Reals:
+    """Log of how common metals as bright are, (F,), were the light so much brighter.
+
+    Args:
+        read: Log of the brightest channel of base colours by the light as it is.
+        config: What metals there are, and how well they are read.
+    """
+    metal, likely = config.material.metal, np.zeros(config.evidence.level.num_factors)
+    off = read - log_factors(config.evidence.level) - metal.brightness
+    for share, error in (
+        (1 - metal.misread_share, metal.brightness_error),
+        (metal.misread_share, metal.misread_error),
+    ):
+        deviation = np.hypot(error, metal.brightness_spread)
+        likely += share / deviation * np.exp(-0.5 * (off / deviation) ** 2)
+    return np.log(likely)
 
 
 def usual_exposure(sent: float, config: LevelConfig) -> Reals:

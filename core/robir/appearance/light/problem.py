@@ -47,6 +47,7 @@ class Scene:
         by_camera: Whether cameras took the photographs, and no renderer.
         known_paint: A spot whose paint the user tells, if any.
         sun: (3,) unit, towards the first sun, if the user tells it.
+        metal: (S,) what is likely metal and takes no part in the first light; None if nothing is.
     """
 
     transport: Transport
@@ -60,6 +61,14 @@ class Scene:
     by_camera: bool = False
     known_paint: KnownPaint | None = None
     sun: Floats | None = None
+    metal: NDArray[np.bool_] | None = None
+
+    def without_metal(self, metal: NDArray[np.bool_], rng: np.random.Generator) -> Scene:
+        """The scene of which metal (S,) takes no part; `rng` is the source of neighbours."""
+        rows, config = self.rows[~metal[self.rows]], self.config.light.problem
+        partners = config.num_partners
+        pairs = neighbour_pairs(self.transport.surfels, rows, config.pair_reaches, partners, rng)
+        return replace(self, rows=rows, pairs=pairs, metal=metal)
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -177,8 +186,11 @@ class Problem:
         Args:
             rng: Source of the neighbours.
         """
-        rows, surfels = np.flatnonzero(self.radiance.seen), self.scene.transport.surfels
-        config = self.scene.config.light.problem
+        return self.by_samples(np.flatnonzero(self.radiance.seen), rng)
+
+    def by_samples(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Problem:
+        """The problem in which these samples (U,) take part; `rng` is the source of neighbours."""
+        surfels, config = self.scene.transport.surfels, self.scene.config.light.problem
         pairs = neighbour_pairs(surfels, rows, config.pair_reaches, config.every_partners, rng)
         return replace(self, scene=replace(self.scene, rows=rows, pairs=pairs))
 

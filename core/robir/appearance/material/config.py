@@ -144,60 +144,75 @@ class GlossConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetalConfig:
-    """Which samples may be metal, which parts are, and of what base colour.
+    """When a surface is taken for metal, and what of.
+
+    The first four are a logistic regression of true metal on what is measured of a neighbourhood,
+    of drawn captures for development, half of them with metal, each capture and either class
+    counting alike.
 
     Attributes:
+        per_paint_error: Log odds per logarithm of the display error, codes, that paint leaves.
+        per_metal_error: The same of metal's error over paint's.
+        per_brightness: The same of bright metal's error over that of any.
+        constant: Log odds where all these are 0.
+        least_ratio: Metal's error over paint's below which less tells no more.
+        most_odds: Log odds, either way, that one neighbourhood may tell.
         num_levels: How many of the roughnesses metal is tried at: a rougher one looks like a
             dielectric of another shade.
-        neighbours: Samples that judge together whether they are metal.
-        paint_error: Display error, 0..1, that paint must leave before metal is thought of; under a
-            right mesh it leaves .01 to .02.
-        tolerance: How much worse than paint a metal may fit, as a share per unit of display error
-            beyond `paint_error`: a mirror image is misplaced by the mesh's errors.
-        certain_ratio: Error of a metal over the paint's, the same tolerance added, at which it
-            explains a sample better: each sample's normal and base colour are free.
-        tilt_gain: Share by which a tilt of normals may lower the error of a metal; for a whole
-            neighbourhood it is .1 to .25.
-        bright_metal: Brightest channel that metal must have at least where it explains a sample
-            better, a tenth left to what the light is misjudged: a dark metal explains glossy dark
-            paint well.
-        gap: Spacings of the samples across which metal samples belong to one part.
-        least_part: Samples of a part that metal must explain better.
-        least_share: The same as a share of the part. Where it is fewer, the mesh is too wrong to
-            tell.
-        darkest_reading: Brightest channel below which a part is no metal: a wrong mesh explains
-            views badly, too, and is no brighter than paint.
-        certain_share: Share of a part of `prior` samples or more that metal must explain better to
-            be metal however dim it reads: a light that is judged too strong dims all readings.
-        dim_error: Mean display error, 0..1, that such a dim part may leave as metal.
-        prior: Samples that all metal of the scene counts as in the base colour of one part.
-        spread: How far base colours of metals differ within a scene, as logarithms. Of samples that
-            metal does not explain better the reading may be off by a factor of e.
-        other_hue: Difference in log hue from all metal of the scene from which a part of less than
-            `prior` samples is paint: bits of one metal lie near each other.
-        likely_base: Base colour towards which a part without any evidence tends.
-        darkest_metal: Brightest channel that every metal reaches at least: titanium, iron and
-            chromium do.
+        judged: Samples that are judged; the others go by those about them.
+        neighbours: Of these, those that judge together under one roughness.
+        witnesses: Of these, those whose log odds are averaged.
+        likely: Log odds from which a sample may be part of metal.
+        certain: Mean log odds from which such a part is metal: of seven parts one is, beforehand.
+        gap: Gap, in spacings of the judged samples, across which samples belong to one part.
+        fewest: Judged samples of a part.
+        brightest_channel: Brightest channel that bright metal has at least.
+        enough: Judged samples whose own errors are as large as what those of a part have in common.
+        brightness: Usual log of a base colour's brightest channel.
+        brightness_spread: Its standard deviation among metals.
+        blue: Usual log of blue over red of a base colour.
+        blue_spread: Its standard deviation; from silver to gold and copper.
+        green_spread: Of the log of green over the mean of red and blue.
+        alike: Spread among the metals of one scene, over that among all metals.
+        brightness_error: Of a part's reading, in logarithms.
+        blue_error: The same of its blue over red: light differs along the line of daylight.
+        green_error: The same across it.
+        misread_share: Chance that a reading is wrong altogether, for what is mirrored is.
+        misread_error: Error of such a reading, in logarithms.
+        sought_without: Share of metal from which suns and curve are sought without it.
+        sought_without: Annotated[float, Within(0, 1)] = 0.1
+    solved_without: Least share of paint with which the light is solved by paint alone.
     """
 
+    per_paint_error: Annotated[float, Within(-20, 20)] = 1.4
+    per_metal_error: Annotated[float, Within(-20, 20)] = -2.98
+    per_brightness: Annotated[float, Within(-20, 20)] = -1.26
+    constant: Annotated[float, Within(-20, 20)] = -1.3
+    least_ratio: Annotated[float, Within(0.001, 1)] = 0.35
+    most_odds: Annotated[float, Within(0.1, 100)] = 4.0
     num_levels: Annotated[int, Within(1, 100)] = 5
-    neighbours: Annotated[int, Within(1, 1000)] = 16
-    paint_error: Annotated[float, Within(0.001, 1)] = 0.03
-    tolerance: Annotated[float, Within(0, 1000)] = 20.0
-    certain_ratio: Annotated[float, Within(0, 1)] = 0.8
-    tilt_gain: Annotated[float, Within(0, 100)] = 1.25
-    bright_metal: Annotated[float, Within(0.001, 1)] = 0.5
-    gap: Annotated[float, Within(0.1, 100)] = 2.0
-    least_part: Annotated[int, Within(1, 100_000)] = 8
-    least_share: Annotated[float, Within(0, 1)] = 1 / 3
-    darkest_reading: Annotated[float, Within(0, 1)] = 0.4
-    certain_share: Annotated[float, Within(0, 1)] = 0.9
-    dim_error: Annotated[float, Within(0, 1)] = 0.05
-    prior: Annotated[int, Within(1, 100_000)] = 30
-    spread: Annotated[float, Within(0.01, 100)] = 0.25
-    other_hue: Annotated[float, Within(0, 100)] = 0.7
-    likely_base: Annotated[float, Within(0.05, 1)] = 0.6
-    darkest_metal: Annotated[float, Within(0, 1)] = 0.55
+    judged: Annotated[int, Within(100, 100_000)] = 3400
+    neighbours: Annotated[int, Within(1, 1000)] = 8
+    witnesses: Annotated[int, Within(1, 1000)] = 12
+    likely: Annotated[float, Within(-20, 20)] = 0.5
+    certain: Annotated[float, Within(-20, 20)] = 1.8
+    gap: Annotated[float, Within(0.1, 100, "spacings")] = 3.0
+    fewest: Annotated[int, Within(1, 100_000)] = 8
+    brightest_channel: Annotated[float, Within(0.01, 1)] = 0.5
+    enough: Annotated[float, Within(0, 1e6)] = 8.0
+    brightness: Annotated[float, Within(-3, 0)] = -0.35
+    brightness_spread: Annotated[float, Within(0.01, 3)] = 0.35
+    blue: Annotated[float, Within(-3, 3)] = -0.35
+    blue_spread: Annotated[float, Within(0.01, 3)] = 0.6
+    green_spread: Annotated[float, Within(0.01, 3)] = 0.25
+    alike: Annotated[float, Within(0.01, 1)] = 0.4
+    brightness_error: Annotated[float, Within(0.01, 3)] = 0.35
+    blue_error: Annotated[float, Within(0.01, 3)] = 0.45
+    green_error: Annotated[float, Within(0.01, 3)] = 0.1
+    misread_share: Annotated[float, Within(0, 1)] = 0.15
+    misread_error: Annotated[float, Within(0.01, 10)] = 1.5
+    sought_without: Annotated[float, Within(0, 1)] = 0.1
+    solved_without: Annotated[float, Within(0, 1)] = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,16 +16,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.config import GlossConfig
 from robir.appearance.material.highlights import Highlights
-from robir.appearance.material.metal import likely_metal
+from robir.appearance.material.metal import metal_among
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import Seen, dense, looked_at
 from robir.appearance.material.reflections import (
@@ -36,6 +34,7 @@ from robir.appearance.material.reflections import (
     view_rays,
 )
 from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
+from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights, texture_weights
@@ -54,6 +53,8 @@ class Gloss:
         metallic: (S,) float32, 0 or 1.
         metal: (S, 3) float32, base colour of the nearest metal part, linear Rec.709; 0 where the
             scene has none.
+        metal_reads: Mean over all metal of the log of the brightest channel of its base colour, as
+            it is read under the light; None where there is none.
         floor: (S, 3) float32, specular radiance left in the mean of the darker views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
@@ -64,11 +65,17 @@ class Gloss:
     roughness: Floats
     metallic: Floats
     metal: Floats
+    metal_reads: float | None
     floor: Floats
     kept: Floats
     has_highlights: bool
     table: tuple[dict[str, float], ...]
     choices: tuple[Choice, ...]
+
+    def solved_by(self, rows: NDArray[np.int64], least_share: float) -> NDArray[np.int64]:
+        """Those of some samples by which the light is solved: paint, where there is enough."""
+        paint = rows[self.is_paint[rows]]
+        return paint if len(paint) >= least_share * len(rows) else rows
 
     @property
     def is_paint(self) -> NDArray[np.bool_]:
@@ -230,11 +237,9 @@ def estimate_gloss(
     highlights, dielectric = _costs(looked, config)
     trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2], config=config.proof)
     features = _features(problem, light, seen)
-    paint = features[:, :3]
-    points = _points(surfels.position[seen], surfels.normal[seen], paint, material.gloss)
-    hue = paint - paint.mean(1, keepdims=True)
+    points, hue = _alike(problem, seen, features[:, :3])
     alike = points[in_solve], hue[in_solve]
-    parts = likely_metal((problem, light), rows, alike, trial, dielectric)
+    parts = metal_among((problem, light), rows, alike, trial, dielectric)
     by_camera = problem.scene.by_camera
     levels = material.highlights
     parts, metal_choice = proven_parts(parts, trial, dielectric, levels, by_camera=by_camera)
@@ -242,7 +247,7 @@ def estimate_gloss(
     # the samples that took part speak for their neighbours
     part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
     cluster = clusters(features, num_materials, seed)
-    patches = Patches(features=_means(features, cluster), number=cluster[in_solve])
+    patches = Patches(features=means(features, cluster), number=cluster[in_solve])
     if told is None:
         choice = choose_roughness(
             highlights, patches, trial, ~is_metal, material, by_camera=by_camera
@@ -262,6 +267,7 @@ def estimate_gloss(
         Gloss(
             **gloss,
             metal=metal,
+            metal_reads=float(parts.read[parts.part[is_metal]].mean()) if is_metal.any() else None,
             has_highlights=shown,
             table=_table((choice.roughness, cluster), (parts.roughness, part)),
             choices=(*choice.choices, metal_choice),
@@ -270,17 +276,39 @@ def estimate_gloss(
     )
 
 
-def _points(position: Floats, normal: Floats, paint: Floats, config: GlossConfig) -> Floats:
-    """Points (N, 9) that lie close together where samples are to be judged together.
+def likely_metal(problem: Problem, light: Light) -> NDArray[np.bool_]:
+    """Which of all samples (S,) are likely metal, by those that take part in the light solve.
 
     Args:
-        position: (N, 3) unit frame.
-        normal: (N, 3) unit.
-        paint: (N, 3) log albedo, as of paint.
-        config: What normals and albedos count against places.
+        problem: Scene under a tone curve.
+        light: Its light, for which metal was taken for paint so far.
     """
-    parts = [position, config.normal_scale * normal, config.paint_scale * paint]
-    return np.concatenate(parts, axis=1)
+    config, rows = problem.scene.config, problem.scene.rows
+    seen = np.flatnonzero(problem.radiance.seen.numpy())
+    rows = rows[:: -(-len(rows) // config.material.metal.judged) or 1]
+    looked = looked_at(problem, light, rows)
+    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2], config=config.proof)
+    points, hue = _alike(problem, seen, _features(problem, light, seen)[:, :3])
+    own = np.searchsorted(seen, rows)
+    dielectric = _costs(looked, config)[1]
+    parts = metal_among((problem, light), rows, (points[own], hue[own]), trial, dielectric)
+    metal = np.zeros(len(problem.scene.transport.surfels), bool)
+    metal[seen] = (parts.part >= 0)[cKDTree(points[own]).query(points)[1]]
+    return metal
+
+
+def _alike(problem: Problem, seen: NDArray[np.int64], paint: Floats) -> tuple[Floats, Floats]:
+    """Points (N, 9) that lie close together where samples are judged together, and hues (N, 3).
+
+    Args:
+        problem: The scene.
+        seen: (N,) samples.
+        paint: (N, 3) log albedo, as of paint.
+    """
+    surfels, config = problem.scene.transport.surfels, problem.scene.config.material.gloss
+    normal = config.normal_scale * surfels.normal[seen]
+    points = np.concatenate([surfels.position[seen], normal, config.paint_scale * paint], axis=1)
+    return points, paint - paint.mean(1, keepdims=True)
 
 
 def _table(
@@ -315,21 +343,6 @@ def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats
     look = torch.cat([log_albedo, scale * spread[:, None]], 1).numpy()
     position = problem.scene.transport.surfels.position[seen]
     return np.concatenate([look, position], axis=1)
-
-
-def clusters(features: Floats, count: int, seed: int) -> NDArray[np.int64]:
-    """k-means labels (N,)."""
-    count = min(count, len(features))
-    _, labels = kmeans2(
-        features.astype(np.float64), count, minit="++", seed=np.random.default_rng(seed)
-    )
-    return labels.astype(np.int64)
-
-
-def _means(features: Floats, cluster: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Means (K, D) over each cluster; 0 where k-means left one empty."""
-    size = np.bincount(cluster).clip(1)
-    return np.stack([np.bincount(cluster, column) / size for column in features.T], axis=1)
 
 
 def _apply(

@@ -2,8 +2,11 @@
 """Which samples are metal, and the base colour and roughness of each metal part.
 
 Polished metal shows its surroundings, displaced by every error of the mesh, so one sample's views
-say little about its base colour. All views of a connected part together do: the median over them
-of what is seen over what a white metal would show.
+say little. Three figures of a neighbourhood tell metal: how badly paint explains its views, how
+much better metal does, and whether that is as bright as metals are. How much each of them tells was
+measured on captures whose truth is known (logistic regression), and the log odds of many
+neighbourhoods are averaged over the surface. How bright the light is nobody knows well where most
+of a scene is metal, so that how dark it reads forbids nothing by itself.
 """
 
 from __future__ import annotations
@@ -25,6 +28,14 @@ from robir.appearance.material.segments import pieces
 from robir.appearance.material.trial import Trial
 
 Floats = NDArray[np.float32]
+Reals = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
+"""Blue over red, and green over the mean of both, of log colours."""
+
+LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
+"""Log colours, but for their mean, of these two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +46,30 @@ class MetalParts:
         part: (U,) part of every sample, -1 where it is no metal after all.
         base: (P, 3) base colour, linear Rec.709.
         roughness: (P,) perceptual.
+        read: (P,) log of the brightest channel of what each reads under the light as it is.
     """
 
-    part: NDArray[np.int64]
+    part: Rows
     base: Floats
     roughness: Floats
+    read: Floats
+
+    def of(self, kept: NDArray[np.bool_]) -> MetalParts:
+        """Some (P,) of the parts, numbered anew."""
+        number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+        return MetalParts(number[self.part], self.base[kept], self.roughness[kept], self.read[kept])
 
 
-def likely_metal(
+def metal_among(
     solved: tuple[Problem, Light],
-    rows: NDArray[np.int64],
+    rows: Rows,
     alike: tuple[Floats, Floats],
     trial: Trial,
     dielectric: Floats,
 ) -> MetalParts:
-    """Parts of samples (U,) that may be metal.
+    """Parts of samples (U,) that are likely metal.
+
+    Some samples are judged, and the others go by those about them.
 
     Args:
         solved: Scene under a tone curve, and its light.
@@ -60,130 +80,87 @@ def likely_metal(
     """
     (problem, light), (points, hue) = solved, alike
     surfels, config = problem.scene.transport.surfels, problem.scene.config.material
-    around = neighbourhoods(points, config.metal.neighbours)
-    errors, bright = metal_errors(problem, light, rows, dielectric, around)
-    likely, certain = metal_samples(dielectric, errors, around, config.metal)
-    certain &= metal_samples(dielectric, bright, around, config.metal)[1]
+    judged = np.arange(0, len(rows), -(-len(rows) // config.metal.judged) or 1)
+    metal = metal_errors(problem, light, rows[judged])
+    together = near(points[judged], points[judged], config.metal.neighbours)
+    witnesses = near(points[judged], points, config.metal.witnesses)
+    odds = metal_odds(dielectric[judged], metal, together, config.metal)[witnesses].mean(1)
+    nearest = witnesses[:, 0]
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    place = surfels.position[rows], hue[around].mean(1), spacing
+    place = surfels.position[rows], hue[judged][together].mean(1)[nearest], spacing
     observed = trial.reflections, trial.rays, trial.seen.linear
-    return metal_parts((likely, certain), place, observed, errors, config)
+    return metal_parts(odds, place, observed, metal[0][nearest], config)
 
 
-def neighbourhoods(points: Floats, most: int) -> NDArray[np.int64]:
-    """Samples (U, N) that judge together with each, itself among them.
-
-    Args:
-        points: (U, D) positions, with scaled normals and colours so that one part judges together.
-        most: N, where there are as many.
-    """
-    count = min(most, len(points))
-    return cKDTree(points).query(points, k=count)[1].reshape(len(points), count)
+def near(points: Floats, places: Floats, count: int) -> Rows:
+    """Nearest so many (N, C) of some points (U, D) to places (N, D), themselves among them."""
+    count = min(count, len(points))
+    return cKDTree(points).query(places, k=count)[1].reshape(len(places), count)
 
 
-def metal_errors(
-    problem: Problem,
-    light: Light,
-    rows: NDArray[np.int64],
-    dielectric: Floats,
-    around: NDArray[np.int64],
-) -> tuple[Floats, Floats]:
+def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Floats]:
     """Mean display error of samples as metal, each with its own base colour and tilt of its normal.
 
-    What metal shows moves by twice the normal's error. Under the mesh's normals a rough metal wins
-    on every part, for it shows the least of what is misplaced. And a dark metal explains glossy
-    dark paint, and whatever a wrong mesh makes of paint, better than paint does: so the base colour
-    is tried as it fits best, and no darker than that of any metal.
+    What metal shows moves by twice the normal's error, so each sample's normal may be as far off as
+    a mesh's usually are. A dark metal explains glossy dark paint, and whatever a wrong mesh makes
+    of paint, better than paint does: so the base colour is tried as it fits best, and no darker
+    than that of any metal.
 
     Args:
         problem: Scene under a tone curve.
         light: Its light.
         rows: (U,) samples.
-        dielectric: (U, L) mean display error over each one's views at every roughness.
-        around: (U, N) from `neighbourhoods`.
 
     Returns:
-        (U, L) each, at all `metal_levels`, of any base colour and of bright ones; infinite where no
-        neighbourhood asks.
+        (U, L) each at the roughnesses of metal, of any base colour and of bright ones.
     """
     config = problem.scene.config.material
-    metal, tilts = config.metal, tilts_of(config.reflections)
-    errors = np.full((2, len(rows), len(config.metal_levels)), np.inf, np.float32)
-    paint = _together(dielectric, around)
-    asking = paint > metal.paint_error
-    # as the mesh has it first: where metal is far from any tilt's help, six more are not tried
-    for some in (tilts[:1], tilts[1:]):
-        asked = np.unique(around[asking])
-        if len(asked):
-            tried = _least_errors(problem, light, rows[asked], some)
-            errors[:, asked] = np.minimum(errors[:, asked], tried)
-        asking &= _together(errors[0], around) < metal.tilt_gain * _allowed(paint, 1.0, metal)
-    return errors[0], errors[1]
-
-
-def _least_errors(
-    problem: Problem,
-    light: Light,
-    rows: NDArray[np.int64],
-    tilts: tuple[tuple[float, float], ...],
-) -> Floats:
-    """Errors (2, U, L) of samples as any and as bright metal under the best tilt."""
-    config = problem.scene.config.material
+    levels, brightest = config.metal_levels, config.metal.brightest_channel
     reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
-    best = torch.full((2, len(rows), len(config.metal_levels)), float("inf"))
-    tilted = [reflections.tilted(rays, tilt) for tilt in tilts]
-    for index, level in enumerate(config.metal_levels):
-        for tilt, mirrored in zip(tilts, tilted, strict=True):
+    best = torch.full((2, len(rows), len(levels)), float("inf"))
+    for tilt in tilts_of(config.reflections):
+        mirrored = reflections.tilted(rays, tilt)
+        for index, level in enumerate(levels):
             sky = reflections.from_sky(mirrored, level)
             white = (sky + reflections.from_suns(rays, level, tilt))[:, 1]
             ratio = dense(seen.linear / white.clamp(min=1e-5), rays, shape)
             base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
             base = base.clamp(1e-3, 1)
-            bright = base * (config.metal.bright_metal / base.amax(1, keepdim=True)).clamp(min=1)
+            bright = base * (brightest / base.amax(1, keepdim=True)).clamp(min=1)
             for kind, tried in enumerate((base, bright)):
                 error = seen.error(tried[sample] * white)
                 total = torch.zeros(len(rows)).index_add_(0, sample, error)
                 best[kind, :, index] = torch.minimum(best[kind, :, index], total)
-    return (best / valid.sum(1).clamp(min=1)[:, None]).numpy()
+    free, bright = (best / valid.sum(1).clamp(min=1)[:, None]).numpy()
+    return free, bright
 
 
-def _together(errors: Floats, around: NDArray[np.int64]) -> Floats:
-    """Least error (U,) of each neighbourhood at one roughness, of errors (U, L)."""
-    return errors[around].mean(1).min(1)
-
-
-def _allowed(paint: Floats, share: float, config: MetalConfig) -> Floats:
-    """Error (U,) that metal may leave where paint leaves `paint`, beyond its usual one."""
-    return paint * (share + config.tolerance * (paint - config.paint_error))
-
-
-def metal_samples(
-    dielectric: Floats, metal: Floats, around: NDArray[np.int64], config: MetalConfig
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Samples whose neighbourhood may be metal, and those where metal explains it better.
+def metal_odds(
+    dielectric: Floats, metal: tuple[Floats, Floats], around: Rows, config: MetalConfig
+) -> NDArray[np.float64]:
+    """Log odds (U,) that neighbourhoods are of metal.
 
     Args:
-        dielectric: (U, L) mean display error over each sample's views at every roughness.
-        metal: (U, M) the same as metal, infinite where it is not known.
-        around: (U, N) from `neighbourhoods`.
-        config: How much worse metal may fit.
-
-    Returns:
-        (U,) bool each, the second within the first.
+        dielectric: (U, L) mean display error over each sample's views as paint at every roughness.
+        metal: The same as metal, from `metal_errors`.
+        around: (U, C) samples that judge together with each.
+        config: What each figure tells.
     """
-    paint, best = _together(dielectric, around), _together(metal, around)
-    is_odd = paint > config.paint_error
-    likely, certain = (
-        (is_odd & (best < _allowed(paint, share, config)))[around].mean(1) > 0.5
-        for share in (1.0, config.certain_ratio)
+    paint, free, bright = (
+        errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
     )
-    known = np.isfinite(metal[:, 0])
-    return likely & known, likely & certain & known
+    odds = (
+        config.constant
+        + config.per_paint_error * np.log(255 * paint + 0.5)
+        + config.per_metal_error * np.log((free / paint).clip(config.least_ratio))
+        + config.per_brightness * np.log(bright / free)
+    )
+    return odds.clip(-config.most_odds, config.most_odds)
 
 
 def metal_parts(
-    samples: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    odds: NDArray[np.float64],
     place: tuple[Floats, Floats, float],
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
@@ -191,75 +168,110 @@ def metal_parts(
 ) -> MetalParts:
     """Gather metal samples into parts and read what each is made of.
 
-    A part reaches as far as its samples may be metal and are of one hue, but there must be some
-    that metal explains better than paint, and these must be bright enough, or nearly all there is
-    and explained well: views also differ where the mesh is wrong, and where paint is glossy. The
-    fewer they are, the more its base colour is taken to be that of the other parts.
+    A part reaches as far as its samples may be metal and are of one hue.
 
     Args:
-        samples: (U,) bool each, from `metal_samples`, the second those that bright metal explains
-            better too.
+        odds: (U,) log odds, as averaged over each sample's surroundings.
         place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
-        errors: (U, L) mean display error of each sample as metal, at all `metal_levels`.
+        errors: (U, L) mean display error of each sample as metal.
         config: What makes a part, and what metals there are.
 
     Returns:
         The parts.
     """
-    likely, certain = samples
-    metal = config.metal
-    rows = np.flatnonzero(likely)
+    metal, levels = config.metal, config.metal_levels
+    rows = np.flatnonzero(odds > metal.likely)
     position, hue, spacing = place
-    piece, part = np.full(len(likely), -1), np.full(len(likely), -1)
+    piece, part = np.full(len(odds), -1), np.full(len(odds), -1)
     if len(rows):
-        gap, fewest = metal.gap * spacing, metal.least_part
-        piece[rows] = pieces(position[rows], hue[rows], gap, fewest, config.segments)
+        piece[rows] = pieces(
+            position[rows], hue[rows], metal.gap * spacing, metal.fewest, config.segments
+        )
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
     readings: dict[float, Floats] = {}
-    for index in range(piece.max() + 1):
-        whole = piece == index
-        inside = certain & whole
-        size, number = whole.sum(), inside.sum()
-        if number < max(metal.least_part, metal.least_share * size):
+    for index in range(piece.max(initial=-1) + 1):
+        inside = piece == index
+        if inside.sum() < metal.fewest or odds[inside].mean() < metal.certain:
             continue
-        left = errors[inside].mean(0)
-        is_certain = number >= max(metal.prior, metal.certain_share * size)
-        is_certain &= left.min() < metal.dim_error
-        # On a wrong mesh the roughest wins, and under it a sun is mirrored in every view: what is
-        # seen reads dark, but not as a sharper metal.
-        for level in reversed(config.metal_levels[: int(left.argmin()) + 1]):
-            if level not in readings:
-                white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
-                readings[level] = (linear / white).numpy()
-            clear, base = (
-                np.median(readings[level][some[rays.sample]], axis=0) for some in (inside, whole)
-            )
-            if is_certain or clear.max() >= metal.darkest_reading:
-                part[whole] = len(bases)
-                bases.append(base)
-                roughness.append(level)
-                doubt = (1 - number / size) / metal.spread
-                sizes.append(number / (1 + doubt**2 * number / metal.prior))
-                break
-    if not bases:
-        return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    log, count = np.log(np.stack(bases).clip(0.05, 1.0)), np.array(sizes)[:, None]
-    kept = _alike(log, count, metal)
-    part = np.where(part >= 0, np.where(kept, np.cumsum(kept) - 1, -1)[part], -1)
-    if not kept.any():
-        return MetalParts(part, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    log, count = log[kept], count[kept]
-    everywhere = 0.5 * ((count * log).sum(0) / count.sum() + np.log(metal.likely_base))
-    weight = count / (count + metal.prior)
-    base = np.exp(weight * log + (1 - weight) * everywhere)
-    base *= np.maximum(1.0, metal.darkest_metal / base.max(axis=1, keepdims=True))
-    return MetalParts(part, base.astype(np.float32), np.array(roughness, np.float32)[kept])
+        level = levels[int(errors[inside].mean(0).argmin())]
+        if level not in readings:
+            white = reflections.radiance(rays, level)[:, 1].clamp(min=1e-5)
+            readings[level] = (linear / white).numpy()
+        part[inside] = len(bases)
+        bases.append(np.median(readings[level][inside[rays.sample]], axis=0))
+        roughness.append(level)
+        sizes.append(inside.sum())
+    log = np.log(np.reshape(bases, (-1, 3)).clip(1e-3))
+    base = np.exp(likely_base(log, np.array(sizes), metal))
+    return MetalParts(
+        part=part,
+        base=base.astype(np.float32),
+        roughness=np.array(roughness, np.float32),
+        read=log.max(1).astype(np.float32),
+    )
 
 
-def _alike(log: Floats, count: NDArray[np.int64], config: MetalConfig) -> NDArray[np.bool_]:
-    """Which (P,) of parts of these log colours (P, 3) and sizes (P, 1) are no odd bits."""
-    hue = log - log.mean(1, keepdims=True)
-    apart = np.linalg.norm(hue - (count * hue).sum(0) / count.sum(), axis=1)
-    return (apart < config.other_hue) | (count[:, 0] >= config.prior)
+def likely_base(read: Reals, count: NDArray[np.int64], config: MetalConfig) -> Reals:
+    """Log base colours (P, 3) of parts, from what they read and from what metals there are.
+
+    Most scenes hold one metal, so the parts of a scene are drawn from what all of them read, and
+    that from what metals there are (random effects, Laird and Ware 1982, "Random-effects models for
+    longitudinal data").
+
+    Args:
+        read: (P, 3) logarithms of what the parts read.
+        count: (P,) samples that tell each.
+        config: What metals there are, and how well they are read.
+
+    Returns:
+        Posterior means, none above 0.
+    """
+    if not len(read):
+        return read
+    share = count / count.sum()
+    shown = np.column_stack([read.max(1), read @ HUE_OF_LOG.T])
+    metals = np.array([config.brightness, config.blue, 0.0])
+    spread = np.array([config.brightness_spread, config.blue_spread, config.green_spread])
+    together = _weighted_median(shown, share)[None]
+    chance = np.sqrt(1 + config.enough / count.clip(1))[:, None]
+    scene = _posterior(together, (metals, spread), np.sqrt((share**2).sum()) * chance.min(), config)
+    brightest, *hue = _posterior(shown, (scene[0], config.alike * spread), chance, config).T
+    log = np.stack(hue, axis=1) @ LOG_OF_HUE.T
+    return np.minimum(log - log.max(1, keepdims=True) + brightest[:, None], 0.0)
+
+
+def _posterior(
+    read: Reals, prior: tuple[Reals, Reals], chance: Reals | float, config: MetalConfig
+) -> Reals:
+    """Posterior means (P, 3) of brightness and hue that are read so.
+
+    Some readings are wrong altogether: the error is a mixture, so that they are trusted the less
+    the farther they are from what was expected (Box and Tiao 1968, "A Bayesian approach to some
+    outlier problems").
+
+    Args:
+        read: (P, 3) brightness, blueness, greenness.
+        prior: Mean and deviation (3,) of the true ones.
+        chance: Errors of all readings, (P, 1), in those of the configuration.
+        config: Errors of good and of wrong readings.
+    """
+    known, spread = prior
+    off, wrong = read - known, config.misread_error
+    weights, means = [], []
+    usual = (config.brightness_error, config.blue_error, config.green_error)
+    for share, error in ((1 - config.misread_share, usual), (config.misread_share, 3 * (wrong,))):
+        whole = spread**2 + (chance * np.array(error)) ** 2
+        weights.append(share * np.exp(-0.5 * (off**2 / whole + np.log(whole)).sum(1)))
+        means.append(off * spread**2 / whole)
+    good, bad = weights
+    trust = (good / np.maximum(good + bad, 1e-300))[:, None]
+    return known + trust * means[0] + (1 - trust) * means[1]
+
+
+def _weighted_median(values: Reals, share: Reals) -> Reals:
+    """Median (D,) of values (P, D) whose shares (P,) come to 1."""
+    order = values.argsort(0)
+    half = (share[order].cumsum(0) >= 0.5 - 1e-9).argmax(0)
+    return np.take_along_axis(values, order, 0)[half, np.arange(values.shape[1])]

@@ -61,15 +61,12 @@ def proven_parts(
     if not by_camera:
         told += "; on renderings no proof is asked for"
         proven[:] = True
-    number = np.append(np.where(proven, np.cumsum(proven) - 1, -1), -1)
+    kept_parts = parts.of(proven)
     choice = Choice(
         choice="metal",
-        chosen=f"{(number[parts.part] >= 0).mean():.0%} of the surface",
+        chosen=f"{(kept_parts.part >= 0).mean():.0%} of the surface",
         alternatives=("none",),
         held_out_error=whole.rich if proven.all() and len(proven) else None,
         why=told,
-    )
-    kept_parts = MetalParts(
-        part=number[parts.part], base=parts.base[proven], roughness=parts.roughness[proven]
     )
     return kept_parts, choice

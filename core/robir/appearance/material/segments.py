@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pieces that samples fall into: near each other, and of one hue or of hues that blend."""
+"""Pieces that samples fall into: near each other and of like hue, and clusters of features."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -70,3 +71,18 @@ def _two_heaps(hue: Reals, fewest: int, clear_gap: float) -> NDArray[np.bool_] |
     is_low = np.zeros(count, bool)
     is_low[order[:cut]] = True
     return is_low
+
+
+def clusters(features: Reals, count: int, seed: int) -> Rows:
+    """k-means labels (N,)."""
+    count = min(count, len(features))
+    _, labels = kmeans2(
+        features.astype(np.float64), count, minit="++", seed=np.random.default_rng(seed)
+    )
+    return labels.astype(np.int64)
+
+
+def means(features: Reals, cluster: Rows) -> Reals:
+    """Means (K, D) over each cluster; 0 where k-means left one empty."""
+    size = np.bincount(cluster).clip(1)
+    return np.stack([np.bincount(cluster, column) / size for column in features.T], axis=1)

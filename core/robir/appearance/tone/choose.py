@@ -10,10 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.light.problem import Scene, make_problem
 from robir.appearance.light.solver import Light
 from robir.appearance.light.sun_search import find_suns
+from robir.appearance.material.gloss import likely_metal
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.gamut import unable
 from robir.appearance.tone.ranking import CAMERA, NEUTRAL, PLAIN, Candidate, ranked
@@ -104,6 +107,17 @@ def _rank(state: ToneChoice) -> ToneChoice:
     return replace(state, candidates=candidates, plain_lead=lead)
 
 
+def _set_metal_aside(state: ToneChoice) -> ToneChoice:
+    """What metal mirrors passes for paint and for shadows: where there is much, all is redone."""
+    first, limits = state.candidates[0], state.config.material.metal
+    metal = likely_metal(first.problem, first.light)
+    share = metal[state.scene.rows].mean()
+    if not limits.sought_without <= share <= 1 - limits.solved_without:
+        return state
+    scene = state.scene.without_metal(metal, np.random.default_rng(state.seed))
+    return _rank(_search_suns(replace(state, scene=scene)))
+
+
 SEARCH: tuple[Step[ToneChoice], ...] = (
     Step(
         name="suns",
@@ -118,6 +132,12 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
         source="ours, over RobIR's ACES (equations 6 to 8) and the view transforms of Blender",
         run=_rank,
         is_on_trial=False,
+    ),
+    Step(
+        name="metal-aside",
+        purpose="seeks suns and curve anew without what is likely metal, where there is much",
+        source="ours",
+        run=_set_metal_aside,
     ),
 )
 """How the tone curve is found, in this order."""
