@@ -31,7 +31,7 @@ from robir.errors import ConfigError
 from robir.jobs.names import read_regular
 
 _MAX_BYTES = 1 << 20
-"""Largest file of settings; all there are come to about ten thousand bytes."""
+"""Largest file of settings; all there are come to twenty thousand bytes."""
 
 SettingsT = TypeVar("SettingsT")
 
@@ -267,18 +267,17 @@ def _plain(value: Any) -> Any:
 
 
 def _write_section(settings: Any, section: str, lines: list[str]) -> None:
-    if section:
-        lines += ["", f"[{section}]"]
     hints = get_type_hints(type(settings), include_extras=True)
-    nested = []
+    nested = [field for field in fields(settings) if is_dataclass(getattr(settings, field.name))]
+    if section and len(nested) < len(fields(settings)):
+        lines += ["", f"[{section}]"]
     for field in fields(settings):
         value = getattr(settings, field.name)
-        if is_dataclass(value):
-            nested.append((field.name, value))
-        elif value is not None:
+        if value is not None and field not in nested:
             lines.append(f"{field.name} = {_toml_value(_plain(value))}{_beside(hints[field.name])}")
-    for name, value in nested:
-        _write_section(value, f"{section}.{name}" if section else name, lines)
+    for field in nested:
+        name = f"{section}.{field.name}" if section else field.name
+        _write_section(getattr(settings, field.name), name, lines)
 
 
 def _beside(hint: Any) -> str:
