@@ -22,7 +22,7 @@ LEVELS = MATERIAL.metal_levels
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)
-STRIP = 0.09
+STRIP = 0.12
 """Half the width of a strip of metal, unit frame; neighbourhoods reach about twice as far."""
 
 

@@ -163,7 +163,8 @@ class MetalConfig:
         neighbours: Of these, those that judge together under one roughness.
         witnesses: Of these, those whose log odds are averaged.
         likely: Log odds from which a sample may be part of metal.
-        certain: Mean log odds from which such a part is metal: of seven parts one is, beforehand.
+        certain: Mean log odds from which such a part is metal: paint that is taken for metal costs
+            a good albedo more than metal that is missed costs a bad one.
         gap: Gap, in spacings of the judged samples, across which samples belong to one part.
         fewest: Judged samples of a part.
         brightest_channel: Brightest channel that bright metal has at least.
@@ -195,7 +196,7 @@ class MetalConfig:
     neighbours: Annotated[int, Within(1, 1000)] = 8
     witnesses: Annotated[int, Within(1, 1000)] = 12
     likely: Annotated[float, Within(-20, 20)] = 0.5
-    certain: Annotated[float, Within(-20, 20)] = 1.8
+    certain: Annotated[float, Within(-20, 20)] = 2.45
     gap: Annotated[float, Within(0.1, 100, "spacings")] = 3.0
     fewest: Annotated[int, Within(1, 100_000)] = 8
     brightest_channel: Annotated[float, Within(0.01, 1)] = 0.5
