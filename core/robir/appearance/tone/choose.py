@@ -108,7 +108,12 @@ def _rank(state: ToneChoice) -> ToneChoice:
 
 
 def _set_metal_aside(state: ToneChoice) -> ToneChoice:
-    """What metal mirrors passes for paint and for shadows: where there is much, all is redone."""
+    """What metal mirrors passes for paint and for shadows: where there is much, all is redone.
+
+    Of photographs by a camera metal must be proven, for which the light has to be known.
+    """
+    if state.scene.by_camera:
+        return state
     first, limits = state.candidates[0], state.config.material.metal
     metal = likely_metal(first.problem, first.light)
     share = metal[state.scene.rows].mean()
@@ -135,7 +140,7 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
     ),
     Step(
         name="metal-aside",
-        purpose="seeks suns and curve anew without what is likely metal, where there is much",
+        purpose="seeks suns and curve of renderings anew without metal, where there is much",
         source="ours",
         run=_set_metal_aside,
     ),
