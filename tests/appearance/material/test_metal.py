@@ -129,7 +129,7 @@ def test_a_part_that_is_misread_is_of_the_other_parts_metal(gold):
     found = read_of(problem, light, lambda count: np.full(count, certain), shown)
     assert len(found.base) == 2
     alone = np.exp(likely_base(np.log([[0.01, 0.008, 0.005]]), np.array([500]), METAL))[0]
-    # a quarter of the first half is misread: its median is right all the same
+    # half of what shows the first part is misread
     assert (found.base.max(1) > 0.65).all()
     assert alone.max() > 0.4
 

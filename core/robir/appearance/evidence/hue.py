@@ -44,9 +44,9 @@ def told_hue(
         solved: Samples by which the light is solved.
 
     Returns:
-        Log (3,) of the mean irradiance of these, less its mean over the
-        channels; None where too few highlights show or they prove nothing. And what white balance,
-        highlights and both tell of its red over blue; of highlights only where they prove it.
+        Log (3,) of the mean irradiance of these, less its mean over the channels; None where too
+        few highlights show or they prove nothing. And what white balance, highlights and both tell
+        of its red over blue; of highlights only where they prove it.
     """
     config = problem.scene.config
     asked = config.evidence.hue

@@ -147,7 +147,7 @@ class MetalConfig:
     """When a surface is taken for metal, and what of.
 
     The first four are a logistic regression of true metal on what is measured of a neighbourhood,
-    of drawn captures for development, half of them with metal, each capture and either class
+    of 24 drawn captures for development, eleven of them with metal, each capture and either class
     counting alike.
 
     Attributes:
@@ -181,8 +181,7 @@ class MetalConfig:
         misread_share: Chance that a reading is wrong altogether, for what is mirrored is.
         misread_error: Error of such a reading, in logarithms.
         sought_without: Share of metal from which suns and curve are sought without it.
-        sought_without: Annotated[float, Within(0, 1)] = 0.1
-    solved_without: Least share of paint with which the light is solved by paint alone.
+        solved_without: Least share of paint with which the light is solved by paint alone.
     """
 
     per_paint_error: Annotated[float, Within(-20, 20)] = 1.4

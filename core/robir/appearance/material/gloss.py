@@ -23,7 +23,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import Highlights
-from robir.appearance.material.metal import metal_among
+from robir.appearance.material.metal import metal_among, near
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import Seen, dense, looked_at
 from robir.appearance.material.reflections import (
@@ -245,7 +245,7 @@ def estimate_gloss(
     parts, metal_choice = proven_parts(parts, trial, dielectric, levels, by_camera=by_camera)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
-    part = parts.part[cKDTree(points[in_solve]).query(points)[1]]
+    part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)
     patches = Patches(features=means(features, cluster), number=cluster[in_solve])
     if told is None:
@@ -293,7 +293,7 @@ def likely_metal(problem: Problem, light: Light) -> NDArray[np.bool_]:
     dielectric = _costs(looked, config)[1]
     parts = metal_among((problem, light), rows, (points[own], hue[own]), trial, dielectric)
     metal = np.zeros(len(problem.scene.transport.surfels), bool)
-    metal[seen] = (parts.part >= 0)[cKDTree(points[own]).query(points)[1]]
+    metal[seen] = (parts.part >= 0)[near(points[own], points, 1)[:, 0]]
     return metal
 
 
