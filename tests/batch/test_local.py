@@ -253,8 +253,9 @@ def test_without_a_plan_there_is_nothing_to_go_on_with(library):
 
 
 @pytest.mark.slow
-def test_a_thousand_captures_cost_little_to_schedule(tmp_path, library, template):
-    names = [f"capture_{number:04d}" for number in range(1000)]
+def test_hundreds_of_captures_cost_little_to_schedule(tmp_path, library, template):
+    count = 300
+    names = [f"capture_{number:04d}" for number in range(count)]
     captures = make_captures(tmp_path / "shots", dict.fromkeys(names, ""))
     status = {"state": "done", "stage": "", "fraction": 1.0, "message": "", "seconds_left": None}
     write_json(JobPaths(template).status, status | {"exit_code": 0, "pid": 1, "heartbeat": 1.0})
@@ -265,8 +266,8 @@ def test_a_thousand_captures_cost_little_to_schedule(tmp_path, library, template
     assert batch(options, copying) == 0
     after = resource.getrusage(resource.RUSAGE_SELF)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert spent / len(names) < 0.020
+    assert spent / count < 0.020
     page = library.page.read_text()
-    assert page.count("<article") == 1000
-    assert page.count('loading="lazy"') == 1000
-    assert len(page) < 2_000_000
+    assert page.count("<article") == count
+    assert page.count('loading="lazy"') == count
+    assert len(page) < 2000 * count

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bars on a slab, four pixels of the best photographs a pair, come back in 4096 texels."""
+"""Bars on a slab, four pixels of the best photographs a pair, come back in 2048 texels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robir.jobs.paths import JobPaths, read_json
 pytestmark = pytest.mark.slow
 
 ENGINE = Path(__file__).parents[1] / "addon" / "tiny_engine.py"
-SIDE = 4096
+SIDE = 2048
 HALF, DEPTH = 0.6, 0.2
 SIZE, FOCAL, DISTANCE = 400, 1.5, 2.4
 PIXEL = (DISTANCE - DEPTH) / (FOCAL * SIZE)
@@ -32,7 +32,7 @@ PERIOD = 4.0 * PIXEL
 """Half the frequency at which a pixel is half a wave."""
 
 DARK, BRIGHT = 0.2, 0.7
-DENSITY = 0.08
+DENSITY = 0.16
 """Of the texture's side, one unit of the slab: a little more than a texel a pixel."""
 
 
@@ -107,7 +107,7 @@ def contrast(albedo: np.ndarray, u0: float, v0: float, axis: int) -> float:
     return float(first / true)
 
 
-def test_a_texture_of_4096_texels_has_the_bars_of_half_the_nyquist_frequency(tmp_path):
+def test_a_texture_of_2048_texels_has_the_bars_of_half_the_nyquist_frequency(tmp_path):
     capture = nerf_synthetic(tmp_path / "slab", [shoot(place) for place in places()], 2)
     (tmp_path / "slab.glb").write_bytes(y_up(slab()).export(file_type="glb"))
     words = ["reconstruct", str(capture), "--mesh", str(tmp_path / "slab.glb")]

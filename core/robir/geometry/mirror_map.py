@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from robir.geometry.step_config import MirrorMapConfig
 
@@ -63,16 +64,20 @@ def learnt_map(
         (C + 1, 3) display colours, about 0; the last one is 0.
     """
     known, number = seen.sum(1) >= config.least_views, config.cells
-    colours, seen, cells = colours[known], seen[known], cells[known]
-    count = np.bincount(cells.ravel(), seen.ravel(), number + 1)[:, None]
-    views = seen.sum(1)[:, None]
+    seen, cells = seen[known].astype(np.float64), cells[known]
+    shown = colours[known] * seen[:, :, None]
+    point, photograph = np.nonzero(seen)
+    place = point, cells[point, photograph]
+    # (P, C + 1): how often a point mirrors a cell
+    mirrors = sparse.csr_array((np.ones(len(point)), place), shape=(len(seen), number + 1))
+    by_point, views = shown.sum(1), seen.sum(1)[:, None]
+    by_cell = np.stack(
+        [np.bincount(place[1], part, number + 1) for part in shown[point, photograph].T], axis=1
+    )
+    count = mirrors.sum(0)[:, None]
     result = nothing_mirrored(number)
     for _ in range(config.rounds):
-        own = ((colours - result[cells]) * seen[:, :, None]).sum(1) / views
-        rest = (colours - own[:, None]) * seen[:, :, None]
-        total = [
-            np.bincount(cells.ravel(), part.ravel(), number + 1) for part in rest.T.swapaxes(1, 2)
-        ]
-        result = np.stack(total, axis=1) / (count + config.held)
+        own = (by_point - mirrors @ result) / views
+        result = (by_cell - mirrors.T @ own) / (count + config.held)
         result[number] = 0.0
     return result

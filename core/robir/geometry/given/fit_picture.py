@@ -12,7 +12,7 @@ from PIL import Image
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
 from robir.geometry.given.config import FitPictureConfig
-from robir.geometry.given.placing import first_hits
+from robir.geometry.given.placing import is_met
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.jobs.paths import replacing
 from robir.maths.similarity import Similarity
@@ -45,7 +45,7 @@ def show_fit(
         photo = np.array(Image.fromarray(view.image_display).resize(size))
         rays = small.rays(small.pixel_centres())
         for row, place in enumerate(places):
-            shown = first_hits(tracer, place, rays).face.reshape(photo.shape[:2]) >= 0
+            shown = is_met(tracer, place, rays).reshape(photo.shape[:2])
             over = photo.copy()
             over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
             sheet.paste(Image.fromarray(over), (side * column, side * row))

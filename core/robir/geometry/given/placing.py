@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
 from robir.geometry.given.config import PlacingConfig
-from robir.geometry.mesh.tracer import EmbreeTracer, Hits
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
@@ -80,8 +80,8 @@ class Outlines:
 
     def balanced(self, tracer: EmbreeTracer, place: Similarity) -> Similarity:
         """A place scaled and shifted so that outlines are as wide as masks, and lie as these do."""
-        hits = first_hits(tracer, place, (self.origins, self.directions))
-        (eyes, there, width), (_, here, wide) = self._seen(self.mask), self._seen(hits.face >= 0)
+        met = is_met(tracer, place, (self.origins, self.directions))
+        (eyes, there, width), (_, here, wide) = self._seen(self.mask), self._seen(met)
         shown = (width > 0) & (wide > 0)
         if shown.sum() < 2:
             return place
@@ -110,8 +110,7 @@ class Outlines:
 
     def of(self, tracer: EmbreeTracer, place: Similarity) -> Agreement:
         """Agreement of the masks with a mesh that a similarity brings to its place."""
-        hits = first_hits(tracer, place, (self.origins, self.directions))
-        shown = hits.face >= 0
+        shown = is_met(tracer, place, (self.origins, self.directions))
         both = np.bincount(self._owner, shown & self.mask)
         either = np.bincount(self._owner, shown | self.mask)
         masked, seen = np.bincount(self._owner, self.mask), np.bincount(self._owner, shown)
@@ -124,8 +123,10 @@ class Outlines:
         )
 
 
-def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> Hits:
-    """Where rays meet a mesh that a similarity brings to its place.
+def is_met(
+    tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]
+) -> NDArray[np.bool_]:
+    """Whether rays meet a mesh that a similarity brings to its place.
 
     Args:
         tracer: Of the mesh where it is.
@@ -133,12 +134,12 @@ def first_hits(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array
         rays: Origins (N, 3) and directions (N, 3).
 
     Returns:
-        Hits whose distances are the mesh's own.
+        (N,) bool.
     """
     origins, directions = rays
     origins = (origins - place.shift) @ place.turn / place.scale
     directions = directions @ place.turn
-    return tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+    return tracer.is_blocked(origins.astype(np.float32), directions.astype(np.float32))
 
 
 def better_place(
