@@ -9,17 +9,15 @@ out of memory, 5 the fit failed its own quality check, 130 cancelled.
 from __future__ import annotations
 
 import argparse
-import errno
 import logging
 import os
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 
 from robir import __version__, commands
+from robir.arguments import asset_formats, path_argument, positive, stage_range
 from robir.errors import CancelledError, RobirError
-from robir.jobs.library import FORMATS
 from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
 
@@ -161,7 +159,7 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _add_set(parser)
     parser.add_argument(
         "--format",
-        type=_formats,
+        type=asset_formats,
         metavar="LIST",
         help="what LIBRARY offers of each result, with commas: glb, usd, and blend, which makes it "
         "an asset of Blender's library; default glb,blend",
@@ -204,7 +202,7 @@ def _add_farm(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--stages",
-        type=_stages,
+        type=stage_range,
         default=(STAGES[0], STAGES[-1]),
         metavar="FIRST-LAST",
         help="with --task: only these stages, once those before them are done, for farms",
@@ -293,42 +291,3 @@ def _add_selftest(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
 
 def _add_progress(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--progress", choices=("auto", "rich", "plain", "json"), default="auto")
-
-
-def path_argument(text: str) -> Path:
-    """A path that the operating system can be asked for; whether it exists is looked at later."""
-    try:
-        Path(text).lstat()
-    except ValueError as fault:
-        raise argparse.ArgumentTypeError(f"{text[:80]!a} is no path ({fault})") from None
-    except OSError as error:
-        if error.errno == errno.ENAMETOOLONG:
-            raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
-    return Path(text)
-
-
-def _stages(text: str) -> tuple[str, str]:
-    """The first and the last of some stages, such as transport-export."""
-    first, separator, last = text.partition("-")
-    if first not in STAGES or (separator and last not in STAGES[STAGES.index(first) :]):
-        raise argparse.ArgumentTypeError(f"{text!a} names no stages; they are {', '.join(STAGES)}")
-    return first, last or first
-
-
-def _formats(text: str) -> tuple[str, ...]:
-    """Formats of an asset, with commas between them."""
-    chosen = [kind for kind in FORMATS if kind in text.lower().split(",")]
-    unknown = sorted(set(text.lower().split(",")) - set(chosen))
-    if unknown:
-        raise argparse.ArgumentTypeError(
-            f"{unknown[0]!a} is no format; known: {', '.join(FORMATS)}"
-        )
-    return tuple(chosen)
-
-
-def positive(text: str) -> int:
-    """A whole number of at least 1."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
-    return value

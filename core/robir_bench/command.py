@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robir.cli import path_argument, positive
+from robir.arguments import path_argument, positive
 from robir.errors import UsageError
 
 if TYPE_CHECKING:

@@ -123,9 +123,7 @@ class Outlines:
         )
 
 
-def is_met(
-    tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]
-) -> NDArray[np.bool_]:
+def is_met(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> NDArray[np.bool_]:
     """Whether rays meet a mesh that a similarity brings to its place.
 
     Args:

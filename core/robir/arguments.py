@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands behind an option or by itself on a command line, read from its text."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+from pathlib import Path
+
+from robir.jobs.library import FORMATS
+from robir.jobs.paths import STAGES
+
+
+def path_argument(text: str) -> Path:
+    """A path that the operating system can be asked for; whether it exists is looked at later."""
+    try:
+        Path(text).lstat()
+    except ValueError as fault:
+        raise argparse.ArgumentTypeError(f"{text[:80]!a} is no path ({fault})") from None
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
+    return Path(text)
+
+
+def stage_range(text: str) -> tuple[str, str]:
+    """The first and the last of some stages, such as transport-export."""
+    first, separator, last = text.partition("-")
+    if first not in STAGES or (separator and last not in STAGES[STAGES.index(first) :]):
+        raise argparse.ArgumentTypeError(f"{text!a} names no stages; they are {', '.join(STAGES)}")
+    return first, last or first
+
+
+def asset_formats(text: str) -> tuple[str, ...]:
+    """Formats of an asset, with commas between them."""
+    chosen = [kind for kind in FORMATS if kind in text.lower().split(",")]
+    unknown = sorted(set(text.lower().split(",")) - set(chosen))
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0]!a} is no format; known: {', '.join(FORMATS)}"
+        )
+    return tuple(chosen)
+
+
+def positive(text: str) -> int:
+    """A whole number of at least 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
+    return value
