@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from addon.tiny_engine import quick_to_place
 from capture.poses.room import RADIUS, Registered, Walk
 from geometry.given.test_surface import Quiet
 
@@ -58,7 +60,7 @@ def test_cameras_of_photographs_alone_come_to_the_mesh(
     metrics = stage.run(
         StageContext(
             paths=paths,
-            config=GeometryConfig(),
+            config=replace(GeometryConfig(), given=quick_to_place(GeometryConfig().given)),
             source=walk.folder,
             masks=None,
             seed=0,
