@@ -98,7 +98,7 @@ def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, s
     paths = JobPaths(tmp_path / "run")
     shutil.copytree(result.root, paths.root)
     arrays = sphere_run.sphere_textures() | {"specular": np.float32(specular)}
-    write_glb(paths.asset, sphere_run.world_mesh(), finished_textures(arrays, 12), "sphere")
+    write_glb(paths.asset, sphere_run.parts(finished_textures(arrays, 12)), "sphere")
     asset = import_result(paths.root, scene).asset
     bpy.ops.import_scene.gltf(filepath=str(paths.asset))
     for made in (asset, bpy.context.object):

@@ -18,6 +18,8 @@ from robir.capture.capture import Bounds, Capture, View
 from robir.capture.store import save_capture
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.metrics import srgb_from_linear
+from robir.export.textures import Textures
+from robir.export.tiles import Part
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import STAGES, JobPaths, write_json
 
@@ -108,6 +110,11 @@ def world_mesh() -> Mesh:
         uvs=mesh.uvs,
         uv_faces=mesh.uv_faces,
     )
+
+
+def parts(textures: Textures) -> list[Part]:
+    """The sphere as a glTF file has it."""
+    return [Part(tile=None, mesh=world_mesh(), textures=textures)]
 
 
 def photograph(layers) -> np.ndarray:

@@ -30,7 +30,7 @@ validator.validateBytes(bytes).then((report) => console.log(JSON.stringify(repor
 def glb(tmp_path_factory):
     file = tmp_path_factory.mktemp("glb") / "asset.glb"
     textures = finished_textures(sphere_run.sphere_textures(), 12)
-    write_glb(file, sphere_run.world_mesh(), textures, "sphere")
+    write_glb(file, sphere_run.parts(textures), "sphere")
     return file
 
 
@@ -39,7 +39,7 @@ def dull_glb(tmp_path_factory):
     """The same without highlights."""
     file = tmp_path_factory.mktemp("glb") / "dull.glb"
     arrays = sphere_run.sphere_textures() | {"specular": np.float32(0)}
-    write_glb(file, sphere_run.world_mesh(), finished_textures(arrays, 12), "sphere")
+    write_glb(file, sphere_run.parts(finished_textures(arrays, 12)), "sphere")
     return file
 
 
@@ -51,7 +51,7 @@ def bumpy_glb(tmp_path_factory):
     """The same with the normal map of a mesh that was handed in."""
     file = tmp_path_factory.mktemp("glb") / "bumpy.glb"
     textures = finished_textures(sphere_run.sphere_textures(), 12)
-    write_glb(file, sphere_run.world_mesh(), replace(textures, normal_map=BUMPS), "sphere")
+    write_glb(file, sphere_run.parts(replace(textures, normal_map=BUMPS)), "sphere")
     return file
 
 

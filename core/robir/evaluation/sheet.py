@@ -56,12 +56,6 @@ def layer_pictures(layers: Layers, albedo_scale: Array | float = 1.0) -> dict[st
     }
 
 
-def composite(picture: Path) -> Picture:
-    """An RGBA file on the sheet's dark grey, as (H, W, 3) codes."""
-    with Image.open(picture, formats=["PNG"]) as image:
-        return over_grey(np.asarray(image.convert("RGBA")))
-
-
 def over_grey(picture: Picture) -> Picture:
     """RGBA codes (H, W, 4) on the sheet's dark grey, as (H, W, 3) codes."""
     rgba = picture.astype(np.float64)

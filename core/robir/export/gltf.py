@@ -62,21 +62,7 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def write_glb(path: Path, mesh: Mesh, textures: Textures, name: str) -> None:
-    """Write a mesh with its material.
-
-    Args:
-        path: File to replace.
-        mesh: Unwrapped, in the capture's own frame and unit.
-        textures: Base colour is embedded as an sRGB PNG; roughness and metallic as one linear PNG
-            with roughness in G and metallic in B. Specular other than 1 needs an extension, which
-            viewers that lack it pass over.
-        name: Name of node, mesh and material.
-    """
-    write_parts(path, [Part(tile=None, mesh=mesh, textures=textures)], name)
-
-
-def write_parts(path: Path, parts: Iterable[Part], name: str) -> None:
+def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
     """Write a mesh whose parts each have a material of their own.
 
     glTF knows no UDIM tiles: every tile is a primitive of the one mesh, with texture coordinates in
@@ -84,7 +70,10 @@ def write_parts(path: Path, parts: Iterable[Part], name: str) -> None:
 
     Args:
         path: File to replace.
-        parts: One or more; see `write_glb` for what becomes of their textures.
+        parts: One or more, unwrapped, in the capture's own frame and unit. Base colour is embedded
+            as an sRGB PNG; roughness and metallic as one linear PNG with roughness in G and
+            metallic in B. Specular other than 1 needs an extension, which viewers that lack it pass
+            over.
         name: Name of node, mesh and material.
     """
     buffer = _Buffer()

@@ -17,7 +17,7 @@ from robir.evaluation.layers import load_textures, result_mesh, stored_exposure,
 from robir.export.blender import Outcome, run_headless
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
-from robir.export.gltf import write_parts
+from robir.export.gltf import write_glb
 from robir.export.report import Products, Rendering, write_report
 from robir.export.tiles import parts_of, tile_textures, write_tiles
 from robir.export.tone_lut import export_tone_curve
@@ -68,7 +68,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     report.progress(0.05, "writing textures and the asset")
     textures = tile_textures(arrays, mesh.tiles, len(judged.train), paths.normal_map)
     write_tiles(textures, mesh.tiles, paths.textures)
-    write_parts(paths.asset, parts_of(mesh, textures), asset_name(capture))
+    write_glb(paths.asset, parts_of(mesh, textures), asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")
     light = export_light(paths)
     tone_curve = export_tone_curve(paths)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surface reflection: GGX microfacets with height-correlated shadowing, and Lambert.
+"""Specular reflection: GGX microfacets with height-correlated shadowing.
 
     f_s = D(h) F(o.h) V(n.i, n.o),    ggx_alpha = roughness ** 2 as in Blender's Principled,
     D(h) = a^2 / (pi ((n.h)^2 (a^2 - 1) + 1)^2),
@@ -24,14 +24,11 @@ import math
 import torch
 from torch import Tensor
 
-from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
-from robir.maths.vectors import dot, normalise, reflect
+from robir.maths.vectors import dot, normalise
 
 # Narrower than this, D overflows what float32 can square; it is a mirror to any camera.
 _SMALLEST_ALPHA = 1e-3
 _SMALLEST_COSINE = 1e-4
-# Sharpness of the lobe over that of the warped distribution of normals, per roughness.
-_TAILS = 1.85
 _TABLE_NODES = 33
 _TABLE_STRATA = 64
 
@@ -94,11 +91,6 @@ def specular_brdf(
     fresnel = schlick_fresnel(dot(view_dir, half)[..., None], f0)
     value = torch.where(is_lit, distribution * visibility, torch.zeros_like(cosine_light))
     return fresnel * value[..., None]
-
-
-def diffuse_brdf(albedo: Tensor) -> Tensor:
-    """Lambert reflection per steradian, albedo / pi, the same for all directions."""
-    return albedo / math.pi
 
 
 def environment_brdf(cosine_view: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
@@ -173,30 +165,3 @@ def _environment_table() -> Tensor:
         parts = [((1.0 - weight) * ratio).mean(-1), (weight * ratio).mean(-1)]
         rows.append(torch.stack(parts, dim=-1))
     return torch.stack(rows)
-
-
-def ggx_lobes(view_dir: Tensor, normal: Tensor, roughness: Tensor) -> SphericalGaussians:
-    """Lobe of the light directions that a GGX surface sends to the camera, integral 1.
-
-    Multiply with light, integrate, and scale by environment_brdf (f0 * scale + bias). The normals
-    as a lobe of sharpness 2 / alpha^2, warped to the mirror direction, would have sharpness
-    1 / (2 alpha^2 n.o), which misses the tails of GGX; times 1.85 roughness it reflects lobes of
-    sharpness 20 to 80 within 20 % of quadrature (fitted for roughness 0.15 to 0.9, views up to 70
-    degrees). Views below 5 degrees of elevation are taken as 5 degrees.
-
-    Args:
-        view_dir: (K, 3).
-        normal: (K, 3).
-        roughness: (K,), 0 to 1.
-
-    Returns:
-        K lobes with one channel.
-
-    References:
-        Wang et al., All-Frequency Rendering of Dynamic, Spatially-Varying Reflectance, 2009.
-    """
-    alpha = ggx_alpha_from_roughness(roughness)
-    cosine = dot(view_dir, normal).clamp_min(math.sin(math.radians(5.0)))
-    sharpness = 0.5 * _TAILS * alpha.sqrt() / (alpha * alpha * cosine)
-    amplitude = amplitude_from_irradiance(sharpness, torch.ones_like(sharpness)[..., None])
-    return SphericalGaussians(reflect(view_dir, normal), sharpness, amplitude)

@@ -96,22 +96,6 @@ def fibonacci_sphere(
     return directions.to(device=device, dtype=dtype)
 
 
-def uv_from_direction(direction: Tensor) -> Tensor:
-    """Lat-long map coordinates of unit directions.
-
-    Args:
-        direction: (..., 3), unit, world, z up.
-
-    Returns:
-        (..., 2): u in [0, 1] from the left, v in [0, 1] from the top. The seam u = 0 = 1 is -X.
-    """
-    x, y, z = direction.unbind(-1)
-    u = 0.5 - torch.atan2(y, x) / (2.0 * math.pi)
-    # atan2 keeps its precision and finite slope at the poles, where asin loses both.
-    v = 0.5 - torch.atan2(z, torch.hypot(x, y)) / math.pi
-    return torch.stack([u, v], dim=-1)
-
-
 def direction_from_uv(uv: Tensor) -> Tensor:
     """Unit directions (..., 3), world, z up, of lat-long coordinates (u left, v from the top)."""
     azimuth = (0.5 - uv[..., 0]) * (2.0 * math.pi)

@@ -39,11 +39,6 @@ def log_survival_between(sdf: Tensor, inv_std: float) -> Tensor:
     return (shone[1:] - shone[:-1]).clamp(max=0.0)
 
 
-def opacity(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
-    """Opacity of intervals, in [0, 1] (NeuS equation 13)."""
-    return -torch.expm1(log_survival(sdf_start, sdf_end, inv_std))
-
-
 def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
     """Share of light that reaches the start of each interval.
 

@@ -8,7 +8,6 @@ import torch
 from robir.maths.volume import (
     log_survival,
     log_survival_between,
-    opacity,
     transmittance,
     weights,
 )
@@ -31,8 +30,9 @@ def test_opacity_is_equation_13_and_zero_when_leaving() -> None:
     one, two = torch.rand(100, dtype=torch.float64) - 0.5, torch.rand(100).double() - 0.5
     before, after = torch.sigmoid(20.0 * one), torch.sigmoid(20.0 * two)
     expected = ((before - after) / before).clamp(min=0.0)
-    torch.testing.assert_close(opacity(one, two, 20.0), expected)
-    assert opacity(torch.tensor([-0.1]), torch.tensor([0.1]), 50.0).item() == 0.0
+    opacity = 1.0 - log_survival(one, two, 20.0).exp()
+    torch.testing.assert_close(opacity, expected)
+    assert log_survival(torch.tensor([-0.1]), torch.tensor([0.1]), 50.0).item() == 0.0
 
 
 def test_rays_packed_together_do_not_touch_each_other() -> None:
