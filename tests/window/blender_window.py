@@ -106,13 +106,13 @@ class BlenderWindow:
         time.sleep(1.0)
         self._show_tab()
 
-    def choose_engine(self) -> None:
-        """Take the Python of this checkout as the engine, here and in windows opened later."""
+    def choose_engine(self, python: Path = Path(sys.executable)) -> None:
+        """Take a Python as the engine, here and in windows opened later."""
         self.run(
             "import bl_ext.user_default.robir as addon\n"
             "chosen = bpy.context.preferences.addons[addon.__name__].preferences\n"
             "chosen.engine = 'EXISTING'\n"
-            f"chosen.python = {sys.executable!r}\n"
+            f"chosen.python = {str(python)!r}\n"
             "bpy.ops.wm.save_userpref()"
         )
 
