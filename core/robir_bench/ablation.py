@@ -8,6 +8,7 @@ whole run says that a step has not changed is not run again. A step earns its pl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -39,6 +40,10 @@ from robir_bench.table import Record, Table, split, value
 
 HEADLINES = (ALBEDO, RAW_ALBEDO, SHADOW, ROUGHNESS, NORMALS, LEVEL, HUE, SUN)
 """Figures by which a step earns its place."""
+
+SMALLEST_ANGLE = 0.1
+"""Degrees. A sun counts by the logarithm of its error, no smaller than this: the mean of degrees is
+that of suns which are wrong altogether, and moves by chance with any step."""
 
 DRAWN = (ALBEDO, RAW_ALBEDO)
 
@@ -221,7 +226,8 @@ def ablation_table(found: Sequence[Worth]) -> Table:
                 worth.verdict,
             ]
         )
-    head = ["step", "what it does", "changed", *(score.title for score in HEADLINES)]
+    titles = ["sun (ln of degrees)" if score is SUN else score.title for score in HEADLINES]
+    head = ["step", "what it does", "changed", *titles]
     return Table(
         title="What each step brings, against the same run without it",
         head=[*head, "costs (CPU-s)", "verdict"],
@@ -257,8 +263,13 @@ def _gains(score: Score, pairs: Sequence[tuple[Record, Record]], classes: Classe
     for one, other in pairs:
         own = classes[one["capture"]]
         with_it, without = figure(score, one, own), figure(score, other, own)
-        if with_it is not None and without is not None:
-            found.append(sign * (with_it - without))
+        if with_it is None or without is None:
+            continue
+        if score is SUN:
+            with_it, without = (
+                math.log(max(angle, SMALLEST_ANGLE)) for angle in (with_it, without)
+            )
+        found.append(sign * (with_it - without))
     return found
 
 

@@ -11,7 +11,7 @@ import pytest
 from bench.fake_robir import scores
 
 from robir import cli
-from robir.evaluation.scores import ALBEDO, RAW_ALBEDO
+from robir.evaluation.scores import ALBEDO, RAW_ALBEDO, SUN
 from robir_bench.ablation import ENOUGH, ablated, chosen_trials, trials, worths
 from robir_bench.population import read_population
 from robir_bench.runs import read_scores
@@ -79,6 +79,16 @@ def test_a_step_that_gives_with_one_hand_and_takes_with_the_other_is_left_open()
         record["scores"]["albedo"]["psnr_linear"]["raw"] = raw
     (worth, *_) = worths(found, kinds)
     assert worth.verdict == f"open: {ALBEDO.title} better, {RAW_ALBEDO.title} worse"
+
+
+def test_suns_that_are_wrong_altogether_do_not_hide_what_a_step_does_to_the_others():
+    found, kinds = records([0.0] * ENOUGH)
+    for number, record in enumerate(found):
+        is_whole, is_wrong = record["method"] == "ours", number // 2 % 3 == 0
+        degrees = (130.0 if is_whole else 124.0) if is_wrong else (0.5 if is_whole else 1.0)
+        record["scores"]["light"]["strongest_lobe_degrees"] = degrees
+    (worth, *_) = worths(found, kinds)
+    assert worth.verdict == f"stays: {SUN.title}"
 
 
 def test_a_step_that_a_class_needs_stays_unless_another_pays():
