@@ -126,10 +126,10 @@ class ResidualShadingConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UncertaintyConfig:
-    """Standard error of log albedo by its causes; the factors are calibrated.
+    """Standard error of log albedo by its causes; the factors are calibrated on drawn captures.
 
     Attributes:
-        floor: What every texel has.
+        floor: What every texel has: light that is wrong makes whole sides of a thing wrong alike.
         spread: Factor of the standard error of the views about a texel's brightness.
         changed: Factor of how far albedo lay off its surroundings.
         few: Error by one view; falls with the square root of their number.
@@ -137,11 +137,11 @@ class UncertaintyConfig:
             not calibrated: test views hardly show what no training view does.
     """
 
-    floor: Annotated[float, Within(0, 1)] = 0.025
-    spread: Annotated[float, Within(0, 100)] = 3.02
-    changed: Annotated[float, Within(0, 100)] = 1.67
-    few: Annotated[float, Within(0, 10)] = 0.13
-    distance: Annotated[float, Within(0.1, 1000)] = 10.0
+    floor: Annotated[float, Within(0, 1)] = 0.14
+    spread: Annotated[float, Within(0, 100)] = 4.3
+    changed: Annotated[float, Within(0, 100)] = 2.4
+    few: Annotated[float, Within(0, 10)] = 0.19
+    distance: Annotated[float, Within(0.1, 1000)] = 14.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
