@@ -31,7 +31,7 @@ def glb(tmp_path) -> Path:
     """As our own export writes it."""
     textures = finished_textures(sphere_run.sphere_textures(), 12)
     path = tmp_path / "asset.glb"
-    write_glb(path, sphere_run.world_mesh(), replace(textures, normal_map=BUMPS), "sphere")
+    write_glb(path, sphere_run.parts(replace(textures, normal_map=BUMPS)), "sphere")
     return path
 
 

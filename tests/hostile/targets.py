@@ -104,7 +104,7 @@ class Targets:
         textures = finished_textures(sphere_run.sphere_textures(), 12)
         textures = replace(textures, normal_map=np.full((4, 4, 3), 128, np.uint8))
         file = folder / "scan.glb"
-        write_glb(file, sphere_run.world_mesh(), textures, "scan")
+        write_glb(file, sphere_run.parts(textures), "scan")
         self._add("mesh_glb", file, partial(read_mesh, file))
 
     def _add_results(self, root: Path, shots: list) -> None:
