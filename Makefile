@@ -210,12 +210,11 @@ validator: setup
 # versions of Blender, run beside the rest.
 BESIDE := tests/addon tests/batch tests/hostile
 
-test: setup
+test: lint validator
 	@mkdir -p build; \
-	{ $(MAKE) -s blenders && $(BIN)/python -m pytest -q $(BESIDE); } >build/beside.log 2>&1 & \
+	{ $(MAKE) -s blenders && exec $(BIN)/python -m pytest -q $(BESIDE); } >build/beside.log 2>&1 & \
 	beside=$$!; trap 'kill $$beside 2>/dev/null' EXIT; \
-	tested=0; $(MAKE) -s lint validator && \
-	  $(BIN)/python -m pytest -q $(addprefix --ignore=,$(BESIDE)) || tested=$$?; \
+	tested=0; $(BIN)/python -m pytest -q $(addprefix --ignore=,$(BESIDE)) || tested=$$?; \
 	waited=0; wait $$beside || waited=$$?; \
 	cat build/beside.log; \
 	test $$tested -eq 0 && test $$waited -eq 0

@@ -15,7 +15,6 @@ from robir.capture.mesh_file import read_mesh
 from robir.errors import CaptureError
 from robir.export.gltf import write_glb
 from robir.export.textures import finished_textures
-from robir.export.tiles import Part
 
 CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -52,7 +51,7 @@ def test_our_own_asset_comes_back_with_its_layout(tmp_path):
     """glTF is y-up and counts v from the top: both are undone."""
     mesh = sphere_run.world_mesh()
     textures = finished_textures(sphere_run.sphere_textures(), 12)
-    write_glb(tmp_path / "asset.glb", [Part(tile=None, mesh=mesh, textures=textures)], "sphere")
+    write_glb(tmp_path / "asset.glb", sphere_run.parts(textures), "sphere")
     given = read_mesh(tmp_path / "asset.glb")
     assert given.vertices[given.faces] == pytest.approx(mesh.vertices[mesh.faces], abs=1e-6)
     assert given.uvs[given.faces] == pytest.approx(mesh.uvs[mesh.uv_faces], abs=1e-6)

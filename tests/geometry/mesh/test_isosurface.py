@@ -229,14 +229,17 @@ def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
 
 
 @pytest.mark.slow
-def test_a_small_fit_is_accurate() -> None:
+def test_small_fit_is_accurate_and_repeats_exactly() -> None:
     capture = capture_of(ball(0.5, (0.0, 0.0, 0.0)), low=-1.0)
     config = GeometryConfig(
         level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800,
         refine=RefineConfig(image_sides=(64,), most_vertices=3000),
     )  # fmt: skip
     surface = reconstruct(capture, config, 3, "cpu", Silent())
-    mesh, metrics = surface.mesh, surface.metrics
-    radius = np.linalg.norm(mesh.vertices, axis=1)
+    first, metrics = surface.mesh, surface.metrics
+    radius = np.linalg.norm(first.vertices, axis=1)
     assert abs(radius.mean() - 0.5) < 0.02 and radius.std() < 0.02
-    assert mesh.is_unwrapped and metrics["faces"] <= 800
+    assert first.is_unwrapped and metrics["faces"] <= 800
+    second = reconstruct(capture, config, 3, "cpu", Silent()).mesh
+    np.testing.assert_array_equal(first.vertices, second.vertices)
+    np.testing.assert_array_equal(first.uvs, second.uvs)
