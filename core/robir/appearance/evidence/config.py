@@ -63,7 +63,7 @@ class LevelConfig:
     exposure: Annotated[float, Within(-5, 5, "log radiance")] = -0.15
     exposure_spread: Annotated[float, Within(0.05, 10, "log units")] = 0.65
     excess: Annotated[float, Within(0.01, 10, "log units")] = 0.1
-    misread: Annotated[float, Within(0.01, 10, "log units")] = 0.3
+    misread: Annotated[float, Within(0.01, 10, "log units")] = 0.42
     num_patches: Annotated[int, Within(1, 200)] = 16
     num_samples: Annotated[int, Within(20, 100000)] = 450
     firmness: Annotated[float, Within(0.1, 100)] = 3.0

@@ -126,7 +126,7 @@ def _evidence(
         codes = 255 * errors[:, :, patch == known].sum(2) / views[known]
         log = logsumexp(-reading.steepness * np.log(codes + reading.unseen_codes), axis=0)
         total += log * views[known] / (views[known] + reading.half_believed)
-    return misread(total, config.evidence.level)
+    return total
 
 
 def misread(evidence: Reals, config: LevelConfig) -> Reals:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What photographs of the same points tell about how they were exposed and lit.
 
-Whether anything is needed is judged under a plain tone curve, as any curve makes the same
-photographs brighter. Gains are taken only where they are larger than gloss feigns them, and where
-gains from points of some orientations let photographs predict points of the others: an exposure
-changes all alike, while sheen depends on where a point faces, so that other points alone would
-prove that of a ground as well. A falloff towards the corners, common to all photographs, is proven
-by those it was not solved by.
+Asked of cameras alone. Whether anything is needed is judged under a plain tone curve, as any curve
+makes the same photographs brighter. Gains are taken only where they are larger than gloss feigns
+them, and where gains from points of some orientations let photographs predict points of the others:
+an exposure changes all alike, while sheen depends on where a point faces, so that other points
+alone would prove that of a ground as well. A falloff towards the corners, common to all
+photographs, is proven by those it was not solved by.
 """
 
 from __future__ import annotations
@@ -133,8 +133,13 @@ class Comparison:
 
     @property
     def tells(self) -> bool:
-        """Whether enough is seen in common to tell anything."""
-        return len(self.log) >= self.config.photometry.gains.least_points
+        """Whether cameras took the photographs, and enough is seen in common to tell anything.
+
+        A rendering has one light, one exposure and no lens; what its gloss feigns was taken for
+        each of them on one drawn rendering in five (docs/ablation.md).
+        """
+        enough = len(self.log) >= self.config.photometry.gains.least_points
+        return enough and is_by_camera(self.capture)
 
     @property
     def normals(self) -> Floats:
@@ -185,8 +190,7 @@ def _find_gains(state: Comparison) -> Comparison:
 
 
 def _find_own_lights(state: Comparison) -> Comparison:
-    # a rendering has one light
-    if not state.tells or not is_by_camera(state.capture):
+    if not state.tells:
         return state
     log = state.log - state.falloff.log(state.off_axis)[..., None]
     places = state.points.position[state.kept], state.observations.positions
