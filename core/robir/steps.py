@@ -7,6 +7,7 @@ lists, and `--set appearance.without='["polish"]'` leaves a step out by hand.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
@@ -43,17 +44,22 @@ class Course:
 
     Attributes:
         changed: Names of those that changed anything.
+        seconds: Processor time of each so far, of all its rounds, by name.
     """
 
     def __init__(self, without: Sequence[str] = ()) -> None:
         self._without = without
         self.changed: set[str] = set()
+        self.seconds: dict[str, float] = {}
 
     def carry_out(self, steps: Sequence[Step[State]], state: State) -> State:
         """Do one step after the other, but for those left out."""
         for step in steps:
             if step.name not in self._without:
+                started = time.process_time()
                 before, state = state, step.run(state)
+                spent = time.process_time() - started
+                self.seconds[step.name] = self.seconds.get(step.name, 0.0) + spent
                 if not _is_same(before, state):
                     self.changed.add(step.name)
         return state
@@ -62,6 +68,13 @@ class Course:
         """Names of those on trial that changed nothing: a run without them is this one."""
         on_trial = (step.name for step in steps if step.is_on_trial)
         return [name for name in on_trial if name not in self.changed]
+
+    def plain(self, steps: Sequence[Step[Any]]) -> dict[str, Any]:
+        """As plain values: "idle" names, and "cpu_seconds" by name."""
+        return {
+            "idle": self.idle(steps),
+            "cpu_seconds": {name: round(spent, 3) for name, spent in self.seconds.items()},
+        }
 
 
 def _is_same(before: Any, after: Any) -> bool:

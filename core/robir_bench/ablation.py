@@ -36,7 +36,7 @@ from robir_bench.chart import SVG_STYLE, svg, tidy
 from robir_bench.distribution import Estimate, estimate, mean
 from robir_bench.plan import OURS, BenchRun
 from robir_bench.population import figure, groups
-from robir_bench.table import Record, Table, split, value
+from robir_bench.table import Record, Table, split
 
 HEADLINES = (ALBEDO, RAW_ALBEDO, SHADOW, ROUGHNESS, NORMALS, LEVEL, HUE, SUN)
 """Figures by which a step earns its place."""
@@ -140,14 +140,10 @@ class Worth:
 
     @property
     def seconds(self) -> Estimate | None:
-        """Mean CPU seconds that it costs."""
-        spent = [
-            with_it - without
-            for one, other in self.pairs
-            if (with_it := value(SECONDS, one)) is not None
-            and (without := value(SECONDS, other)) is not None
-        ]
-        return estimate(spent, mean)
+        """Mean CPU seconds that it takes, where it changes nothing as well."""
+        stage, name = self.trial.stage, self.trial.step.name
+        spent = (one.get("step_seconds", {}).get(stage, {}).get(name) for one, _ in self.pairs)
+        return estimate([seconds for seconds in spent if seconds is not None], mean)
 
     @property
     def changed(self) -> int:

@@ -186,17 +186,14 @@ def _done(
 
 
 def _same(run: BenchRun, folder: Path, whole: Record) -> Record | None:
-    """The record of a run without a step that changed nothing in the whole run, else None.
-
-    What the step cost is not known by that.
-    """
+    """The record of a run without a step that changed nothing in the whole run, else None."""
     if run.left_out is None or "scores" not in whole:
         return None
     stage, step = run.left_out
-    idle = JobPaths(result_folder(replace(run, method=OURS), folder)).idle_steps(stage)
-    if not idle.exists() or step not in read_json(idle):
+    told = JobPaths(result_folder(replace(run, method=OURS), folder)).steps(stage)
+    if not told.exists() or step not in read_json(told)["idle"]:
         return None
-    return {name: value for name, value in whole.items() if name != "cpu_seconds"} | run.facts
+    return whole | run.facts
 
 
 def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
@@ -216,11 +213,15 @@ def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
     scores = json.loads(judged.stdout)
     _draw(run, folder, scores)
     about = read_json(JobPaths(out).run)
+    steps = {stage: JobPaths(out).steps(stage) for stage in about["seconds"]}
     report = JobPaths(out).report_json
     told = read_json(report).get("trust") if report.exists() else None
     return run.facts | {
         "seconds": about["seconds"],
         "cpu_seconds": sum(stage["cpu"] for stage in about["seconds"].values()),
+        "step_seconds": {
+            stage: read_json(told)["cpu_seconds"] for stage, told in steps.items() if told.exists()
+        },
         "peak_gigabytes": max(about["peak_memory_bytes"].values()) / 1e9,
         "warnings": [warning["message"] for warning in about.get("warnings", [])],
         "trust": told,

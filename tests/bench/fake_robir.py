@@ -70,7 +70,9 @@ class FakeRobir:
         sphere_run.make_run(paths.root)
         write_json(paths.manifest("export"), {"made by": list(words)})
         for stage, names in self.idle.items():
-            write_json(paths.idle_steps(stage), names)
+            write_json(
+                paths.steps(stage), {"idle": names, "cpu_seconds": dict.fromkeys(names, 1.5)}
+            )
         paths.config.write_text("seed = 0\n")
         seconds = {stage: {"wall": 1.0, "cpu": 2.0} for stage in STAGES}
         about = {"state": "done", "seconds": seconds}

@@ -38,10 +38,11 @@ def records(gains, classes=lambda number: CLASSES):
     for number, gain in enumerate(gains):
         name = f"seed_{number:04}"
         kinds[name] = classes(number)
+        steps = {TRIAL.stage: {TRIAL.step.name: 1.0 + number}}
         for method, albedo in (("ours", 20.0 + gain), (TRIAL.method, 20.0)):
             found.append(
                 {"capture": name, "name": f"{name}_{method}", "method": method}
-                | {"scores": scores(albedo), "cpu_seconds": 5.0 if method == "ours" else 3.0}
+                | {"scores": scores(albedo), "step_seconds": steps if method == "ours" else {}}
             )
     return found, kinds
 
@@ -120,7 +121,7 @@ def test_what_a_step_has_not_changed_is_not_run_again(population, tmp_path, robi
     found = worths(list(read_scores(tmp_path / "out").values()), dict.fromkeys(NAMES, CLASSES))[0]
     assert len(found.pairs) == 2 and found.changed == 0
     assert found.gain(ALBEDO).value == 0.0
-    assert found.seconds is None
+    assert found.seconds.value == 1.5
 
 
 def test_ablating_a_plan_is_refused(tmp_path, capsys):

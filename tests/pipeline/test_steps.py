@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -42,6 +43,9 @@ def test_steps_that_change_nothing_are_told():
     ended = course.carry_out(steps, Known(values=[]))
     assert (ended.values, ended.told) == ([1], "")
     assert course.idle(steps) == ["same", "talks", "equal"]
+    told = course.plain(steps)
+    assert told["idle"] == course.idle(steps)
+    assert list(told["cpu_seconds"]) == ["same", "talks", "works", "must"]
     course = Course()
     course.carry_out(steps, course.carry_out(steps[3:], Known(values=[])))
     assert course.idle(steps) == ["same", "talks"], "what changed something once is not idle"
@@ -59,3 +63,16 @@ def test_names_are_unique_and_every_step_says_what_it_is_for(steps):
     assert len(set(names)) == len(names)
     assert all(step.purpose and step.source for step in steps)
     check_left_out(steps, [step.name for step in steps if step.is_on_trial], "-")
+
+
+def test_what_a_step_costs_is_added_up_over_its_rounds():
+    def work(state):
+        started = time.process_time()
+        while time.process_time() - started < 0.02:
+            pass
+        return state
+
+    step = Step(name="works", purpose="-", source="-", run=work)
+    course = Course()
+    course.carry_out((step,), course.carry_out((step,), 0))
+    assert 0.04 <= course.plain((step,))["cpu_seconds"]["works"] < 0.2

@@ -126,7 +126,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
-    write_json(context.paths.idle_steps("appearance"), course.idle(STEPS))
+    write_json(context.paths.steps("appearance"), course.plain(STEPS))
     return {
         "tone_curve": tone.candidates[0].curve.name,
         "sharp_lobes": len(light.axes),

@@ -94,7 +94,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     folder = context.paths.stage("geometry")
     surface.mesh.save(folder / "mesh.npz")
     write_json(folder / "choices.json", [choice.plain() for choice in surface.choices])
-    write_json(context.paths.idle_steps("geometry"), surface.idle)
+    write_json(context.paths.steps("geometry"), surface.steps)
     if surface.ground is not None:
         normal = surface.ground.axes[2]
         plane = {"normal": normal.tolist(), "offset": float(normal @ surface.ground.origin)}
@@ -155,14 +155,14 @@ class Surface:
         mesh: Unwrapped, unit frame.
         metrics: For the stage's manifest.
         choices: What was chosen, for the report.
-        idle: Names of the steps that changed nothing.
+        steps: Which steps changed nothing, and what each cost, as `Course.plain` has it.
         ground: The flat ground that the mesh shows too; None where it shows none.
     """
 
     mesh: Mesh
     metrics: dict[str, float | str]
     choices: tuple[Choice, ...]
-    idle: tuple[str, ...]
+    steps: dict[str, Any]
     ground: SupportPlane | None
 
 
@@ -227,6 +227,6 @@ def reconstruct(
         mesh=mesh,
         metrics=metrics,
         choices=settling.rival.choices,
-        idle=tuple(course.idle(STEPS)),
+        steps=course.plain(STEPS),
         ground=None if backdrop is None else backdrop.ground.columns.plane,
     )

@@ -111,9 +111,9 @@ class JobPaths:
         """A stage's manifest, written last: it makes the stage count as done."""
         return self.stage(name) / "stage.json"
 
-    def idle_steps(self, name: str) -> Path:
-        """Names of a stage's steps that changed nothing on this capture."""
-        return self.stage(name) / "idle_steps.json"
+    def steps(self, name: str) -> Path:
+        """Which of a stage's steps changed nothing on this capture, and what each cost."""
+        return self.stage(name) / "steps.json"
 
     @property
     def ground(self) -> Path:
