@@ -136,7 +136,7 @@ class Comparison:
         """Whether cameras took the photographs, and enough is seen in common to tell anything.
 
         A rendering has one light, one exposure and no lens; what its gloss feigns was taken for
-        each of them on one drawn rendering in five (docs/ablation.md).
+        one of them on five to eight of 40 drawn renderings each (docs/ablation.md).
         """
         enough = len(self.log) >= self.config.photometry.gains.least_points
         return enough and is_by_camera(self.capture)
