@@ -213,14 +213,15 @@ def _record(run: BenchRun, folder: Path, is_truth_needed: bool) -> Record:
     scores = json.loads(judged.stdout)
     _draw(run, folder, scores)
     about = read_json(JobPaths(out).run)
-    steps = {stage: JobPaths(out).steps(stage) for stage in about["seconds"]}
     report = JobPaths(out).report_json
     told = read_json(report).get("trust") if report.exists() else None
     return run.facts | {
         "seconds": about["seconds"],
         "cpu_seconds": sum(stage["cpu"] for stage in about["seconds"].values()),
         "step_seconds": {
-            stage: read_json(told)["cpu_seconds"] for stage, told in steps.items() if told.exists()
+            stage: read_json(steps)["cpu_seconds"]
+            for stage in about["seconds"]
+            if (steps := JobPaths(out).steps(stage)).exists()
         },
         "peak_gigabytes": max(about["peak_memory_bytes"].values()) / 1e9,
         "warnings": [warning["message"] for warning in about.get("warnings", [])],
