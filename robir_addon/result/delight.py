@@ -12,14 +12,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blocks import reload_image, with_mark
+from ..blocks import with_mark
 from ..errors import RequestError, ResultError
 from ..gateway import JobPaths, read_record, replacing
 from ..words import told
 from .arrival import bring_in, light_up
 from .glb import read_glb
 from .importer import import_light, mark_of
-from .materials import new_material
+from .materials import new_material, refresh_material, refresh_pictures
 
 TARGET = "robir_delit"
 """Custom property of an object: the result folder its new material comes from."""
@@ -149,11 +149,12 @@ def give_back(context: bpy.types.Context, root: Path) -> list[str]:
     specular = read_glb(paths.asset).specular
     import_light(root, scene, use_sun_lamp=scene.robir.use_sun_lamp)
     scene.robir.result = str(root)
-    known = next(iter(with_mark(bpy.data.materials, mark)), None)
-    if known is not None:
-        for image in with_mark(bpy.data.images, mark):
-            reload_image(image)
-    material = known or new_material(f"{target.name} de-lit", specular, paths, mark)
+    material = next(iter(with_mark(bpy.data.materials, mark)), None)
+    if material is None:
+        material = new_material(f"{target.name} de-lit", specular, paths, mark)
+    else:
+        refresh_pictures(paths, mark)
+        refresh_material(material, specular, paths)
     _show(target.data, material)
     light_up(context)
     text = "{name} has the new material {material} beside those it had"

@@ -20,7 +20,7 @@ _SPECULAR = "robir_specular"
 """Custom property of a material: the specular level as it was imported."""
 
 _FED = "robir_fed"
-"""Custom property of a material: the sockets that have been given a texture, in one string."""
+"""Custom property of a material: one string with the names of all sockets given a texture."""
 
 _LEVEL = "Specular IOR Level"
 
@@ -64,17 +64,12 @@ def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> No
         ResultError: If a texture is missing or damaged; then the object is as it was.
     """
     mark, before = asset[MARK], asset.data
-    known = {_file(image): image for image in with_mark(bpy.data.images, mark)}
-    for file, _, space in texture_sockets(paths):
-        if file in known:
-            reload_image(known[file])
-        else:
-            load_image(file, space, mark)
+    refresh_pictures(paths, mark)
     data = _mesh(mesh, mark)
     for material in before.materials:
         data.materials.append(material)
         if material is not None and _SPECULAR in material:
-            _refresh_material(material, mesh.specular, paths)
+            refresh_material(material, mesh.specular, paths)
     fit_again(asset, data)
     data[_DIGEST] = _digest(data)
     name = before.name
@@ -150,8 +145,28 @@ def new_material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.
     return material
 
 
-def _refresh_material(material: bpy.types.Material, specular: float, paths: JobPaths) -> None:
-    """Give the material what the newer result has more, take what it lacks, and keep edits."""
+def refresh_pictures(paths: JobPaths, mark: str) -> None:
+    """Read the texture files of a newer result, those too that the former one did without.
+
+    Raises:
+        ResultError: If a texture is missing or damaged.
+    """
+    known = {_file(image): image for image in with_mark(bpy.data.images, mark)}
+    for file, _, space in texture_sockets(paths):
+        if file in known:
+            reload_image(known[file])
+        else:
+            load_image(file, space, mark)
+
+
+def refresh_material(material: bpy.types.Material, specular: float, paths: JobPaths) -> None:
+    """Give the material what the newer result has more, take what it lacks, and keep edits.
+
+    Args:
+        material: As `new_material` made it, and as the user has left it.
+        specular: As for `new_material`.
+        paths: Of the result folder, whose pictures `refresh_pictures` has read.
+    """
     shader = _principled(material)
     if shader is None:
         return
@@ -163,7 +178,7 @@ def _refresh_material(material: bpy.types.Material, specular: float, paths: JobP
     images = {_file(i): i for i in with_mark(bpy.data.images, material[MARK])}
     gone = [i for f, i in images.items() if f.parent == paths.textures and not are_there(f)]
     lost = [n for n in nodes if n.type == "TEX_IMAGE" and n.image in gone]
-    fed = set(material[_FED].split()) - {n.label for n in lost}
+    fed = {s for _, s, _ in sockets if s in material[_FED]} - {n.label for n in lost}
     for node in lost:
         nodes.remove(node)
     for row, (file, socket, _) in enumerate(sockets):

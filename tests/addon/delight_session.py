@@ -4,6 +4,9 @@
 Runs inside Blender after the text of capture_session.py, whose names it uses.
 """
 
+import shutil
+from pathlib import Path
+
 import bpy
 from capture_session import attempt, settings, state, told  # taken out before it runs
 from mathutils import Vector
@@ -30,6 +33,7 @@ def delight(capture, ball, box):
     answer["spot"] = spot_on(target)
     answer["again"] = attempt(bpy.ops.robir.delight)
     answer["after_again"] = state_of(target)
+    answer["fed"] = fed_as_metal_comes_and_goes(target, Path(answer["told"]["result"]))
     bpy.ops.ed.undo()
     bpy.ops.ed.undo()
     answer["undone"] = state_of(bpy.data.objects["Figure"])
@@ -40,6 +44,20 @@ def delight(capture, ball, box):
     answer["bare_after"] = state_of(bpy.data.objects["Figure"])
     answer["objects"] = [o.name for o in bpy.data.objects if o.get("robir_result")]
     return answer
+
+
+def fed_as_metal_comes_and_goes(target, result):
+    """Sockets that have a picture after newer results without metal, with it, and without."""
+    textures, seen = result / "export" / "textures", []
+    metal = textures / "metallic.png"
+    for has_metal in (False, True, False):
+        metal.unlink(missing_ok=True)
+        if has_metal:
+            shutil.copyfile(textures / "roughness.png", metal)
+        said = attempt(bpy.ops.robir.import_result, directory=str(result))
+        nodes = target.data.materials[1].node_tree.nodes
+        seen.append([said, sorted(n.label for n in nodes if n.type == "TEX_IMAGE")])
+    return seen
 
 
 def spot_on(target):

@@ -57,6 +57,9 @@ def test_an_object_gets_a_material_beside_its_own(own_blender, extension_zip, tm
     metrics = read_json(JobPaths(root).manifest("geometry"))["metrics"]
     assert (metrics["surface"], metrics["layout"]) == ("given", "own")
     assert metrics["outline_agreement"] > 0.95
+    said, plain = [["FINISHED"], ""], ["Base Color", "Roughness"]
+    with_metal = ["Base Color", "Metallic", "Roughness"]
+    assert answer["fed"] == [[said, plain], [said, with_metal], [said, plain]]
     assert answer["undone"] == answer["before"]
     assert answer["bare"] == [["FINISHED"], ""]
     assert answer["bare_after"][0] == ["Baked by the sun"], "no layout: its own stays as it is"

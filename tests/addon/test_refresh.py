@@ -42,7 +42,7 @@ def main(archive, result):
 
     def kept():
         nodes = material.node_tree.nodes
-        fed = {n.label for n in nodes if n.type == "TEX_IMAGE" and n.image}
+        fed = [n.label for n in nodes if n.type == "TEX_IMAGE" and n.image]
         return {
             "name": bpy.context.object.name, "place": list(asset.location),
             "modifiers": [m.name for m in asset.modifiers],

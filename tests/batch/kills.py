@@ -67,11 +67,13 @@ class Range:
         )
 
     def differing(self) -> list[str]:
-        """Captures whose results are not as they have to be."""
-        return [name for name in self.expected if not self.is_whole(name)]
+        """Files of results that are not as they have to be."""
+        return [file for name in self.expected for file in self._differing(name)]
 
-    def is_whole(self, name: str) -> bool:
-        return contents(self.library.result(name).root) == self.expected[name]
+    def _differing(self, name: str) -> list[str]:
+        found, expected = contents(self.library.result(name).root), self.expected[name]
+        files = sorted(found.keys() | expected.keys())
+        return [f"{name}/{file}" for file in files if found.get(file) != expected.get(file)]
 
     def workers(self) -> list[int]:
         locks = [self.library.result(name).lock for name in self.expected]
@@ -92,14 +94,14 @@ class Range:
                     os.killpg(pid, signal.SIGKILL)
 
     def listed_wrongly(self) -> list[str]:
-        """Captures that the page calls done and that are not as they have to be."""
+        """Files that are not as they have to be, of captures that the page calls done."""
         if not self.library.page.exists():
             return []
         found = re.findall(
             r'<article class="(\w+)".*?data-name="(\w+)"', self.library.page.read_text()
         )
         done = [name for state, name in found if state in ("done", "doubtful")]
-        return [name for name in done if not self.is_whole(name)]
+        return [file for name in done for file in self._differing(name)]
 
     def finished_twice(self) -> list[str]:
         """Stages that were done more than once."""

@@ -49,6 +49,20 @@ def test_a_finished_folder_is_left_alone(tmp_path):
     assert read_status(JobPaths(out).status).state == "done"
 
 
+def test_what_a_killed_process_had_half_written_goes(tmp_path):
+    """Also where nothing is left to do, and where only the asset was in the making."""
+    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
+    reconstruct(request(capture, out), Silent(), fake_stages())
+    paths, before = JobPaths(out), {path for path in out.rglob("*") if path.is_file()}
+    paths.export.mkdir(exist_ok=True)
+    # of `replacing`, of Blender's own writing before it is whole, and of a stage's record
+    for file in (paths.status, paths.run, paths.usd, paths.library_asset, paths.library_facts):
+        file.with_name(f".{file.stem}-1{file.suffix}").write_text("half")
+    paths.export.joinpath(".asset-1.blend@").write_text("half")
+    reconstruct(request(capture, out), Silent(), fake_stages())
+    assert {path for path in out.rglob("*") if path.is_file()} == before
+
+
 def test_a_run_says_who_made_it_and_what_it_cost(tmp_path):
     out = tmp_path / "out"
     reconstruct(request(make_capture(tmp_path / "capture"), out), Silent(), fake_stages(0.01))

@@ -129,9 +129,11 @@ def clear_for_rerun(paths: JobPaths, stage: str, state: StageState) -> None:
 
 
 def remove_leftovers(paths: JobPaths) -> None:
-    """Remove half-written files that a killed process left beside the result's own files."""
-    for name in (paths.run, paths.config, paths.status):
-        for leftover in paths.root.glob(f".{name.stem}-*{name.suffix}"):
+    """Remove half-written files of a killed process where no stage clears its folder again."""
+    of_run, of_asset = (paths.run, paths.config, paths.status), (paths.library_asset, paths.usd)
+    for file in (*of_run, *of_asset, paths.library_facts):
+        # what Blender has not written to the end bears a further @
+        for leftover in file.parent.glob(f".{file.stem}-*{file.suffix}*"):
             leftover.unlink(missing_ok=True)
 
 

@@ -142,6 +142,7 @@ def _bring_up_to_date(
     wanted = [stage for stage in pending if stage in request.stages]
     lacks_asset = not pending and not _has_asset(request, paths)
     if run is not None and not wanted and not lacks_asset:
+        remove_leftovers(paths)
         if pending:
             reporter.pause(f"{request.until} is done already; go on with --resume")
         else:
