@@ -68,7 +68,7 @@ def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> No
     data = _mesh(mesh, mark)
     for material in before.materials:
         data.materials.append(material)
-        if material is not None and _SPECULAR in material:
+        if material is not None:
             refresh_material(material, mesh.specular, paths)
     fit_again(asset, data)
     data[_DIGEST] = _digest(data)
@@ -163,12 +163,12 @@ def refresh_material(material: bpy.types.Material, specular: float, paths: JobPa
     """Give the material what the newer result has more, take what it lacks, and keep edits.
 
     Args:
-        material: As `new_material` made it, and as the user has left it.
+        material: As `new_material` made it and the user has left it; any other stays as it is.
         specular: As for `new_material`.
         paths: Of the result folder, whose pictures `refresh_pictures` has read.
     """
-    shader = _principled(material)
-    if shader is None:
+    shader = _principled(material) if _FED in material else None
+    if shader is None:  # a material of the user's own
         return
     level = 0.5 * specular
     if abs(shader.inputs[_LEVEL].default_value - material[_SPECULAR]) < 1e-6:

@@ -114,7 +114,7 @@ def camera_choices(
     config: PhotometryConfig,
     seconds: dict[str, float],
 ) -> tuple[Choice, ...]:
-    """On exposures, light and corners of the photographs.
+    """On exposures, light and corners of a camera's photographs; no rendering is asked for them.
 
     Args:
         gains: What was found.

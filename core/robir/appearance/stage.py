@@ -122,7 +122,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         *light_choices(tone, light, solution.told, seconds),
         *gloss.choices,
         *solution.choices,
-        *camera_choices(problem.gains, other, config.photometry, seconds),
+        *(camera_choices(problem.gains, other, config.photometry, seconds) if by_camera else ()),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
