@@ -8,7 +8,8 @@ lists, and `--set appearance.without='["polish"]'` leaves a step out by hand.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
@@ -36,6 +37,27 @@ class Step(Generic[State]):
     is_on_trial: bool = True
 
 
+Correction = Callable[[Any], Any]
+"""Takes what is known after a step and returns it with something put right."""
+
+_corrections: dict[str, Correction] = {}
+
+
+@contextmanager
+def corrected(by_step: Mapping[str, Correction]) -> Iterator[None]:
+    """Let a bench put right what some steps found, for all runs within.
+
+    Args:
+        by_step: What is done after each step of these names.
+    """
+    _corrections.update(by_step)
+    try:
+        yield
+    finally:
+        for name in by_step:
+            del _corrections[name]
+
+
 class Course:
     """One run through a stage's steps.
 
@@ -58,6 +80,8 @@ class Course:
             if step.name not in self._without:
                 started = time.process_time()
                 before, state = state, step.run(state)
+                if step.name in _corrections:
+                    state = _corrections[step.name](state)
                 spent = time.process_time() - started
                 self.seconds[step.name] = self.seconds.get(step.name, 0.0) + spent
                 if not _is_same(before, state):

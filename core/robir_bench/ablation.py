@@ -136,7 +136,7 @@ class Worth:
 
     def gain(self, score: Score) -> Estimate | None:
         """Mean over captures of how much better a figure is with the step, in its unit."""
-        return estimate(_gains(score, self.pairs, self.classes), mean)
+        return estimate(gains(score, self.pairs, self.classes), mean)
 
     @property
     def seconds(self) -> Estimate | None:
@@ -148,7 +148,7 @@ class Worth:
     @property
     def changed(self) -> int:
         """Captures whose albedo it changes."""
-        return sum(abs(gain) > 1e-9 for gain in _gains(ALBEDO, self.pairs, self.classes))
+        return sum(abs(gain) > 1e-9 for gain in gains(ALBEDO, self.pairs, self.classes))
 
     @property
     def verdict(self) -> str:
@@ -180,9 +180,9 @@ class Worth:
         for name, records in members.items():
             names = {record["capture"] for record in records}
             pairs = [pair for pair in self.pairs if pair[0]["capture"] in names]
-            gains = _gains(ALBEDO, pairs, self.classes)
-            if name != "all" and len(gains) >= CLASS_SIZE:
-                found[name] = sum(gains) / len(gains)
+            gained = gains(ALBEDO, pairs, self.classes)
+            if name != "all" and len(gained) >= CLASS_SIZE:
+                found[name] = sum(gained) / len(gained)
         return found
 
 
@@ -252,7 +252,7 @@ def ablation_chart(found: Sequence[Worth]) -> str:
         return svg(figure)
 
 
-def _gains(score: Score, pairs: Sequence[tuple[Record, Record]], classes: Classes) -> list[float]:
+def gains(score: Score, pairs: Sequence[tuple[Record, Record]], classes: Classes) -> list[float]:
     """How much better a figure of each capture is with a step than without."""
     sign = 1.0 if score.best == "high" else -1.0
     found = []

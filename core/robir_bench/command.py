@@ -49,23 +49,43 @@ def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="run a population also without each step that can be left out, or without each of "
         "those named, and say what each is worth",
     )
-    _add_runs(parser)
+    parser.add_argument(
+        "--oracle",
+        nargs="*",
+        metavar="NAME",
+        help="run a population also with each quantity taken from the truth, or with each of those "
+        "named, and say what each error costs",
+    )
+    parser.add_argument(
+        "--keep",
+        type=path_argument,
+        metavar="FILE",
+        help="write the figures of a population to a small file that outlives its captures",
+    )
+    parser.add_argument(
+        "--compare",
+        type=path_argument,
+        nargs=2,
+        metavar=("BEFORE", "AFTER"),
+        help="compare two such files capture by capture, and do nothing else",
+    )
+    _add_runs(parser, is_out_needed=False)
 
 
 def _add_stability(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "stability", help="spoil captures one factor at a time and chart what that costs"
     )
-    parser.set_defaults(command=stability, population=None, ablate=None)
+    parser.set_defaults(command=stability, population=None, ablate=None, oracle=None, keep=None)
     parser.add_argument(
         "plan", type=path_argument, metavar="PLAN.toml", help="as for bench, with a table [factors]"
     )
-    _add_runs(parser)
+    _add_runs(parser, is_out_needed=True)
 
 
-def _add_runs(parser: argparse.ArgumentParser) -> None:
+def _add_runs(parser: argparse.ArgumentParser, *, is_out_needed: bool) -> None:
     parser.add_argument(
-        "-o", "--out", type=path_argument, required=True, help="folder of runs and scores"
+        "-o", "--out", type=path_argument, required=is_out_needed, help="folder of runs and scores"
     )
     parser.add_argument(
         "--budget",
@@ -99,23 +119,32 @@ def bench(options: Namespace) -> int:
     from robir_bench.plan import read_plan
     from robir_bench.population import read_population
 
-    if (options.plan is None) == (options.population is None):
-        raise UsageError("give either PLAN.toml or --population DIR")
-    is_ablation = options.ablate is not None
-    if is_ablation and options.population is None:
-        raise UsageError("--ablate needs --population DIR")
+    if options.compare is not None:
+        from robir_bench.judge.scores import compared
+
+        print(compared(*options.compare).markdown())
+        return 0
+    if (options.plan is None) == (options.population is None) or options.out is None:
+        raise UsageError("give -o OUT and either PLAN.toml or --population DIR")
+    is_ablation, is_oracle = options.ablate is not None, options.oracle is not None
+    if (is_ablation or is_oracle or options.keep) and options.population is None:
+        raise UsageError("--ablate, --oracle and --keep need --population DIR")
     is_population = options.population is not None
     runs = read_population(options.population) if is_population else read_plan(options.plan)
     if is_ablation:
         from robir_bench.ablation import ablated, chosen_trials
 
         runs = ablated(runs, chosen_trials(options.ablate))
+    elif is_oracle:
+        from robir_bench.judge.oracle_table import told_runs
+
+        runs = told_runs(runs, options.oracle)
     if _is_farmed(runs, options, is_truth_needed=is_population):
         return 0
-    from robir_bench.page import write_ablation, write_bench, write_population
+    from robir_bench.page import write_ablation, write_bench, write_oracles, write_population
 
     write = write_population if is_population else write_bench
-    write = write_ablation if is_ablation else write
+    write = write_ablation if is_ablation else write_oracles if is_oracle else write
     tried = _carried_out(runs, write, options, is_truth_needed=is_population)
     return int(1 in tried) if is_population else max(tried)
 
@@ -185,5 +214,12 @@ def _carried_out(
         carry_out(runs, options.out, options.budget, say, is_truth_needed=is_truth_needed)
     records = read_scores(options.out)
     print(write(options.out, runs, records).resolve())
+    if options.keep:
+        from robir_bench.judge.scores import keep
+        from robir_bench.plan import OURS
+        from robir_bench.population import capture_classes
+
+        whole = [records[run.name] for run in runs if run.name in records and run.method == OURS]
+        keep(options.keep, options.keep.stem, whole, capture_classes(runs))
     tried = [records[run.name] for run in runs if run.name in records]
     return {0, *(record["exit_code"] for record in tried if "error" in record)}

@@ -20,6 +20,7 @@ from robir_bench.chart import speed_accuracy
 from robir_bench.curves import calibration, tone_curves
 from robir_bench.distribution import CONFIDENCE
 from robir_bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
+from robir_bench.judge.oracle_table import oracle_table
 from robir_bench.pictures import PHOTOGRAPHED_TILES, TILES, tile
 from robir_bench.plan import OURS, BenchRun
 from robir_bench.population import (
@@ -151,6 +152,25 @@ def write_ablation(folder: Path, runs: Sequence[BenchRun], records: Mapping[str,
         tables=[ablation_table(found), *([failures(failed)] if failed else [])],
     )
     return _write(folder, "ablation.md", page)
+
+
+def write_oracles(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:
+    """Write oracles.md and index.html of a population with quantities told."""
+    tried = [records[run.name] for run in runs if run.name in records]
+    done, failed = split(tried)
+    page = Page(
+        title="What each error costs",
+        lead=f"{len(done)} of {len(runs)} runs are scored. Each quantity was taken from the truth "
+        "on its own, all else as it is. Figures say what that gains: mean and "
+        f"{100 * CONFIDENCE:.0f} % percentile bootstrap interval over captures.",
+        rows=[],
+        charts=[],
+        tables=[
+            oracle_table(tried, capture_classes(runs)),
+            *([failures(failed)] if failed else []),
+        ],
+    )
+    return _write(folder, "oracles.md", page)
 
 
 def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:

@@ -138,6 +138,7 @@ class BenchRun:
         perturbation: What sets the capture apart where it is one made worse, else None.
         is_relit: Whether it is shown under the second light too, where its capture has one.
         left_out: Stage and name of the step that it does without, if any.
+        oracle: Quantity that it takes from the truth, if any, see judge/oracles.py.
     """
 
     capture: Path
@@ -148,6 +149,7 @@ class BenchRun:
     perturbation: Perturbation | Rendered | None = None
     is_relit: bool = True
     left_out: tuple[str, str] | None = None
+    oracle: str | None = None
 
     @property
     def name(self) -> str:

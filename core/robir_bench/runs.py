@@ -22,6 +22,7 @@ from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.pipeline.usage import Usage
 from robir.presets import PRESETS
+from robir_bench.judge.oracles import is_told_by_step, mesh_of
 from robir_bench.paper.config import VARIANTS, shrunken
 from robir_bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 
@@ -249,10 +250,14 @@ def _made(run: BenchRun, out: Path) -> Record:
 def _reconstructed(run: BenchRun, out: Path) -> Record:
     """Run the pipeline; scores of its re-rendered held-out views."""
     changes = [word for setting in run.settings for word in ("--set", setting)]
-    fitted = _robir(
-        "reconstruct", str(run.capture), "-o", str(out), "--preset", run.preset,
-        "--seed", str(run.seed), "--resume", "--progress", "plain", *changes,
-    )  # fmt: skip
+    words = ["--preset", run.preset, "--seed", str(run.seed), "--resume", "--progress", "plain"]
+    if run.oracle is not None and (mesh := mesh_of(run.oracle, run.capture)) is not None:
+        words += ["--mesh", str(mesh)]
+    where = (str(run.capture), str(out))
+    if run.oracle is not None and is_told_by_step(run.oracle):
+        fitted = _python("robir_bench.judge.oracles", run.oracle, *where, *words, *changes)
+    else:
+        fitted = _robir("reconstruct", where[0], "-o", where[1], *words, *changes)
     is_doubtful = fitted.returncode == QualityError.exit_code
     # a result that failed its own quality check is whole, which a fit that broke off is not
     if fitted.returncode != 0 and not (is_doubtful and _is_whole(JobPaths(out))):
@@ -335,6 +340,8 @@ def _loans(method: str) -> dict[str, tuple[str, ...]]:
     """Which stages a method takes from which others, if they have them."""
     if method in BORROWERS:
         return {OURS: (*_BORROWED, "transport")}
+    if method.startswith("told "):
+        return {OURS: (*_BORROWED, "transport")}
     if method not in VARIANTS:
         return {OURS: STAGES[:-1]}
     loans: dict[str, tuple[str, ...]] = {OURS: ("capture",)}
@@ -373,7 +380,11 @@ def _borrow_stages(run: BenchRun, folder: Path, out: Path) -> None:
 
 
 def _robir(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "robir", *words]
+    return _python("robir", *words)
+
+
+def _python(module: str, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", module, *words]
     environment = worker_environment()  # so that scores do not depend on where and beside what
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 

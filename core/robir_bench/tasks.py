@@ -65,7 +65,8 @@ def words_of(options: Namespace, source: str, out: str) -> list[str]:
     """
     words = ["--population", source] if options.population is not None else [source]
     ablate = [] if options.ablate is None else ["--ablate", *options.ablate]
-    return [options.command.__name__, *words, *ablate, "-o", out]
+    told = [] if options.oracle is None else ["--oracle", *options.oracle]
+    return [options.command.__name__, *words, *ablate, *told, "-o", out]
 
 
 def _waves(runs: Sequence[BenchRun], missing: Sequence[int]) -> list[list[int]]:

@@ -16,7 +16,7 @@ from robir.appearance.light.problem import make_problem
 from robir.appearance.material.gloss import specular_towards
 from robir.appearance.material.roughness import DULL, EACH, GLOSSY, MATTE, ONE
 from robir.appearance.solution import solve
-from robir.appearance.tone.choose import SEARCH, choose_tone_curve
+from robir.appearance.tone.choose import choose_tone_curve
 from robir.maths.tone import curve_from_name
 from robir.steps import Course
 
@@ -135,23 +135,6 @@ def test_a_matte_object_has_no_highlights():
     dielectric, _, kept = specular_towards(problem, light, gloss, few, towards)
     np.testing.assert_array_equal(dielectric, 0)
     np.testing.assert_array_equal(kept, 1)
-
-
-@pytest.mark.parametrize(("has_metal", "by_camera"), [(True, False), (False, False), (True, True)])
-def test_suns_are_sought_without_metal_where_there_is_much(has_metal, by_camera):
-    gold = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
-    clay = synthetic.Material(CLAY, 0.6)
-    parts = halves(gold if has_metal else synthetic.Material(SLATE, 0.6), clay)
-    scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    course, is_apart = Course(), has_metal and not by_camera
-    tone = choose_tone_curve(replace(scene, by_camera=by_camera), CONFIG, 0, course)
-    is_gold = scene.transport.surfels.position[:, 1] > 0
-    assert (course.idle(SEARCH) == ["metal-aside"]) != is_apart
-    assert (is_gold[tone.scene.rows].mean() < 0.1) == is_apart
-    # the sun that the clay shows by its shading
-    assert by_camera or float(tone.found.axes[0] @ np.float32([0.6, 0.0, 0.8])) > np.cos(
-        np.radians(8)
-    )
 
 
 def test_gold_is_metal_and_nothing_else():

@@ -1,32 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suns of photographs stay where views or shadows prove them, and only there."""
+"""Suns stay where views or shadows prove them, and only there."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from appearance import synthetic
-from appearance.test_response import CONFIG, VARNISHED, tone_of
 
 from robir.appearance import proven_suns
+from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
-from robir.appearance.proven_suns import with_proven_suns
+from robir.appearance.proof import Proof
+from robir.appearance.proven_suns import lead_in_errors, with_proven_suns
 from robir.appearance.solution import Solution, solve
+from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import Candidate
 from robir.maths.tone import curve_from_name
 from robir.steps import Course
+
+CONFIG = AppearanceConfig(
+    num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
+)
+CODE_ERROR = CONFIG.tone.code_error
+VARNISHED = synthetic.Material(np.array([0.3, 0.12, 0.1], np.float32), roughness=0.3)
+
+
+def tone_of(scene, names):
+    """The choice as shadows might give it, the true light known under every curve."""
+    candidates = []
+    for name in names:
+        curve = curve_from_name(name)
+        candidates.append(
+            Candidate(
+                curve=curve,
+                score=1.0,
+                standard_error=0.1,
+                light=synthetic.sun_and_uneven_sky(),
+                problem=make_problem(scene, curve),
+            )
+        )
+    tone = ToneChoice.of(scene, CONFIG, 0)
+    return replace(tone, candidates=candidates)
+
 
 CAMERA = curve_from_name("camera")
 
 
 def proven(scene, light, false_sun=0.0, without=()):
-    """What becomes of a light that was found in photographs, and why.
+    """What becomes of a light that was found, and why.
 
     With a false sun, the strengths of which were once found somehow, the light has it as that says.
     """
-    tone = tone_of(replace(scene, by_camera=True), ["camera"])
+    tone = tone_of(scene, ["camera"])
     problem = make_problem(tone.scene, CAMERA)
     candidate = Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
     tone = replace(tone, candidates=[candidate])
@@ -77,8 +105,8 @@ def test_shadows_tell_of_a_sun_on_what_has_no_highlights(is_there):
     assert len(taken.light.axes) == is_there, choice.why
 
 
-def test_renderings_and_skies_are_not_asked(monkeypatch):
-    monkeypatch.setattr(proven_suns, "solve", lambda *given: pytest.fail("solved again"))
+def test_skies_are_not_asked(monkeypatch):
+    monkeypatch.setattr(proven_suns, "fit", lambda *given: pytest.fail("solved again"))
     light = synthetic.sun_and_uneven_sky()
     scene = varnished_ball(light)
     problem = make_problem(scene, CAMERA)
@@ -88,9 +116,21 @@ def test_renderings_and_skies_are_not_asked(monkeypatch):
             Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
         ],
     )
-    found = Solution(problem=problem, matte=problem, light=light, config=CONFIG, seed=0)
-    assert with_proven_suns(tone, found, Course()) is found
-    photographed = replace(tone, scene=replace(scene, by_camera=True))
     none = replace(light, axes=light.axes[:0], sharpness=light.sharpness[:0])
-    dark = replace(found, light=none)
-    assert with_proven_suns(photographed, dark, Course()) is dark
+    dark = Solution(problem=problem, matte=problem, light=none, config=CONFIG, seed=0)
+    assert with_proven_suns(tone, dark, Course()) is dark
+
+
+def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():
+    rng = np.random.default_rng(4)
+    views = np.repeat(np.arange(20), 50)
+    plain = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
+    # half a code less everywhere: certain, but for the tenth
+    rich = plain * 0.95**2
+    lead = lead_in_errors(Proof.of(plain, rich, (views,)), CODE_ERROR)
+    assert lead == pytest.approx(0.05 * 255 * np.sqrt(plain.mean()) / 0.1, rel=0.1)
+    # noise that gains nothing
+    other = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
+    assert abs(lead_in_errors(Proof.of(plain, other, (views,)), CODE_ERROR)) < 2.5
+    # from the same errors twice nothing follows
+    assert lead_in_errors(Proof.of(plain, plain, (views,)), CODE_ERROR) == 0

@@ -76,17 +76,13 @@ def test_what_lies_alone_keeps_its_normal():
         np.testing.assert_allclose(smoothed(place, far, alone, CONFIG), far, atol=1e-6)
 
 
-@pytest.mark.parametrize("by_camera", [True, False])
-def test_only_photographed_surfaces_are_smoothed(sphere, by_camera):
+def test_surfaces_are_freed_of_their_grain(sphere):
     mesh, surfels = sphere
     mesh = replace(mesh, normals=grainy(mesh.normals, 6))
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
     transport = Transport(surfels=noisy, visibility=None, observations=None)
-    surface = Surface(mesh=mesh, transport=transport, by_camera=by_camera, config=CONFIG)
+    surface = Surface(mesh=mesh, transport=transport, config=CONFIG)
     found = Course().carry_out(SURFACE, surface)
     true = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
-    if by_camera:
-        assert angles(found.mesh.normals, true).mean() < 0.5 * angles(mesh.normals, true).mean()
-        assert angles(found.transport.surfels.normal, surfels.normal).mean() < 3
-    else:
-        assert found.mesh is mesh and found.transport is transport
+    assert angles(found.mesh.normals, true).mean() < 0.5 * angles(mesh.normals, true).mean()
+    assert angles(found.transport.surfels.normal, surfels.normal).mean() < 3

@@ -151,6 +151,24 @@ def test_the_word_for_hue_is_never_a_name_of_ours():
     assert not bad
 
 
+def test_no_stage_knows_which_format_photographs_came_in():
+    """There is one path for every capture: the reader's name is said in the report, no more."""
+    told = {"core/robir/export/report.py", "core/robir/commands.py"}
+    asked = {
+        f"{name(path)}:{node.lineno}"
+        for path in SOURCES
+        if name(path).startswith("core/robir/")
+        and not name(path).startswith("core/robir/capture/")
+        and name(path) not in told
+        for node in ast.walk(parse(path))
+        if isinstance(node, ast.Attribute)
+        and node.attr == "format"
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "capture"
+    }
+    assert not asked
+
+
 def test_the_add_on_imports_itself_relatively():
     """Blender loads an extension under a name of its own, such as bl_ext.user_default.robir."""
     absolute = [

@@ -11,7 +11,7 @@ from evaluation import sphere_run
 
 from robir.capture.store import load_capture
 from robir.evaluation.layers import load_textures, result_mesh
-from robir.export.trust import SIGNS, paint, quality, rivals
+from robir.export.trust import SIGNS, paint, quality, rivals, shown
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +56,15 @@ def doubted(capture, mesh, arrays, rerender=25.0, left_open=None):
 
 
 def test_a_perfect_result_is_trusted_with_all_signs(sound):
-    found = quality(*sound, 25.0, rivals(RIVALS) | paint(told(0.1)))
+    heard = shown({"unexplained": 0.02})
+    found = quality(*sound, 25.0, rivals(RIVALS) | paint(told(0.1)) | heard)
     assert found["is_trusted"]
     assert found["signs"].keys() == SIGNS.keys()
     assert found["signs"]["outline"]["value"] == 1.0
     assert found["signs"]["views"]["value"] == 6.0
     assert found["signs"]["rivals"]["value"] == 28.0
     assert found["signs"]["disagreement"]["value"] == pytest.approx(0.1)
-    codes = [v.image_display[v.mask > 127].ravel() for v in sound[0].train]
-    assert found["signs"]["level"]["value"] == pytest.approx(np.concatenate(codes).mean() / 255)
+    assert found["signs"]["shown"]["value"] == 0.02
 
 
 def test_holes_in_the_masks_show_in_the_outline(sound):
@@ -100,14 +100,18 @@ def test_textures_tell_of_disagreement_and_of_few_views(sound, name, array, valu
     assert doubted(capture, mesh, worse) == [name]
 
 
-@pytest.mark.parametrize(("name", "code"), [("clipped", 255), ("level", 25)])
-def test_burnt_out_and_dark_photographs(sound, name, code):
+def test_burnt_out_photographs(sound):
     capture, mesh, arrays = sound
 
     def flood(view):
-        return {"image_display": np.full_like(view.image_display, code)}
+        return {"image_display": np.full_like(view.image_display, 255)}
 
-    assert doubted(spoilt_views(capture, flood), mesh, arrays) == [name]
+    assert doubted(spoilt_views(capture, flood), mesh, arrays) == ["clipped"]
+
+
+def test_what_is_shown_worse_than_by_the_mean_is_doubted(sound):
+    assert doubted(*sound, left_open=shown({"unexplained": 0.2})) == ["shown"]
+    assert shown(None) == {}
 
 
 def test_a_bad_re_render_is_doubted_and_a_missing_one_is_not(sound):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from robir.appearance.evidence.config import EvidenceConfig
 from robir.appearance.light.config import LightConfig
@@ -15,7 +16,6 @@ from robir.appearance.step_config import (
     ProofConfig,
     ProvenSunsConfig,
     RenderConfig,
-    ResponseConfig,
     SmoothNormalsConfig,
 )
 from robir.appearance.texture.config import TextureConfig, TexturingConfig
@@ -35,6 +35,8 @@ class AppearanceConfig:
 
     Attributes:
         families: Tone curves that may be chosen; one alone is taken as given.
+        origin: Where the photographs are from, if the user tells: "camera" or "render". It weighs
+            in the choice of the tone curve, no more; "auto" takes the first for the likelier.
         num_soft_lobes: Fixed soft lobes that stand for the sky.
         num_sharp_lobes: Sharp lobes (suns, lamps) that may be found at most.
         num_scan_directions: Directions of the whole sphere scanned for suns.
@@ -58,8 +60,7 @@ class AppearanceConfig:
         proof: By which photographs whatever enters the model is proven.
         smooth_normals: How normals of a photographed surface are freed of its grain.
         model_size: How much of the light model a scene needs beside its suns.
-        response: Whether photographs by a camera went through another curve than cameras have.
-        proven_suns: Whether photographs by a camera prove the suns.
+        proven_suns: Whether photographs prove the suns.
         render: Our own re-renders of views.
         material: How gloss and metal are found.
         tone: How the tone curve is chosen.
@@ -69,6 +70,7 @@ class AppearanceConfig:
     """
 
     families: tuple[str, ...] = FAMILIES
+    origin: Literal["auto", "camera", "render"] = "auto"
     num_soft_lobes: int = 64
     num_sharp_lobes: int = 2
     num_scan_directions: int = 2000
@@ -87,7 +89,6 @@ class AppearanceConfig:
     proof: ProofConfig = field(default_factory=ProofConfig)
     smooth_normals: SmoothNormalsConfig = field(default_factory=SmoothNormalsConfig)
     model_size: ModelSizeConfig = field(default_factory=ModelSizeConfig)
-    response: ResponseConfig = field(default_factory=ResponseConfig)
     proven_suns: ProvenSunsConfig = field(default_factory=ProvenSunsConfig)
     render: RenderConfig = field(default_factory=RenderConfig)
     material: MaterialConfig = field(default_factory=MaterialConfig)

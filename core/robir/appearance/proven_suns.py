@@ -1,36 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether photographs by a camera prove the suns that were found in them.
+"""Whether photographs prove the suns that were found in them.
 
 A sun is searched among thousands of directions by the shadows it would cast, and a surface that is
-a percent off casts enough of its own for one of them to fit. So the scene is solved once more under
-the sky alone, and two witnesses are asked which is nearer the truth: views, predicted from others
-(response.py), which know of highlights and nothing of shadows; and pairs of samples across the
-suns' shadows, whose albedos have no step in common if the shadows are there. What both say is added
-up as Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
+a percent off casts enough of its own for one of them to fit. So the light is solved once more by
+the sky alone, and two witnesses are asked which is nearer the truth: views, predicted from others,
+which know of highlights and nothing of shadows; and pairs of samples across the suns' shadows,
+whose albedos have no step in common if the shadows are there. What both say is added up as
+Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.shade import of_one_material
-from robir.appearance.light.solver import fit, no_suns
+from robir.appearance.light.solver import fit, no_suns, refit
 from robir.appearance.light.sunlight import Sunlight
+from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import Pairs
-from robir.appearance.response import compared, lead_in_errors
+from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
 from robir.jobs.choice import Choice
 from robir.steps import Course
 
+Reals = NDArray[np.floating[Any]]
+
+_NUM_SAMPLES = 4000
+"""Samples by which views are predicted from others."""
+
 
 def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
-    """The solution, or that under the sky alone where photographs by a camera prove no sun.
+    """The solution, or that under the sky alone where photographs prove no sun.
 
     Args:
         tone: Curves, the taken one first.
@@ -38,16 +46,19 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
         course: Of the stage's steps.
     """
     number = len(solution.light.axes)
-    if not tone.scene.by_camera or not number or tone.scene.sun is not None:
+    if not number or tone.scene.sun is not None:
         return solution
     config, problem = solution.config, tone.candidates[0].problem
     sky = fit(problem, *no_suns(), config.iterations)
-    plain = solve(problem, replace(sky, history=(sky.loss,)), config, solution.seed, course)
+    by_all = refit(solution.matte, sky, solution.told, config)
+    plain = replace(solution, light=replace(by_all, history=(sky.loss,)))
     views = lead_in_errors(compared(plain, solution), config.tone.code_error)
     shadows = lead_across_shadows(plain, solution)
     leads = (views + shadows) / np.sqrt(2)
-    is_proven = leads > config.proven_suns.margin
-    taken = solution if is_proven else plain
+    is_proven, taken = leads > config.proven_suns.margin, solution
+    if not is_proven:
+        start = replace(sky, history=(sky.loss,))
+        taken = solve(problem, start, config, solution.seed, course)
     choice = Choice(
         choice="suns",
         chosen=number if is_proven else 0,
@@ -94,3 +105,33 @@ def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     error = np.hypot(max(mean_error(table) for table in tables), light_error)
     gain = (before**2 - after**2) / error**2
     return float(np.sign(gain) * np.sqrt(abs(gain)))
+
+
+def compared(plain: Solution, rich: Solution) -> Proof:
+    """What views say of two models of one scene, each predicting them from others."""
+    scene = plain.problem.scene
+    rows = scene.rows[plain.problem.radiance.seen.numpy()[scene.rows]]
+    rows = rows[:: -(-len(rows) // _NUM_SAMPLES) or 1]
+    (before, views), (after, _) = (prediction_errors(model, rows) for model in (plain, rich))
+    return Proof.of(before, after, (views,))
+
+
+def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, NDArray[np.int64]]:
+    """Squared errors (M,) of views of samples (U,), predicted from others, and these views (M,).
+
+    All is paint here, also what is metal: proven or not, it is the same in both models.
+    """
+    trial = Trial.of(model.problem, model.light, rows)
+    chosen = trial.rays_of(np.ones(len(rows), bool))
+    gloss = model.material
+    level = gloss.roughness[rows].astype(np.float64) if gloss.has_highlights else None
+    return trial.paint_errors(chosen, level), trial.rays.view[chosen.numpy()]
+
+
+def lead_in_errors(proof: Proof, code_error: float) -> float:
+    """By how many standard errors the richer model leads; so many codes are added to each."""
+    if not np.isfinite(proof.error):
+        return 0.0
+    # squared errors to codes, about their mean
+    error = 255**2 * proof.error / max(proof.plain + proof.rich, 1e-9)
+    return (proof.plain - proof.rich) / float(np.hypot(error, code_error))

@@ -142,9 +142,8 @@ def camera_choices(
             chosen=apart if gains.by_view else alike,
             alternatives=(alike if gains.by_view else apart,),
             cost_seconds=seconds["exposure"],
-            why="photographs are exposed apart where gains of more than "
-            f"{config.gains.least_steps} steps, from points of some orientations, let photographs "
-            "predict points of the others",
+            why="photographs are exposed apart as far as points of some orientations tell the same "
+            "gains as points of the others",
         ),
         Choice(
             choice="corners of the photographs",

@@ -18,7 +18,7 @@ from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_tran
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.transport.observe import MASK_INSIDE, off_axis_codes
+from robir.transport.observe import off_axis_codes
 from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
@@ -184,31 +184,6 @@ def render_views(
             image, alpha = _picture(problem, one, radiance)
             matt_image, _ = _picture(problem, one, diffuse)
             yield Rendered(image=image, diffuse=matt_image, alpha=alpha)
-
-
-def view_errors(
-    problem: Problem,
-    light: Light,
-    gloss: Gloss,
-    views: Sequence[View],
-    surface: Painted,
-) -> NDArray[np.float64]:
-    """Mean squared display error (V,), codes in 0..1, of views against their photographs.
-
-    Args:
-        problem: As of `render_views`, all of them.
-        light: Solved light.
-        gloss: Specular material of the samples.
-        views: Photographs.
-        surface: Surface with its texture.
-    """
-    errors = []
-    pictures = render_views(problem, light, gloss, views, surface)
-    for view, picture in zip(views, pictures, strict=True):
-        shown = (picture.alpha > 0) & (view.mask > MASK_INSIDE)
-        off = (picture.image[shown].astype(np.float64) - view.image_display[shown]) / 255
-        errors.append(float((off**2).mean()) if off.size else 0.0)
-    return np.array(errors)
 
 
 def _radiance(

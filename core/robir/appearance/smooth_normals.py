@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normals of a photographed surface, freed of its grain.
+"""Normals of a surface from photographs, freed of its grain.
 
 A surface from photographs is right to a pixel, but its normals are off by what a pixel is over the
 distance of its vertices, and reflections double that. So normals, not places, are averaged over
@@ -35,13 +35,11 @@ class Surface:
     Attributes:
         mesh: That textures belong to, unit frame.
         transport: Baked, with the samples of the surface.
-        by_camera: Whether cameras took the photographs, and no renderer, whose surfaces are better.
         config: How normals are freed of grain.
     """
 
     mesh: Mesh
     transport: Transport
-    by_camera: bool
     config: SmoothNormalsConfig
 
 
@@ -74,8 +72,6 @@ def smoothed(
 
 
 def _smooth_normals(state: Surface) -> Surface:
-    if not state.by_camera:
-        return state
     mesh, surfels, config = state.mesh, state.transport.surfels, state.config
     own = smoothed(surfels.position, surfels.normal, surfels, config)
     vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels, config)
@@ -89,7 +85,7 @@ def _smooth_normals(state: Surface) -> Surface:
 SURFACE: tuple[Step[Surface], ...] = (
     Step(
         name="smooth-normals",
-        purpose="frees normals of a photographed surface of its grain",
+        purpose="frees the surface's normals of their grain",
         source="bilateral filtering of normals (Jones et al. 2003, Zheng et al. 2011)",
         run=_smooth_normals,
     ),

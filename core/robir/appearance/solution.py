@@ -102,10 +102,8 @@ def _polish(state: Solution) -> Solution:
 
 def _by_every_sample(state: Solution) -> Solution:
     rng = np.random.default_rng(state.seed)
-    whole = matte = state.problem.by_every_sample(rng)
-    if (metal := whole.scene.metal) is not None:
-        matte = whole.by_samples(whole.scene.rows[~metal[whole.scene.rows]], rng)
-    light = refit(matte, state.light, state.told, state.thorough)
+    whole = state.problem.by_every_sample(rng)
+    light = refit(whole, state.light, state.told, state.thorough)
     return replace(state, problem=whole, matte=whole, light=light)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.last_word import LastWord
 from robir.appearance.light.known_paint import KnownPaint
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, Scene, make_scene
@@ -21,9 +22,8 @@ from robir.appearance.photometry.comparison import COMPARISON, Comparison
 from robir.appearance.proven_suns import with_proven_suns
 from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
-from robir.appearance.response import solved
 from robir.appearance.smooth_normals import SURFACE, Surface
-from robir.appearance.solution import SOLUTION
+from robir.appearance.solution import SOLUTION, Solution, solve
 from robir.appearance.step_config import RenderConfig
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
@@ -34,7 +34,6 @@ from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
 from robir.capture.images.preview import save_preview
-from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -45,7 +44,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 81
+REVISION = 82
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
@@ -87,8 +86,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
     common = transport.without_views(other)
-    by_camera, smoothing = is_by_camera(capture), config.smooth_normals
-    lit = Surface(mesh=mesh, transport=common, by_camera=by_camera, config=smoothing)
+    lit = Surface(mesh=mesh, transport=common, config=config.smooth_normals)
     lit = course.carry_out(SURFACE, lit)
     scene = _scene(context, lit, tracer, compared)
     started = time.process_time()
@@ -96,19 +94,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     tone = choose_tone_curve(scene, config, context.seed, course)
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {tone.candidates[0].curve.name}")
-    tone, solution = solved(tone, config, context.seed, course)
-    solution = with_proven_suns(tone, solution, course)
+    solution = _solved(tone, config, context.seed, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    texture = textured(
-        (problem, light, gloss),
-        (lit.mesh, tracer, own_tracer),
-        capture.without(other),
-        config,
-        course,
-    )
-    light, inside, values, normals = texture.light, texture.inside, texture.values, texture.normals
+    shape = lit.mesh, tracer, own_tracer
+    texture = textured((problem, light, gloss), shape, capture.without(other), config, course)
+    light, gloss, inside = texture.light, texture.gloss, texture.inside
+    values, normals = texture.values, texture.normals
     reporter.progress(0.9, "rendering held-out views")
     surface = Painted(replace(mesh, normals=normals), own_tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
@@ -117,12 +110,14 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _write_normals(folder, normals)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
+    _write_last_word(folder, texture.word)
     write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
     choices = (
         *light_choices(tone, light, solution.told, seconds),
         *gloss.choices,
         *solution.choices,
-        *(camera_choices(problem.gains, other, config.photometry, seconds) if by_camera else ()),
+        *(() if texture.word is None else (texture.word.choice,)),
+        *camera_choices(problem.gains, other, config.photometry, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
@@ -133,6 +128,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         "neighbour_loss": round(light.loss, 4),
         "held_out_psnr": psnr,
     }
+
+
+def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course) -> Solution:
+    """Light and material under the curve that was chosen."""
+    first = tone.candidates[0]
+    found = solve(first.problem, first.light, config, seed, course)
+    return with_proven_suns(tone, found, course)
 
 
 def _scene(
@@ -154,7 +156,6 @@ def _scene(
     return replace(
         scene,
         exposures=compared.exposures,
-        by_camera=lit.by_camera,
         known_paint=KnownPaint.of(lit.mesh, config.white_point, config.light.known_paint),
         sun=_direction(config.sun),
     )
@@ -279,6 +280,15 @@ def _write_light(folder: Path, light: Light) -> None:
         folder / "light.json",
         {"lobes": listed, "unit": "radiance such that the tone curve maps it to display"},
     )
+
+
+def _write_last_word(folder: Path, word: LastWord | None) -> None:
+    """Store what photographs took back, if they were heard; what a run before left goes."""
+    file = folder / "last_word.json"
+    if word is None:
+        file.unlink(missing_ok=True)
+    else:
+        write_json(file, word.plain)
 
 
 def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:

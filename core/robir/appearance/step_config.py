@@ -51,26 +51,13 @@ class ModelSizeConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProvenSunsConfig:
-    """Whether photographs by a camera prove the suns.
+    """Whether photographs prove the suns.
 
     Attributes:
         margin: By which suns must lead, as whatever enters the model must.
     """
 
     margin: Annotated[float, Within(-100, 100, "standard errors")] = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResponseConfig:
-    """Whether photographs by a camera went through another curve than cameras have.
-
-    Attributes:
-        margin: By which another curve must lead: cameras have cameras' responses.
-        num_samples: Of the samples that take part in the light solve, predicted.
-    """
-
-    margin: Annotated[float, Within(-100, 100, "standard errors")] = 2.0
-    num_samples: Annotated[int, Within(100, 1000000)] = 4000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.last_word import Asset, Jury, LastWord, heard
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.proof import Proof
-from robir.appearance.render import AtlasLookup, Painted, view_errors
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.detail import finer
 from robir.appearance.texture.shading_normals import shading_normals
@@ -55,6 +54,8 @@ class Texture:
         atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
         values: Of these texels.
         normals: (V, 3) of the vertices, to render them with.
+        course: Of the stage's steps, for what is read again.
+        word: What photographs took back; None before they were heard.
     """
 
     problem: Problem
@@ -70,6 +71,8 @@ class Texture:
     atlas: tuple[NDArray[np.int32], Floats]
     values: TexelAlbedo
     normals: Floats
+    course: Course = field(compare=False)
+    word: LastWord | None = field(default=None, compare=False)
 
 
 def textured(
@@ -113,6 +116,7 @@ def textured(
         atlas=atlas,
         values=texel_albedo(solved, texels, views, tracer, course),
         normals=mesh.normals,
+        course=course,
     )
     return course.carry_out(TEXTURE, start)
 
@@ -122,22 +126,19 @@ def _turn_normals(state: Texture) -> Texture:
     return replace(state, normals=normals)
 
 
-def _ask_photographs(state: Texture) -> Texture:
-    """On renderings, whose meshes are good, surroundings are right though the re-render loses."""
-    if not state.problem.scene.by_camera:
-        return state
-    measured = replace(state.values, albedo=state.values.read)
-    lookup = AtlasLookup(state.mesh, state.inside)
-    tried = spread_views(state.views, state.config.texturing.asked_views)
-    turned = replace(state.mesh, normals=state.normals)
-    solved = (state.problem, state.light, state.gloss)
-    before, after = (
-        view_errors(*solved, tried, Painted(shape, state.own_tracer, lookup, texture))
-        for shape, texture in ((state.mesh, measured), (turned, state.values))
-    )
-    if Proof.of(before, after, (np.arange(len(tried)),)).is_open:
-        return state
-    return replace(state, values=measured, normals=state.mesh.normals)
+def _hear_photographs(state: Texture) -> Texture:
+    asset = Asset(problem=state.problem, light=state.light, gloss=state.gloss, values=state.values)
+    position, normal = interpolate(state.mesh, *state.atlas)
+    texels = Texels(position=position, normal=normal)
+
+    def read(gloss: Gloss) -> TexelAlbedo:
+        solved = (state.problem, state.light, gloss)
+        return texel_albedo(solved, texels, state.views, state.tracer, state.course)
+
+    jury = Jury(state.problem, texels, state.views, state.tracer)
+    word = heard(jury, asset, read, texels)
+    kept = asset if word.asset is asset else word.asset
+    return replace(state, gloss=kept.gloss, values=kept.values, word=word)
 
 
 def _refine_detail(state: Texture) -> Texture:
@@ -174,10 +175,10 @@ TEXTURE: tuple[Step[Texture], ...] = (
         run=_turn_normals,
     ),
     Step(
-        name="camera-proof",
-        purpose="keeps albedo as it was read where a camera's photographs speak against smoothing",
-        source="ours: proof by photographs",
-        run=_ask_photographs,
+        name="last-word",
+        purpose="takes back, block by block, what shows photographs worse than their mean does",
+        source="ours: no block of the surface may be worse than the mean by more than chance",
+        run=_hear_photographs,
     ),
     Step(
         name="detail",

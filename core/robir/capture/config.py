@@ -19,6 +19,8 @@ class CaptureConfig:
         held_out_every: Every how many-th view is kept aside, at least 2; used only if the
             capture brings no test views of its own.
         max_held_out: Number of views kept aside at most, at least 1.
+        held_out_sector: Degrees about the object, seen from above, of which no photograph takes
+            part: those held out then lie outside what was seen, not between it. 0 for none.
         ground: What becomes of the table where masks have to be guessed: "cut" removes it,
             "keep" leaves a disc of it around the object. Before a backdrop of one colour all that
             is seen is the object.
@@ -36,6 +38,7 @@ class CaptureConfig:
     max_side: int = 800
     held_out_every: int = 8
     max_held_out: int = 8
+    held_out_sector: float = 0.0
     ground: Literal["keep", "cut"] = "cut"
     adjust_cameras: bool = True
     outside: Literal["refuse", "take"] = "refuse"
@@ -49,6 +52,10 @@ class CaptureConfig:
             value = getattr(self, name)
             if value < least:
                 raise ConfigError(f"capture.{name} is {value}; it must be at least {least}")
+        if not 0 <= self.held_out_sector <= 180:
+            raise ConfigError(
+                f"capture.held_out_sector is {self.held_out_sector}; it must be 0 to 180 degrees"
+            )
         if self.box and (len(self.box) != 6 or min(self.box[3:]) <= 0):
             raise ConfigError(
                 f"capture.box is {list(self.box)}; give centre x, y, z and sides x, y, z, the "

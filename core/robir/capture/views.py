@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
@@ -22,6 +23,8 @@ HARMLESS_PIXELS = 16_000_000
 
 MAX_RATIO = 16
 """Times the pixels of a capture's usual photograph that one may have."""
+
+Array = NDArray[np.float64]
 
 Progress = Callable[[float, str], None]
 """Told the share of the work done, in [0, 1], and what is being done."""
@@ -55,7 +58,8 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
     """Which frames are read, and which of them only judge.
 
     Test views of the format are thinned evenly to `max_held_out`; without any, every
-    `held_out_every`-th view is kept aside, at least one of four.
+    `held_out_every`-th view is held out, at least one of four. With a `held_out_sector` all
+    training views in that sector are left out of the training instead, and judge alone.
 
     Args:
         frames: All frames of the capture.
@@ -66,7 +70,12 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
     """
     tests = [i for i, frame in enumerate(frames) if frame.split == "test"]
     trains = [i for i, frame in enumerate(frames) if frame.split == "train"]
-    if tests:
+    if config.held_out_sector:
+        inside = _in_sector([frames[i].camera_to_world for i in trains], config.held_out_sector)
+        hidden = [i for i, is_inside in zip(trains, inside, strict=True) if is_inside]
+        held_out = _thinned(hidden, config.max_held_out)
+        trains = [i for i in trains if i not in hidden]
+    elif tests:
         held_out = _thinned(tests, config.max_held_out)
     else:
         held_out = _thinned(
@@ -76,6 +85,30 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
             held_out = [trains[len(trains) // 2]]
     kept = sorted({*trains, *held_out})
     return [(frames[i], "held_out" if i in held_out else "train") for i in kept]
+
+
+def _in_sector(poses: Sequence[Array], width: float) -> NDArray[np.bool_]:
+    """Which cameras stand in a sector about the object, seen from above.
+
+    The sector is the one of its width that holds the camera in the middle of the sequence in its
+    own middle. Above is where cameras' upper sides point on average; the object is where their
+    optical axes meet (least squares).
+
+    Args:
+        poses: (4, 4) camera_to_world of each, OpenGL axes.
+        width: Of the sector, degrees.
+    """
+    matrices = np.asarray(poses, np.float64)
+    centres, axes = matrices[:, :3, 3], -matrices[:, :3, 2]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None]
+    meeting = np.linalg.lstsq(across.sum(0), np.einsum("vij,vj->i", across, centres), rcond=None)[0]
+    up = matrices[:, :3, 1].mean(0)
+    up /= max(np.linalg.norm(up), 1e-9)
+    out = centres - meeting
+    out -= (out @ up)[:, None] * up
+    middle = out[len(out) // 2]
+    cosine = out @ middle / np.maximum(np.linalg.norm(out, axis=1) * np.linalg.norm(middle), 1e-12)
+    return np.arccos(cosine.clip(-1, 1)) <= np.radians(width / 2)
 
 
 def _thinned(indices: list[int], most: int) -> list[int]:

@@ -209,7 +209,7 @@ def _environment(path: Path, scene: dict[str, Any]) -> Array:
     image = read_exr(path)
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
     rows, columns = linear.shape[:2]
-    for direction, irradiance_rgb in _lamps(scene):
+    for direction, irradiance_rgb in lamps_of(scene):
         x, y, z = direction
         u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
         row = min(int((0.5 - np.arcsin(z) / np.pi) * rows), rows - 1)
@@ -220,7 +220,7 @@ def _environment(path: Path, scene: dict[str, Any]) -> Array:
     return linear
 
 
-def _lamps(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
+def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
     """Direction and irradiance of each lamp; older captures tell of the strongest alone."""
     if "lamps" in scene:
         return [(lamp["direction"], lamp["irradiance_rgb"]) for lamp in scene["lamps"]]

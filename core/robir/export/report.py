@@ -35,7 +35,7 @@ from robir.export.environment import light_told
 from robir.export.page import page_template
 from robir.export.textures import UNCERTAINTY_AT_255
 from robir.export.tiles import shown_texture
-from robir.export.trust import paint, quality, rivals
+from robir.export.trust import paint, quality, rivals, shown
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 
@@ -86,6 +86,7 @@ class Products:
         tone_curve: Contents of export/tone_curve.json.
         choices: Contents of the choices.json of geometry and appearance.
         evidence: Contents of the evidence.json of appearance.
+        last_word: Of its last_word.json; None where photographs were not heard.
         exposure: Contents of the appearance stage's exposure.json.
         rendering: Blender's part.
         seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.
@@ -98,6 +99,7 @@ class Products:
     tone_curve: dict[str, Any]
     choices: list[dict[str, Any]]
     evidence: list[dict[str, Any]]
+    last_word: dict[str, Any] | None
     exposure: dict[str, Any]
     rendering: Rendering
     seconds: Callable[[], dict[str, float]]
@@ -275,7 +277,9 @@ def _numbers(paths: JobPaths, products: Products, own: dict[str, Picture]) -> di
             products.mesh,
             products.arrays,
             held_out["psnr"],
-            rivals(products.tone_curve["candidates"]) | paint(products.evidence),
+            rivals(products.tone_curve["candidates"])
+            | paint(products.evidence)
+            | shown(products.last_word),
         ),
         "held_out": held_out,
         "cycles": cycles,

@@ -45,6 +45,7 @@ _CHOICES = [{
     "choice": str, "chosen": (str, float), "alternatives": [(str, float)], "why": str,
     "held_out_error": (None, float), "cost_seconds": (None, float),
 }]  # fmt: skip
+_LAST_WORD = {"worst_loss": float, "unexplained": float}
 _EVIDENCE = [{"of": str, "by": str, "value": float, "deviation": float}]
 
 
@@ -87,6 +88,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             tone_curve=tone_curve,
             choices=_choices(paths),
             evidence=_evidence(paths),
+            last_word=_last_word(paths),
             exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
@@ -111,6 +113,12 @@ def _evidence(paths: JobPaths) -> list[dict[str, Any]]:
     """What tells of the light; not every method says it."""
     file = paths.stage("appearance") / "evidence.json"
     return stored_facts(file, _EVIDENCE) if file.is_file() else []
+
+
+def _last_word(paths: JobPaths) -> dict[str, Any] | None:
+    """What photographs object to; not every method asks them."""
+    file = paths.stage("appearance") / "last_word.json"
+    return stored_facts(file, _LAST_WORD) if file.is_file() else None
 
 
 def asset_name(capture: Capture) -> str:

@@ -3,16 +3,14 @@
 
 Each sign is a number that a sound result keeps on one side of a limit. The limits lie beyond the
 worst value of 48 runs on rendered captures of 40 views, by about a quarter of its distance from the
-median or more. Three differ: the one of the views per texel, which those runs do not vary, is
-chosen; the one of the re-render was raised by the 2 dB that our renderer has gained since; how
-dark photographs are is doubted below the darkest of 40 drawn captures, among which it told nothing
-of the albedo's error (rank correlation 0). All were judged on captures spoilt on purpose: see
-docs/stability.md. What two explanations leave open has a limit by reason, see `rivals`.
-
-Photographs by a camera differ from each other by gloss, exposure and light, which no asset of one
-texture repeats. Of eight captures the plain mean of all photographs, on the surface, misses those
-kept aside at 16 to 27 dB, see docs/real.md. Their re-render has a limit of its own: results that
-were plainly bad, faces gone and metal on paper, lay at 17.5 dB and below.
+median or more. Three differ. The one of the views per texel, which those runs do not vary, is
+chosen. The one of the re-render is of photographs, which gloss, exposure and light make differ: of
+eight real captures the plain mean of all photographs, on the surface, misses those held out at 16
+to 27 dB, see docs/real.md, and results that were plainly bad, faces gone and metal on paper, lay at
+17.5 dB and below. The one of what is shown worse than by the mean is by reason: what the model
+cannot explain after all that can be at fault was taken back (appearance/last_word.py). All were
+judged on captures spoilt on purpose: see docs/stability.md. What two explanations leave open has a
+limit by reason, see `rivals`.
 """
 
 from __future__ import annotations
@@ -27,7 +25,6 @@ from robir.appearance.evidence.witness import BY_ALL, BY_PAINT
 from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import clipped_share
 from robir.capture.images.loading import resize_view
-from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.evaluation.surfaces import MeshCaster, intersection_over_union
 from robir.geometry.hull import mask_distance
 from robir.geometry.mesh.triangles import Mesh
@@ -53,7 +50,6 @@ class Sign:
 
     Attributes:
         limit: Where doubt begins.
-        of_photographs: The same where a camera took the photographs, if it is another.
         doubtful: On which side of the limit.
         message: What is said in doubt; `{value}` is the number.
         cure: What the user can do.
@@ -63,13 +59,6 @@ class Sign:
     doubtful: Literal["below", "above"]
     message: str
     cure: str
-    of_photographs: float | None = None
-
-    def limit_of(self, capture: Capture) -> float:
-        """Where doubt begins for a capture."""
-        if self.of_photographs is not None and is_by_camera(capture):
-            return self.of_photographs
-        return self.limit
 
     def is_doubtful(self, value: float, limit: float) -> bool:
         """Whether the value lies on the wrong side of a limit."""
@@ -84,8 +73,7 @@ SIGNS: dict[str, Sign] = {
         cure="check the masks for holes and spill, and that poses and photographs belong together",
     ),
     "rerender": Sign(
-        limit=21.0,
-        of_photographs=18.0,
+        limit=18.0,
         doubtful="below",
         message="the re-render of held-out photographs reaches only {value:.1f} dB",
         cure="look at the report: what differs there the model cannot explain",
@@ -108,11 +96,11 @@ SIGNS: dict[str, Sign] = {
         message="{value:.0%} of the object is burnt out to white",
         cure="photograph darker; what is clipped has no material to be read",
     ),
-    "level": Sign(
-        limit=0.12,
-        doubtful="below",
-        message="the object's mean display value is {value:.2f}: the photographs are dark",
-        cure="photograph or develop brighter",
+    "shown": Sign(
+        limit=0.05,
+        doubtful="above",
+        message="{value:.0%} of the surface is shown worse than by the mean of its photographs",
+        cure="look at the report: the light or the surface is wrong there",
     ),
     "rivals": Sign(
         limit=22.0,
@@ -146,14 +134,14 @@ def quality(
         mesh: The surface, capture frame.
         arrays: Textures as the appearance stage left them.
         rerender: PSNR of our own re-render of held-out photographs in dB, None without.
-        left_open: What `rivals` and `paint` say.
+        left_open: What `rivals`, `paint` and `shown` say.
 
     Returns:
         "is_trusted"; "signs" by name, each "value", "limit", "doubtful" ("below" or "above");
         "doubts": sentences, empty for a trusted result.
     """
     values = signs(capture, mesh, arrays, rerender) | left_open
-    limits = {name: SIGNS[name].limit_of(capture) for name in values}
+    limits = {name: SIGNS[name].limit for name in values}
     doubts = [
         f"{SIGNS[name].message.format(value=value)}; {SIGNS[name].cure}"
         for name, value in values.items()
@@ -183,7 +171,6 @@ def signs(
         values["disagreement"] = float(arrays["disagreement"][seen].mean())
         values["views"] = float(arrays["coverage"][seen].mean())
     values["clipped"] = clipped_share(views)
-    values["level"] = _level(views)
     return values
 
 
@@ -214,6 +201,15 @@ def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
     return {"paint": abs(known["value"] - others["value"]) / error}
 
 
+def shown(last_word: dict[str, Any] | None) -> dict[str, float]:
+    """Share of the surface that is shown worse than by the mean of its photographs.
+
+    Args:
+        last_word: Contents of the appearance stage's last_word.json; None where there is none.
+    """
+    return {} if last_word is None else {"shown": float(last_word["unexplained"])}
+
+
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:
     """Overlap of the surface as the cameras see it with the masks, all views together.
 
@@ -228,9 +224,3 @@ def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:
         ours.append(caster.cast(small.camera).hit[is_sure])
         masks.append(distance[is_sure] < 0)
     return intersection_over_union(np.concatenate(ours), np.concatenate(masks))
-
-
-def _level(views: tuple[View, ...]) -> float:
-    """Mean display value of the object, 0..1."""
-    levels = [view.image_display[view.mask > _OBJECT].ravel() for view in views]
-    return float(np.concatenate(levels).mean() / 255) if any(map(len, levels)) else 0.0

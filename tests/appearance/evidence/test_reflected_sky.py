@@ -53,7 +53,7 @@ def room():
 def problem_of(material):
     curve = curve_from_name("camera")
     scene, _ = synthetic.ball([(EVERYWHERE, material)], room(), curve)
-    return make_problem(replace(scene, by_camera=True), curve)
+    return make_problem(scene, curve)
 
 
 @pytest.fixture(scope="module")

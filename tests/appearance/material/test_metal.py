@@ -14,7 +14,7 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import log_factors, told_level, usual_metal
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.config import MaterialConfig
-from robir.appearance.material.gloss import estimate_gloss, likely_metal
+from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.material.metal import likely_base, metal_errors, metal_odds, metal_parts
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
@@ -65,7 +65,8 @@ def test_bright_metal_explains_what_is_bright_alone(gold, soot):
 def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
     problem, light, is_gold = halves
     wrong = light.tinted(torch.full((3,), float(np.log(strength))))
-    metal, seen = likely_metal(problem, wrong), problem.radiance.seen.numpy()
+    gloss, _ = estimate_gloss(problem, wrong, 4, 0)
+    metal, seen = gloss.metallic > 0.5, problem.radiance.seen.numpy()
     assert metal[seen & is_gold].mean() > 0.85
     assert metal[seen & ~is_gold].mean() < 0.1
 

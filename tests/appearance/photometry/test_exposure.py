@@ -16,7 +16,7 @@ from robir.appearance.photometry.exposure import (
     comparable,
     decoded,
 )
-from robir.appearance.photometry.gains import _least_squares, are_uneven, solve_gains
+from robir.appearance.photometry.gains import _least_squares, real_share, solve_gains
 from robir.appearance.photometry.statistics import diffuse_radiance, linear_observations
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff
 from robir.maths.tone import curve_from_name
@@ -80,11 +80,11 @@ def falloff_of(seen: Observations, normals: np.ndarray) -> Falloff:
     return find_falloff(log, normals[kept], seen.off_axis[kept], AppearanceConfig())
 
 
-def uneven(seen: Observations, normals: np.ndarray, falloff: Falloff) -> bool:
-    """Whether photographs are unlike under a plain curve, their falloff undone."""
+def share_of(seen: Observations, normals: np.ndarray, falloff: Falloff) -> float:
+    """How much of the gains is exposure under a plain curve, their falloff undone."""
     log, kept = comparable(seen, curve_from_name("standard"), CONFIG.exposure)
     log = log - falloff.log(seen.off_axis[kept])[..., None]
-    return are_uneven(log, normals[kept], CONFIG)
+    return real_share(log, normals[kept], CONFIG)
 
 
 def jitter(rng, steps: float, hue: float) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
     linear, weight, normals = glossy
     true = jitter(rng, 0.3, 0.08)
     seen = photographed(linear * np.exp(true), family, weight)
-    assert uneven(seen, normals, NO_FALLOFF)
+    assert share_of(seen, normals, NO_FALLOFF) > 0.8
     gains = gains_of(seen, family, normals)
     # of 0.3 steps, hundredths are left; the sheen alone amounts to 0.6
     assert np.abs(gains - true).max() / np.log(2) < 0.08
@@ -106,15 +106,18 @@ def test_gains_are_found_whatever_the_sheen_of_the_ground(glossy, rng, family):
 
 def test_gloss_alone_is_no_exposure(glossy):
     linear, weight, normals = glossy
-    assert not uneven(photographed(linear, "filmic", weight), normals, NO_FALLOFF)
+    # sheen of 0.6 steps feigns gains; what is left of them is a few hundredths
+    seen = photographed(linear, "filmic", weight)
+    feigned = share_of(seen, normals, NO_FALLOFF) * gains_of(seen, "filmic", normals)
+    assert np.sqrt((feigned**2).mean()) / np.log(2) < 0.05
 
 
-def test_gains_too_small_to_matter_are_not_taken(rng):
-    """Of dull points they explain all, yet sheen could feign them."""
+def test_small_gains_of_dull_points_are_taken(rng):
+    """All orientations tell the same."""
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(jitter(rng, 0.07, 0.0))
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    assert not uneven(seen, normals, NO_FALLOFF)
+    assert share_of(seen, normals, NO_FALLOFF) > 0.8
 
 
 def test_the_sheen_of_one_orientation_is_no_exposure(rng):
@@ -124,16 +127,15 @@ def test_the_sheen_of_one_orientation_is_no_exposure(rng):
     sheen = np.exp(jitter(rng, 0.4, 0.0))
     linear = np.where(normals[:, 2, None, None] > 0.5, linear * sheen, linear)
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    assert not uneven(seen, normals.astype(np.float32), NO_FALLOFF)
+    assert share_of(seen, normals.astype(np.float32), NO_FALLOFF) < 0.05
 
 
 def test_a_polished_thing_is_no_exposure(rng):
     """Mirrors differ between photographs by more than exposures ever do, each point its own way."""
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
     linear = np.exp(rng.standard_normal((POINTS, VIEWS, 1)) - 2) * np.ones(3)
-    assert not uneven(
-        photographed(linear, "standard", np.ones((POINTS, VIEWS))), normals, NO_FALLOFF
-    )
+    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
+    assert share_of(seen, normals, NO_FALLOFF) < 0.2
 
 
 def test_highlights_of_one_photograph_are_not_its_exposure(rng):
@@ -239,9 +241,9 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     seen = photographed(linear * dimmed[..., None] * np.exp(true), family, weight, codes)
     falloff = falloff_of(seen, normals)
     assert falloff.strength > 0
-    assert uneven(seen, normals, falloff)
+    assert share_of(seen, normals, falloff) > 0.6
     exposures = Exposures(
-        observations=seen, normals=normals, config=CONFIG, are_apart=True, has_falloff=True
+        observations=seen, normals=normals, config=CONFIG, gain_share=1.0, has_falloff=True
     )
     gains = exposures.gains(curve_from_name(family))
     # steps of what is seen: s reaches 0.4
@@ -271,9 +273,9 @@ def test_a_falloff_alone_leaves_the_photographs_alike(rng):
     codes, square = walk(rng)
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(-0.7 * square)[..., None]
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)), codes)
-    assert not uneven(seen, normals, falloff_of(seen, normals))
+    assert share_of(seen, normals, falloff_of(seen, normals)) < 0.2
     exposures = Exposures(
-        observations=seen, normals=normals, config=CONFIG, are_apart=False, has_falloff=True
+        observations=seen, normals=normals, config=CONFIG, gain_share=0.0, has_falloff=True
     )
     gains = exposures.gains(curve_from_name("standard"))
     assert gains.by_view == {}

@@ -116,7 +116,7 @@ def test_the_common_light_is_left(turned):
         observations=seen,
         normals=normals,
         config=CONFIG,
-        are_apart=True,
+        gain_share=1.0,
         has_falloff=False,
         has_own_lights=True,
     )

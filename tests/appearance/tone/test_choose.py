@@ -178,7 +178,7 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
             shoulder=names[shoulder],
             shadows=shadows,
             highlights=None,
-            margin=TONE.shoulder.plain_margin,
+            margin=2.0,
         )
 
     tables = [table(score) for score in scores]
@@ -204,7 +204,7 @@ def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
             shoulder=names[shoulder],
             shadows=shadows,
             highlights=None,
-            margin=TONE.shoulder.plain_margin,
+            margin=2.0,
         )
 
     tables = [table(score) for score in (9.0, 9.0, 10.0)]

@@ -24,8 +24,8 @@ from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, low_mean
-from robir.appearance.material.observed import Seen, looked_at
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.observed import Seen, looked_at, low_mean
 from robir.appearance.proof import Proof
 from robir.maths.daylight import WHOLE
 

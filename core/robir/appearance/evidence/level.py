@@ -28,8 +28,8 @@ from robir.appearance.evidence.witness import BY_ALL, Witness
 from robir.appearance.light.lobes import log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, diffuse_below
-from robir.appearance.material.observed import looked_at
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.observed import diffuse_below, looked_at
 from robir.appearance.material.reflections import reflected_share
 from robir.appearance.material.segments import clusters
 

@@ -44,10 +44,8 @@ class Scene:
         pairs: Neighbours among them.
         config: Of the stage.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
-        by_camera: Whether cameras took the photographs, and no renderer.
         known_paint: A spot whose paint the user tells, if any.
         sun: (3,) unit, towards the first sun, if the user tells it.
-        metal: (S,) what is likely metal and takes no part in the first light; None if nothing is.
     """
 
     transport: Transport
@@ -58,17 +56,8 @@ class Scene:
     pairs: Pairs
     config: AppearanceConfig
     exposures: Exposures | None = None
-    by_camera: bool = False
     known_paint: KnownPaint | None = None
     sun: Floats | None = None
-    metal: NDArray[np.bool_] | None = None
-
-    def without_metal(self, metal: NDArray[np.bool_], rng: np.random.Generator) -> Scene:
-        """The scene of which metal (S,) takes no part; `rng` is the source of neighbours."""
-        rows, config = self.rows[~metal[self.rows]], self.config.light.problem
-        partners = config.num_partners
-        pairs = neighbour_pairs(self.transport.surfels, rows, config.pair_reaches, partners, rng)
-        return replace(self, rows=rows, pairs=pairs, metal=metal)
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""

@@ -180,7 +180,6 @@ class MetalConfig:
         green_error: The same across it.
         misread_share: Chance that a reading is wrong altogether, for what is mirrored is.
         misread_error: Error of such a reading, in logarithms.
-        sought_without: Share of metal from which suns and curve are sought without it.
         solved_without: Least share of paint with which the light is solved by paint alone.
     """
 
@@ -211,7 +210,6 @@ class MetalConfig:
     green_error: Annotated[float, Within(0.01, 3)] = 0.1
     misread_share: Annotated[float, Within(0, 1)] = 0.15
     misread_error: Annotated[float, Within(0.01, 10)] = 1.5
-    sought_without: Annotated[float, Within(0, 1)] = 0.1
     solved_without: Annotated[float, Within(0, 1)] = 0.1
 
 

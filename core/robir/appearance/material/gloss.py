@@ -10,7 +10,7 @@ place, see roughness.py: one of them sees a highlight in a few views at most.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import Highlights
 from robir.appearance.material.metal import metal_among, near
 from robir.appearance.material.metal_proof import proven_parts
-from robir.appearance.material.observed import Seen, dense, looked_at
+from robir.appearance.material.observed import Seen, dense, diffuse_below, looked_at, low_mean
 from robir.appearance.material.reflections import (
     Reflections,
     ViewRays,
@@ -36,8 +36,7 @@ from robir.appearance.material.reflections import (
 from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
 from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import Trial
-from robir.appearance.photometry.config import StatisticsConfig
-from robir.appearance.photometry.statistics import darker_view_weights, texture_weights
+from robir.appearance.photometry.statistics import BELOW_GLOSS, texture_weights
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
@@ -179,34 +178,6 @@ def _costs(
     return highlights, (dielectric / views).numpy()
 
 
-def diffuse_below(
-    seen: Seen,
-    specular: Tensor,
-    through: Tensor,
-    seen_by: tuple[ViewRays, Tensor],
-    config: StatisticsConfig,
-) -> Tensor:
-    """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
-
-    Args:
-        seen: What the rays show.
-        specular: (M, 3) what of it is reflected.
-        through: (M, 1) share of the diffuse light that the layer lets through.
-        seen_by: The rays, and (U, V) which views show the samples.
-        config: Which of them are the darker ones.
-    """
-    rays, valid = seen_by
-    least = seen.config.least_diffuse * seen.linear
-    diffuse = torch.maximum(seen.linear - specular, least) / through
-    return low_mean(diffuse, rays, valid, config)[rays.sample] * through
-
-
-def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor, config: StatisticsConfig) -> Tensor:
-    """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
-    table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (table * darker_view_weights(table, valid, config)[..., None]).sum(1)
-
-
 def estimate_gloss(
     problem: Problem,
     light: Light,
@@ -240,18 +211,15 @@ def estimate_gloss(
     points, hue = _alike(problem, seen, features[:, :3])
     alike = points[in_solve], hue[in_solve]
     parts = metal_among((problem, light), rows, alike, trial, dielectric)
-    by_camera = problem.scene.by_camera
     levels = material.highlights
-    parts, metal_choice = proven_parts(parts, trial, dielectric, levels, by_camera=by_camera)
+    parts, metal_choice = proven_parts(parts, trial, dielectric, levels)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)
     patches = Patches(features=means(features, cluster), number=cluster[in_solve])
     if told is None:
-        choice = choose_roughness(
-            highlights, patches, trial, ~is_metal, material, by_camera=by_camera
-        )
+        choice = choose_roughness(highlights, patches, trial, ~is_metal, material)
     else:
         choice = known_roughness(told, len(patches.features), material.highlights)
     level = choice.roughness[cluster]
@@ -276,25 +244,39 @@ def estimate_gloss(
     )
 
 
-def likely_metal(problem: Problem, light: Light) -> NDArray[np.bool_]:
-    """Which of all samples (S,) are likely metal, by those that take part in the light solve.
+def retold(
+    problem: Problem,
+    light: Light,
+    gloss: Gloss,
+    samples: NDArray[np.bool_],
+    material: tuple[Floats, Floats],
+) -> tuple[Gloss, Tensor]:
+    """The same with another material on some samples.
 
     Args:
-        problem: Scene under a tone curve.
-        light: Its light, for which metal was taken for paint so far.
+        problem: Scene under the chosen tone curve.
+        light: Its light.
+        gloss: Specular material of all samples.
+        samples: (S,) those that change.
+        material: Roughness and metal (S,) that they take; anything elsewhere.
+
+    Returns:
+        The material, and the diffuse radiance (S, V, 3) of the samples that changed; of the others
+        it is what is seen.
     """
-    config, rows = problem.scene.config, problem.scene.rows
-    seen = np.flatnonzero(problem.radiance.seen.numpy())
-    rows = rows[:: -(-len(rows) // config.material.metal.judged) or 1]
-    looked = looked_at(problem, light, rows)
-    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2], config=config.proof)
-    points, hue = _alike(problem, seen, _features(problem, light, seen)[:, :3])
-    own = np.searchsorted(seen, rows)
-    dielectric = _costs(looked, config)[1]
-    parts = metal_among((problem, light), rows, (points[own], hue[own]), trial, dielectric)
-    metal = np.zeros(len(problem.scene.transport.surfels), bool)
-    metal[seen] = (parts.part >= 0)[near(points[own], points, 1)[:, 0]]
-    return metal
+    rows = np.flatnonzero(samples & problem.radiance.seen.numpy())
+    level, metal = (values[rows].astype(np.float64) for values in material)
+    told, diffuse = _apply((problem, light), rows, level, metal, gloss.has_highlights)
+    changed = {
+        name: np.where(samples.reshape(-1, *[1] * (values.ndim - 1)), values, getattr(gloss, name))
+        for name, values in {
+            "roughness": material[0].astype(np.float32),
+            "metallic": material[1].astype(np.float32),
+            "floor": told["floor"],
+            "kept": told["kept"],
+        }.items()
+    }
+    return replace(gloss, **changed), diffuse
 
 
 def _alike(problem: Problem, seen: NDArray[np.int64], paint: Floats) -> tuple[Floats, Floats]:
@@ -382,7 +364,7 @@ def _apply(
             surfels.position[rows],
             linear,
             scene.config.photometry.statistics,
-            below_gloss=not scene.by_camera,
+            below_gloss=BELOW_GLOSS,
         )[..., None]
         floor[rows] = (dielectric * low).sum(1).numpy()
         kept[rows] = (through * low).sum(1).numpy()

@@ -19,25 +19,18 @@ def proven_parts(
     trial: Trial,
     dielectric: Floats,
     config: HighlightsConfig,
-    *,
-    by_camera: bool,
 ) -> tuple[MetalParts, Choice]:
-    """The parts of which photographs that had no part in their fit prove that they are metal.
+    """The parts that are metal unless photographs that had no part in their fit prove the contrary.
 
-    Each is compared with paint, matt or of the roughness that fits it best, whichever is better. A
-    small one is seen by few views and lies in few places, so that hardly anything can be proven of
-    it alone: where all parts together are proven, it is metal unless the contrary is proven.
-
-    On renderings metal is taken as it is read. What it mirrors is displaced by normals that are a
-    few degrees off, and squared errors count that twice, so that true metal is hardly proven. Of
-    cameras' photographs the reading alone finds metal nearly everywhere.
+    Each is compared with a dielectric, matt or of the roughness that fits it best, whichever is
+    better. What metal mirrors is displaced by normals that are a few degrees off, and squared
+    errors count that twice, so that true metal is hardly ever proven.
 
     Args:
         parts: As read from the photographs.
         trial: The U samples.
         dielectric: (U, L) display error of each sample as paint at every roughness, in those.
         config: These roughnesses.
-        by_camera: Whether a camera took the photographs.
 
     Returns:
         The proven parts, numbered anew, and what was compared, for the report.
@@ -54,13 +47,10 @@ def proven_parts(
         single.append(trial.proof(own, plain[own], metal[own]))
     every = trial.rays_of(parts.part >= 0)
     whole = trial.proof(every, plain[every], metal[every])
-    proven = np.array([one.is_given or (whole.is_given and one.is_open) for one in single], bool)
-    told = f"of {len(proven)} parts that may be metal {proven.sum()} are proven"
+    proven = np.array([one.is_open for one in single], bool)
+    told = f"of {len(proven)} parts that may be metal {proven.sum()} are not disproven"
     if len(proven):
         told += f"; of all together {whole.words}"
-    if not by_camera:
-        told += "; on renderings no proof is asked for"
-        proven[:] = True
     kept_parts = parts.of(proven)
     choice = Choice(
         choice="metal",

@@ -14,6 +14,8 @@ from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.config import ObservedConfig
 from robir.appearance.material.reflections import Reflections, ViewRays, view_rays
+from robir.appearance.photometry.config import StatisticsConfig
+from robir.appearance.photometry.statistics import darker_view_weights
 from robir.maths.tone_curve import AbstractToneCurve
 
 
@@ -100,3 +102,31 @@ def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
     table = torch.zeros(*shape, values.shape[1])
     table[rays.sample, rays.view] = values
     return table
+
+
+def diffuse_below(
+    seen: Seen,
+    specular: Tensor,
+    through: Tensor,
+    seen_by: tuple[ViewRays, Tensor],
+    config: StatisticsConfig,
+) -> Tensor:
+    """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
+
+    Args:
+        seen: What the rays show.
+        specular: (M, 3) what of it is reflected.
+        through: (M, 1) share of the diffuse light that the layer lets through.
+        seen_by: The rays, and (U, V) which views show the samples.
+        config: Which of them are the darker ones.
+    """
+    rays, valid = seen_by
+    least = seen.config.least_diffuse * seen.linear
+    diffuse = torch.maximum(seen.linear - specular, least) / through
+    return low_mean(diffuse, rays, valid, config)[rays.sample] * through
+
+
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor, config: StatisticsConfig) -> Tensor:
+    """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
+    table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
+    return (table * darker_view_weights(table, valid, config)[..., None]).sum(1)

@@ -66,8 +66,6 @@ def choose_roughness(
     trial: Trial,
     paint: NDArray[np.bool_],
     config: MaterialConfig,
-    *,
-    by_camera: bool,
 ) -> RoughnessChoice:
     """Roughness of every patch, as many as there are.
 
@@ -77,8 +75,6 @@ def choose_roughness(
         trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
         config: How roughness is read, and how many there are.
-        by_camera: Whether a camera took the photographs. Those of a rendering may differ from patch
-            to patch, and have a specular layer, as they mostly do, unless the contrary is proven.
 
     Returns:
         The choice.
@@ -91,12 +87,11 @@ def choose_roughness(
     plain = trial.paint_errors(kept, None)
     single, several = (trial.paint_errors(kept, level) for level in levels)
     many = trial.proof(kept, single, several)
-    is_likely = many.is_given or not by_camera
-    gloss = trial.proof(kept, plain, several if is_likely else single)
+    gloss = trial.proof(kept, plain, several if many.is_open else single)
     of_paint = each[patches.number[paint]]
     is_alike = not len(of_paint) or float(of_paint.std()) < limits.no_difference
-    is_dull = not (gloss.is_given if by_camera else gloss.is_open)
-    is_one = is_dull or is_alike or not is_likely
+    is_dull = not gloss.is_open
+    is_one = is_dull or is_alike or not many.is_open
     roughness = (
         np.full(len(each), MATTE if is_dull else _stepped(one, reading.step)) if is_one else each
     )

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What photographs of the same points tell about how they were exposed and lit.
 
-Asked of cameras alone. Whether anything is needed is judged under a plain tone curve, as any curve
-makes the same photographs brighter. Gains are taken only where they are larger than gloss feigns
-them, and where gains from points of some orientations let photographs predict points of the others:
-an exposure changes all alike, while sheen depends on where a point faces, so that other points
-alone would prove that of a ground as well. A falloff towards the corners, common to all
+Whether anything is needed is judged under a plain tone curve, as any curve
+makes the same photographs brighter. Gains count by how far points of some orientations tell the
+same as points of the others: an exposure changes all alike, while sheen depends on where a point
+faces. A falloff towards the corners, common to all
 photographs, is proven by those it was not solved by.
 """
 
@@ -21,14 +20,13 @@ from numpy.typing import NDArray
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.photometry.config import RobustConfig
 from robir.appearance.photometry.exposure import Exposures, comparable, log_radiance
-from robir.appearance.photometry.gains import are_uneven, orientations, solve_gains
+from robir.appearance.photometry.gains import orientations, real_share, solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.appearance.photometry.own_light import have_own_lights
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.appearance.proof import Proof, fitted_views
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_view
-from robir.capture.readers.nerf_synthetic import is_by_camera
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
@@ -56,7 +54,7 @@ class Comparison:
         other_light: Names of the photographs taken under another light than most, held-out ones
             included.
         falloff: Of all photographs towards their corners, under a plain tone curve.
-        are_apart: Whether photographs have gains of their own.
+        gain_share: How much of the gains between photographs is exposure, 0..1.
         has_own_lights: Whether each is in a light of its own, its gain being part of that.
     """
 
@@ -69,7 +67,7 @@ class Comparison:
     config: AppearanceConfig
     other_light: frozenset[str] = frozenset()
     falloff: Falloff = NO_FALLOFF
-    are_apart: bool = False
+    gain_share: float = 0.0
     has_own_lights: bool = False
 
     @classmethod
@@ -120,26 +118,21 @@ class Comparison:
     @property
     def exposures(self) -> Exposures | None:
         """What tells how photographs were exposed; None where they were exposed alike."""
-        if not (self.are_apart or self.has_own_lights or self.falloff.strength):
+        if not (self.gain_share or self.has_own_lights or self.falloff.strength):
             return None
         return Exposures(
             observations=self.observed(self.capture.without(self.other_light).views),
             normals=self.points.normal,
             config=self.config.photometry,
-            are_apart=self.are_apart or self.has_own_lights,
+            gain_share=1.0 if self.has_own_lights else self.gain_share,
             has_falloff=self.falloff.strength > 0,
             has_own_lights=self.has_own_lights,
         )
 
     @property
     def tells(self) -> bool:
-        """Whether cameras took the photographs, and enough is seen in common to tell anything.
-
-        A rendering has one light, one exposure and no lens; what its gloss feigns was taken for
-        one of them on five to eight of 40 drawn renderings each (docs/ablation.md).
-        """
-        enough = len(self.log) >= self.config.photometry.gains.least_points
-        return enough and is_by_camera(self.capture)
+        """Whether enough is seen in common to tell anything."""
+        return len(self.log) >= self.config.photometry.gains.least_points
 
     @property
     def normals(self) -> Floats:
@@ -185,8 +178,8 @@ def _find_gains(state: Comparison) -> Comparison:
     if not state.tells:
         return state
     dimming = state.falloff.log(state.off_axis)[..., None]
-    are_apart = are_uneven(state.log - dimming, state.normals, state.config.photometry)
-    return replace(state, are_apart=are_apart)
+    share = real_share(state.log - dimming, state.normals, state.config.photometry)
+    return replace(state, gain_share=share) if share else state
 
 
 def _find_own_lights(state: Comparison) -> Comparison:
@@ -213,8 +206,9 @@ COMPARISON: tuple[Step[Comparison], ...] = (
     ),
     Step(
         name="exposure",
-        purpose="finds whether photographs were exposed or balanced apart",
-        source="log-linear gains by robust least squares, proven by points of other orientations",
+        purpose="finds how much of what photographs differ by is exposure and white balance",
+        source="log-linear gains by robust least squares, shrunk by what two halves of the points "
+        "tell apart (James and Stein 1961)",
         run=_find_gains,
     ),
     Step(

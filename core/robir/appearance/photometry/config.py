@@ -41,17 +41,14 @@ class ExposureConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainsConfig:
-    """When photographs count as exposed apart.
+    """How far photographs count as exposed apart.
 
     Attributes:
-        least_steps: Root mean square of the gains below which photographs count as exposed alike;
-            gloss of paint and plates feigns up to 0.07.
         orientation_cells: Cells per unit of a normal's components, points of one erring together:
             some forty degrees.
         least_points: Points in all from which photographs can be compared.
     """
 
-    least_steps: Annotated[float, Within(0, 5, "steps")] = 0.12
     orientation_cells: Annotated[float, Within(0.5, 10)] = 1.5
     least_points: Annotated[int, Within(8, 10000)] = 50
 

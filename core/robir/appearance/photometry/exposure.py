@@ -111,7 +111,7 @@ class Exposures:
         observations: A few surface points in all views, the held-out ones included.
         normals: (N, 3) of the points.
         config: How they are compared.
-        are_apart: Whether photographs have gains of their own.
+        gain_share: How much of the gains between photographs is exposure, 0..1.
         has_falloff: Whether they are darker towards their corners.
         has_own_lights: Whether each is in a light of its own.
     """
@@ -119,7 +119,7 @@ class Exposures:
     observations: Observations
     normals: Floats
     config: PhotometryConfig
-    are_apart: bool
+    gain_share: float
     has_falloff: bool
     has_own_lights: bool = False
 
@@ -131,14 +131,14 @@ class Exposures:
         if self.has_falloff:
             falloff = solve_falloff(log, normals, off_axis, self.config)
             log = log - falloff.log(off_axis)[..., None]
-        if not self.are_apart:
+        if not self.gain_share:
             return Gains({}, falloff)
         names, slopes = self.observations.views, {}
         if self.has_own_lights:
             rows = solve_slopes(log, normals, self.config.robust)
             slopes = dict(zip(names, rows, strict=True))
             log = log - (normals @ rows.T)[..., None]
-        rows = solve_gains(log, normals, self.config.robust)
+        rows = self.gain_share * solve_gains(log, normals, self.config.robust)
         by_view = {name: np.exp(row) for name, row in zip(names, rows, strict=True)}
         return Gains(by_view, falloff, slopes)
 

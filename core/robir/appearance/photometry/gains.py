@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from robir.appearance.photometry.config import GainsConfig, PhotometryConfig, RobustConfig
 from robir.appearance.photometry.robust import Weighing, solve_views
-from robir.appearance.proof import Proof
 from robir.maths.tone import curve_from_name
+
+_LEAST_ERRORS = 2.0
+"""Standard errors from which what two halves of the points tell is no chance."""
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -61,34 +63,35 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
     return gains, mean - weight @ gains / mass[:, None]
 
 
-def are_uneven(log: Array, normals: Floats, config: PhotometryConfig) -> bool:
-    """Whether photographs were exposed apart, by more than sheen feigns.
+def real_share(log: Array, normals: Floats, config: PhotometryConfig) -> float:
+    """How much of the gains is exposure, 0..1; the rest is sheen and noise.
+
+    An exposure changes all points alike, so points of some orientations and points of the others
+    tell the same gains; what they tell apart is error. With g = gain + e of either half, the mean
+    of their products estimates the variance of the gains, and over that of their mean it is what is
+    left of them (James and Stein 1961). What may be chance counts as none: most captures have one
+    exposure.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
             does not show a point.
         normals: (P, 3) of the points.
-        config: What counts as uneven, and how observations are weighed.
+        config: How orientations are told apart, and how observations are weighed.
+
+    Returns:
+        0 where too few points tell.
     """
-    gains = solve_gains(log, normals, config.robust)
-    if np.sqrt((gains**2).mean()) <= config.gains.least_steps * np.log(2):
-        return False
     orientation = orientations(normals, config.gains)
     is_first = halves(orientation)[orientation]
     if min(is_first.sum(), (~is_first).sum()) < config.gains.least_points:
-        return False
-    plain, rich, groups = [], [], []
-    for judged in (is_first, ~is_first):
-        gains = solve_gains(log[~judged], normals[~judged], config.robust)
-        shown = log[judged]
-        point, view = np.nonzero(np.isfinite(shown[..., 0]))
-        groups.append(np.stack([view, orientation[judged][point]]))
-        plain.append(others_errors(shown, np.zeros_like(gains))[point, view])
-        rich.append(others_errors(shown, gains)[point, view])
-    proof = Proof.of(
-        np.concatenate(plain), np.concatenate(rich), tuple(np.concatenate(groups, axis=1))
+        return 0.0
+    first, second = (
+        solve_gains(log[half], normals[half], config.robust) for half in (is_first, ~is_first)
     )
-    return proof.is_given
+    product, mean = (first * second).mean(), (((first + second) / 2) ** 2).mean()
+    # channels of one photograph err together, so photographs are what is counted
+    chance = np.sqrt((first**2).mean() * (second**2).mean() / len(first))
+    return float(min(product / mean, 1.0)) if product > _LEAST_ERRORS * chance else 0.0
 
 
 def orientations(normals: Floats, config: GainsConfig) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
+
+BELOW_GLOSS = os.environ.get("ROBIR_SW_B", "0") == "0"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

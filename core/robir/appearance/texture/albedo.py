@@ -19,6 +19,7 @@ from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.statistics import (
+    BELOW_GLOSS,
     display_mean,
     linear_observations,
     texture_weights,
@@ -135,7 +136,7 @@ class Painting:
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
         linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
-        below_gloss = gloss.has_highlights and not problem.scene.by_camera
+        below_gloss = gloss.has_highlights and BELOW_GLOSS
         observed = seen.weight, seen.positions
         config = problem.scene.config
         statistics = config.photometry.statistics

@@ -206,13 +206,10 @@ class TexturingConfig:
 
     Attributes:
         albedo_views: Of which albedo is read.
-        asked_views: That are asked whether smoothing is wrong; of two that agree nothing can be
-            told.
         detail_views: Of which the best show a spot's detail.
     """
 
     albedo_views: Annotated[int, Within(1, 10000)] = 48
-    asked_views: Annotated[int, Within(1, 10000)] = 6
     detail_views: Annotated[int, Within(1, 10000)] = 96
 
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
 from robir.appearance.light.problem import Scene, make_problem
 from robir.appearance.light.solver import Light
 from robir.appearance.light.sun_search import find_suns
-from robir.appearance.material.gloss import likely_metal
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.gamut import unable
-from robir.appearance.tone.ranking import CAMERA, NEUTRAL, PLAIN, Candidate, ranked
+from robir.appearance.tone.ranking import CAMERA, PLAIN, Candidate, ranked
 from robir.appearance.tone.shoulder import PlainLead
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
@@ -58,28 +55,28 @@ class ToneChoice:
     def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
         """Curves that the configuration allows, and what white and colours say of them."""
         allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
-        if scene.by_camera:
-            allowed = [curve for curve in allowed if curve.name != NEUTRAL] or allowed
         observations = scene.transport.observations
         return cls(
             scene=scene,
             config=config,
             seed=seed,
             allowed=allowed,
-            evidence=clipping_evidence(
-                observations, config.tone.clipping, by_camera=scene.by_camera
-            ),
+            evidence=clipping_evidence(observations, config.tone.clipping),
             beyond=unable(allowed, observations, config.tone.gamut),
         )
 
     @property
     def fitting(self) -> list[AbstractToneCurve]:
-        """The curves that no code and no colour rules out; all if that would rule out every one."""
-        verdict = self.evidence.verdict
+        """The curves that no code and no colour rules out; all if that would rule out every one.
+
+        A camera's response rolls off a little before it clips, so it fits either way.
+        """
+        clipping, verdict = (PLAIN, CAMERA), self.evidence.verdict
         return [
             curve
             for curve in self.allowed
-            if (verdict is None or (curve.name in (PLAIN, CAMERA)) == verdict)
+            if not (verdict is True and curve.name not in clipping)
+            and not (verdict is False and curve.name == PLAIN)
             and curve.name not in self.beyond
         ] or self.allowed
 
@@ -107,22 +104,6 @@ def _rank(state: ToneChoice) -> ToneChoice:
     return replace(state, candidates=candidates, plain_lead=lead)
 
 
-def _set_metal_aside(state: ToneChoice) -> ToneChoice:
-    """What metal mirrors passes for paint and for shadows: where there is much, all is redone.
-
-    Of photographs by a camera metal must be proven, for which the light has to be known.
-    """
-    if state.scene.by_camera:
-        return state
-    first, limits = state.candidates[0], state.config.material.metal
-    metal = likely_metal(first.problem, first.light)
-    share = metal[state.scene.rows].mean()
-    if not limits.sought_without <= share <= 1 - limits.solved_without:
-        return state
-    scene = state.scene.without_metal(metal, np.random.default_rng(state.seed))
-    return _rank(_search_suns(replace(state, scene=scene)))
-
-
 SEARCH: tuple[Step[ToneChoice], ...] = (
     Step(
         name="suns",
@@ -137,12 +118,6 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
         source="ours, over RobIR's ACES (equations 6 to 8) and the view transforms of Blender",
         run=_rank,
         is_on_trial=False,
-    ),
-    Step(
-        name="metal-aside",
-        purpose="seeks suns and curve of renderings anew without metal, where there is much",
-        source="ours",
-        run=_set_metal_aside,
     ),
 )
 """How the tone curve is found, in this order."""

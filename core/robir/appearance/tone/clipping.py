@@ -20,14 +20,11 @@ class ClippingEvidence:
         clipped_share: Observations with a channel at code 255.
         bright_share: Observations with their brightest channel nearly white.
         config: From when on these tell something.
-        by_camera: Whether cameras took the photographs: these roll off a little whatever their
-            curve, so that this tells nothing.
     """
 
     clipped_share: float
     bright_share: float
     config: ClippingConfig
-    by_camera: bool = False
 
     @property
     def verdict(self) -> bool | None:
@@ -35,16 +32,14 @@ class ClippingEvidence:
         config, clipped, bright = self.config, self.clipped_share, self.bright_share
         if clipped > max(config.clipped_share, config.spike_ratio * bright):
             return True
-        if not self.by_camera and bright > max(config.bright_share, clipped / config.rolled_ratio):
+        if bright > max(config.bright_share, clipped / config.rolled_ratio):
             return False
         if clipped > max(config.few_clipped, config.lone_ratio * bright):
             return True
         return None
 
 
-def clipping_evidence(
-    observations: Observations, config: ClippingConfig, *, by_camera: bool = False
-) -> ClippingEvidence:
+def clipping_evidence(observations: Observations, config: ClippingConfig) -> ClippingEvidence:
     """Shares of clipped and of nearly white observations."""
     valid = observations.weight > 0
     brightest = observations.display.max(2)
@@ -54,5 +49,4 @@ def clipping_evidence(
         clipped_share=float((clipped & valid).sum() / total),
         bright_share=float(((brightest >= config.bright_code) & ~clipped & valid).sum() / total),
         config=config,
-        by_camera=by_camera,
     )

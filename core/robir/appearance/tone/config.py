@@ -89,7 +89,7 @@ class RankingConfig:
         simpler_margin: Standard errors within which the simpler one of two curves of a kind is
             taken.
         settled_below: Lead of the plain curve over a shoulder below which their lights need not be
-            settled: that moves it by less, and it must lead by `shoulder.plain_margin`.
+            settled: that moves it by less.
     """
 
     error_cap: Annotated[float, Within(0.001, 1)] = 0.08
@@ -104,18 +104,11 @@ class ShoulderConfig:
     """When the plain curve is taken rather than one with a shoulder.
 
     Attributes:
-        plain_margin: By how much the plain curve must lead where white does not tell. Photographs
-            that are not rolled off and use the range of the display have clipped highlights, so
-            where the errors cannot tell, the shoulder is the likelier.
-        camera_margin: The same of photographs: cameras apply the plain curve, with a shoulder of
-            their own that none of the others is, and one of those must lead it as clearly.
         mismatch_cap: Mismatch beyond which a pair is of two materials and says nothing more.
         mismatch_error: Mismatches by which curves differ for no reason; adds to their standard
             error. Blocks of one shadow err alike and agree better than they are right.
     """
 
-    plain_margin: Annotated[float, Within(-100, 100, "standard errors")] = 2.0
-    camera_margin: Annotated[float, Within(-100, 100, "standard errors")] = -2.0
     mismatch_cap: Annotated[float, Within(0.001, 100)] = 1.0
     mismatch_error: Annotated[float, Within(1e-6, 1)] = 0.005
 

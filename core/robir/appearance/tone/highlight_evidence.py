@@ -19,8 +19,7 @@ from robir.appearance.blocks import Table, block_numbers, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import diffuse_below
-from robir.appearance.material.observed import seen_along
+from robir.appearance.material.observed import diffuse_below, seen_along
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share, view_rays
 from robir.appearance.material.segments import clusters
 

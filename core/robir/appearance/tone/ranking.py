@@ -44,6 +44,12 @@ HEDGE = "robir_aces"
 cameras do; where it does not lead all others, one of those is the likelier."""
 
 
+_MARGINS = {"auto": -1.0, "camera": -2.0, "render": 2.0}
+"""Standard errors by which a curve without a shoulder must lead one that has one, by where the
+photographs are from: cameras have cameras' responses, renderers mostly a shoulder. Who tells
+nothing mostly brings photographs."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A tone curve with its score.
@@ -158,8 +164,7 @@ class Judged:
         highlights = highlight_tables((two[0], two[1]), seed)
         names = (two[0][0].curve.name, two[1][0].curve.name)
         lead = PlainLead.of(names, (mine, other), highlights, tone)
-        by_camera = two[0][0].scene.by_camera
-        return replace(lead, margin=tone.shoulder.camera_margin) if by_camera else lead
+        return replace(lead, margin=_MARGINS[self.config.origin])
 
 
 def ranked(
@@ -227,8 +232,7 @@ def chosen_number(
 def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> int:
     """Number of the likelier of the curves without a shoulder.
 
-    The response of a camera must lead the sRGB transfer function as that a shoulder: clearly where
-    the photographs are renderings, by next to nothing where cameras took them.
+    The response of a camera must lead the sRGB transfer function as that a shoulder.
     """
     if CAMERA not in names:
         return names.index(PLAIN)

@@ -104,7 +104,7 @@ class PlainLead:
             shoulder=names[1],
             shadows=Lead.of(shadows, 1.0, config.shoulder.mismatch_error),
             highlights=Lead.of(highlights, 255.0, config.code_error) if highlights else None,
-            margin=config.shoulder.plain_margin,
+            margin=0.0,
         )
 
 

@@ -6,17 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from robir.capture.capture import Capture
 from robir.capture.frames import Array, Frame, FrameSet, Lens, unique_names
 from robir.capture.readers import transforms
 
 FORMAT = "nerf-synthetic"
 TRAIN = "transforms_train.json"
-
-
-def is_by_camera(capture: Capture) -> bool:
-    """Whether a camera took the photographs: whoever renders a capture writes it in this format."""
-    return capture.format != FORMAT
 
 
 def read(root: Path) -> FrameSet:

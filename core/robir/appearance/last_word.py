@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The photographs have the last word: no part of the asset may show them worse than their mean.
+
+The plain mean of all photographs of a point knows no light, no metal and no shadow. Where the whole
+model repeats the photographs of a block of the surface worse than that mean does, by more than
+chance, something in it is wrong there, whatever its proofs said of the surface as a whole. So the
+part that can be at fault is taken back on that block, the block's texture is read again, and what
+shows the photographs better stays. What is left after that is reported.
+
+Only a loss against the mean takes anything back. A gain proves nothing: a light of the wrong colour
+explains photographs well and turns the albedo brown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import Gloss, retold, specular_towards
+from robir.appearance.material.roughness import MATTE
+from robir.appearance.photometry.statistics import display_mean, linear_observations
+from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.capture.capture import View
+from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.jobs.choice import Choice
+from robir.maths.vectors import farthest_points
+from robir.transport.observe import Observations, observe, spread_views
+
+Floats = NDArray[np.float32]
+Rows = NDArray[np.int64]
+
+_NUM_BLOCKS = 64
+"""Blocks of the surface: each is about 2 % of it, the smallest part that a person sees at once."""
+
+_NUM_TEXELS = 12_000
+"""Texels that are judged, some 200 a block."""
+
+_NUM_VIEWS = 12
+"""Photographs that judge; they lie far apart."""
+
+_LEAST_VIEWS = 3
+"""Photographs that must show a block before it is judged."""
+
+_FACING = 0.5
+"""Weight of a normal's direction beside places in the unit frame: a thin plate has two sides."""
+
+_MARGIN = 2.0
+"""Standard errors over photographs by which a block must be worse than the mean."""
+
+_LOSS = 3.0
+"""dB against the mean that a person sees. True metal under normals that are a few degrees off loses
+less, and so does smoothing, which removes shading that the light did not explain on purpose."""
+
+_UNSEEN = 5.0 / 255
+"""Display error that nobody sees beside a texture; it is added to both sides of a comparison."""
+
+_PARTS = ("metal", "specular", "smoothing")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asset:
+    """A textured surface under its light.
+
+    Attributes:
+        problem: Scene under the chosen tone curve.
+        light: Solved light.
+        gloss: Specular material of the samples.
+        values: Of the texels.
+    """
+
+    problem: Problem
+    light: Light
+    gloss: Gloss
+    values: TexelAlbedo
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """How the blocks of a surface are shown, against the mean of the photographs.
+
+    Attributes:
+        ours: (B,) mean squared display error of the asset, codes in 0..1; NaN where too few
+            photographs show the block.
+        mean: (B,) the same of the photographs' mean.
+        error: (B,) standard error of the difference, over photographs.
+    """
+
+    ours: Floats
+    mean: Floats
+    error: Floats
+
+    @property
+    def decibels(self) -> Floats:
+        """(B,) by how much the asset is worse, where both also err by what nobody sees."""
+        floor = _UNSEEN**2
+        return 10 * np.log10(
+            (np.nan_to_num(self.ours) + floor) / (np.nan_to_num(self.mean) + floor)
+        )
+
+    def beyond(self, decibels: float) -> NDArray[np.bool_]:
+        """(B,) blocks that are worse by more than so much, and by more than chance."""
+        is_sure = np.nan_to_num(self.ours - self.mean) > _MARGIN * np.nan_to_num(self.error)
+        return is_sure & (self.decibels > decibels)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastWord:
+    """What the photographs took back, and what they still object to.
+
+    Attributes:
+        asset: What is left.
+        taken_back: Share of the blocks on which each part was taken back.
+        worst: Largest loss of a block that is more than chance, dB; 0 without one.
+        unexplained: Share of the blocks that are worse than the mean by more than a person sees.
+    """
+
+    asset: Asset
+    taken_back: dict[str, float]
+    worst: float
+    unexplained: float
+
+    @property
+    def choice(self) -> Choice:
+        """For the report."""
+        told = [f"{part} on {share:.0%}" for part, share in self.taken_back.items() if share]
+        left = f"; {self.unexplained:.0%} of the surface still is" if self.unexplained else ""
+        return Choice(
+            choice="taken back",
+            chosen=", ".join(told) or "nothing",
+            alternatives=_PARTS,
+            why="blocks of the surface that the asset shows worse than the photographs' mean, by "
+            f"more than {_MARGIN:g} standard errors and {_LOSS:g} dB{left}",
+        )
+
+    @property
+    def plain(self) -> dict[str, object]:
+        """As plain values."""
+        return {
+            "taken_back": self.taken_back,
+            "worst_loss": self.worst,
+            "unexplained": self.unexplained,
+        }
+
+
+class Jury:
+    """The photographs, and the blocks that they judge."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        texels: Texels,
+        views: tuple[View, ...],
+        tracer: EmbreeTracer,
+    ) -> None:
+        """Read the photographs once.
+
+        Args:
+            problem: Scene under the chosen tone curve.
+            texels: Points of the atlas.
+            views: Photographs that take part, a pixel about as large as a texel.
+            tracer: Of the mesh.
+        """
+        self._problem = problem
+        places = _places(texels.position, texels.normal)
+        some = np.linspace(0, len(places) - 1, min(_NUM_TEXELS, len(places))).astype(np.int64)
+        seeds = farthest_points(places[some], min(_NUM_BLOCKS, len(some)))
+        self._seeds = places[some][seeds]
+        judges = spread_views(views, min(_NUM_VIEWS, len(views)))
+        position, normal = texels.position[some], texels.normal[some]
+        seen = observe(tracer, position, normal, judges, problem.scene.offset)
+        shown = (seen.weight > 0).sum(1) >= 2
+        self._some = some[shown]
+        self._points = Texels(position=position[shown], normal=normal[shown])
+        self._seen = seen.subset(shown)
+        self._block = self.blocks(self._points.position, self._points.normal)
+        self._mean = self._codes(_mean_radiance(problem, self._seen, self._points))
+
+    def blocks(self, position: Floats, normal: Floats) -> Rows:
+        """(N,) number of the block that each point belongs to."""
+        places = _places(position, normal)
+        found = np.empty(len(places), np.int64)
+        for start in range(0, len(places), 8192):
+            part = slice(start, start + 8192)
+            apart = ((places[part, None] - self._seeds) ** 2).sum(2)
+            found[part] = apart.argmin(1)
+        return found
+
+    def loss(self, asset: Asset) -> Loss:
+        """How each block of an asset is shown, against the mean of the photographs."""
+        ours = self._codes(self._radiance(asset))
+        photo = self._seen.display.astype(np.float32) / 255
+        valid = self._seen.weight > 0
+        count, views = len(self._seeds), valid.shape[1]
+        cell = self._block[:, None] * views + np.arange(views)
+        size = np.bincount(cell[valid], minlength=count * views).reshape(count, views)
+        tables = []
+        for shown in (ours, self._mean):
+            squared = ((shown - photo) ** 2).mean(2)
+            total = np.bincount(cell[valid], squared[valid], count * views)
+            tables.append(total.reshape(count, views) / np.maximum(size, 1))
+        judged = size > 0
+        number = judged.sum(1)
+        means = [np.where(judged, table, 0).sum(1) / np.maximum(number, 1) for table in tables]
+        apart = np.where(judged, tables[0] - tables[1], 0)
+        spread = np.where(judged, (apart - (means[0] - means[1])[:, None]) ** 2, 0).sum(1)
+        error = np.sqrt(spread / np.maximum(number * (number - 1), 1))
+        hidden = number < _LEAST_VIEWS
+        mine, mean = (np.where(hidden, np.nan, values).astype(np.float32) for values in means)
+        return Loss(ours=mine, mean=mean, error=error.astype(np.float32))
+
+    def _radiance(self, asset: Asset) -> Floats:
+        """(N, V, 3) that an asset sends to the photographs' cameras."""
+        problem, light, values = asset.problem, asset.light, asset.values
+        points, seen = self._points, self._seen
+        blend = Blend(problem, points)
+        soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
+        rays = 2 * problem.scene.config.light.problem.sun_ray_pairs
+        sun = sun_transfer(problem, light, points, light.sharpness, rays)
+        irradiance = soft + sun @ light.amplitudes.sharp.numpy()
+        point, view = np.nonzero(seen.weight > 0)
+        towards = seen.positions[view] - points.position[point]
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        dielectric, metal, through = specular_towards(
+            problem, light, asset.gloss, blend.nearest[point], towards.astype(np.float32)
+        )
+        albedo = values.albedo[self._some][point]
+        metallic = values.metallic[self._some][point, None]
+        matt = albedo * irradiance[point] / np.pi
+        sent = np.zeros((*seen.weight.shape, 3), np.float32)
+        sent[point, view] = (1 - metallic) * (through * matt + dielectric)
+        sent[point, view] += metallic * albedo * metal
+        return sent
+
+    def _codes(self, radiance: Floats) -> Floats:
+        """(N, V, 3) display values of radiance at the common exposure, as photographed."""
+        seen, problem = self._seen, self._problem
+        gain = problem.gains.at(seen.views, seen.off_axis, self._points.normal[:, None])
+        shown = problem.curve.display_from_linear(gain * torch.from_numpy(radiance))
+        return shown.clamp(0, 1).numpy().astype(np.float32)
+
+
+def heard(
+    jury: Jury, asset: Asset, read: Callable[[Gloss], TexelAlbedo], texels: Texels
+) -> LastWord:
+    """Take back what the photographs object to, block by block.
+
+    Args:
+        jury: The photographs.
+        asset: What they judge.
+        read: Reads the texels again under another specular material.
+        texels: Points of the atlas.
+
+    Returns:
+        The asset that they leave.
+    """
+    surfels = asset.problem.scene.transport.surfels
+    of_texel = jury.blocks(texels.position, texels.normal)
+    of_sample = jury.blocks(surfels.position, surfels.normal)
+    loss = jury.loss(asset)
+    taken = dict.fromkeys(_PARTS, 0.0)
+    for part in _PARTS:
+        wanted = loss.beyond(_LOSS)
+        tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None
+        if tried is None:
+            continue
+        after = jury.loss(tried)
+        # compared with what the mean leaves, not with each other: both have its errors
+        better = wanted & (np.nan_to_num(after.ours) < np.nan_to_num(loss.ours))
+        if not better.any():
+            continue
+        asset = _joined(asset, tried, better[of_sample], better[of_texel])
+        loss = jury.loss(asset)
+        taken[part] = float(better.mean())
+    worst = loss.decibels[loss.beyond(0.0)]
+    return LastWord(
+        asset=asset,
+        taken_back=taken,
+        worst=float(worst.max()) if len(worst) else 0.0,
+        unexplained=float(loss.beyond(_LOSS).mean()),
+    )
+
+
+def _without(
+    part: str, asset: Asset, chosen: NDArray[np.bool_], read: Callable[[Gloss], TexelAlbedo]
+) -> Asset | None:
+    """The asset without a part on chosen samples (S,), None where these have no such part."""
+    if part == "smoothing":
+        return replace(asset, values=replace(asset.values, albedo=asset.values.read))
+    is_metal = asset.gloss.metallic > 0.5
+    affected = chosen & (is_metal if part == "metal" else ~is_metal & asset.gloss.has_highlights)
+    if not affected.any():
+        return None
+    # as dull as a dielectric can be: what it then reflects no view tells from its diffuse light
+    dull = np.full(len(chosen), MATTE, np.float32), np.zeros(len(chosen), np.float32)
+    gloss, _ = retold(asset.problem, asset.light, asset.gloss, affected, dull)
+    return replace(asset, gloss=gloss, values=read(gloss))
+
+
+def _joined(
+    asset: Asset, other: Asset, samples: NDArray[np.bool_], texels: NDArray[np.bool_]
+) -> Asset:
+    """The asset with what the other has on some samples (S,) and texels (N,)."""
+    gloss = replace(
+        asset.gloss,
+        roughness=np.where(samples, other.gloss.roughness, asset.gloss.roughness),
+        metallic=np.where(samples, other.gloss.metallic, asset.gloss.metallic),
+        floor=np.where(samples[:, None], other.gloss.floor, asset.gloss.floor),
+        kept=np.where(samples[:, None], other.gloss.kept, asset.gloss.kept),
+    )
+    values = {
+        name: np.where(
+            texels.reshape(-1, *[1] * (getattr(asset.values, name).ndim - 1)),
+            getattr(other.values, name),
+            getattr(asset.values, name),
+        )
+        for name in ("albedo", "disagreement", "read", "unknown", "uncertainty", "roughness",
+                     "metallic")
+    }  # fmt: skip
+    return replace(asset, gloss=gloss, values=replace(asset.values, **values))
+
+
+def _places(position: Floats, normal: Floats) -> Floats:
+    """(N, 6) points that lie close together where the surface does and faces alike."""
+    return np.concatenate([position, _FACING * normal], axis=1).astype(np.float32)
+
+
+def _mean_radiance(problem: Problem, seen: Observations, points: Texels) -> Floats:
+    """(N, V, 3) radiance whose display value is the mean of each point's photographs."""
+    linear = linear_observations(seen, problem.curve, problem.gains, points.normal)
+    shown = torch.from_numpy((seen.weight > 0).astype(np.float32))
+    mean = display_mean(linear, shown, problem.curve).numpy()
+    return np.broadcast_to(mean[:, None], (*seen.weight.shape, 3)).copy()

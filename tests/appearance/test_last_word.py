@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What shows photographs worse than their mean does is taken back there, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from appearance.texture.test_albedo import PAINTS, lit_floor
+
+from robir.appearance.last_word import Asset, Jury, Loss, heard
+from robir.appearance.texture.albedo import texel_albedo
+from robir.steps import Course
+
+
+@pytest.fixture(scope="module")
+def floor():
+    """A matt floor of two materials, read right; the jury that photographed it, and its reader."""
+    problem, light, texels, views, gloss, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
+    gloss = replace(gloss, has_highlights=False)
+
+    def read(material):
+        return texel_albedo((problem, light, material), texels, views, tracer, Course())
+
+    asset = Asset(problem=problem, light=light, gloss=gloss, values=read(gloss))
+    return asset, Jury(problem, texels, views, tracer), read, texels
+
+
+def seen_half(floor):
+    asset, _, _, texels = floor
+    return (texels.position[:, 1] > 0.1) & (asset.values.coverage == 3)
+
+
+def test_nothing_is_taken_back_from_what_is_right(floor):
+    asset, jury, read, texels = floor
+    word = heard(jury, asset, read, texels)
+    assert word.asset is asset
+    assert word.taken_back == {"metal": 0.0, "specular": 0.0, "smoothing": 0.0}
+    assert word.unexplained == 0.0 and word.worst < 0.5
+    assert word.choice.chosen == "nothing"
+
+
+def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
+    asset, jury, read, texels = floor
+    surfels = asset.problem.scene.transport.surfels
+    half = surfels.position[:, 1] > 0
+    gloss = replace(
+        asset.gloss,
+        metallic=half.astype(np.float32),
+        roughness=np.where(half, np.float32(0.3), asset.gloss.roughness),
+        metal=np.full_like(asset.gloss.metal, 0.9),
+    )
+    wrong = replace(asset, gloss=gloss, values=read(gloss))
+    assert jury.loss(wrong).beyond(3.0).mean() > 0.2
+    word = heard(jury, wrong, read, texels)
+    assert word.taken_back["metal"] > 0.2
+    assert word.unexplained == 0.0
+    inner = seen_half(floor)
+    assert word.asset.values.metallic[inner].max() == 0
+    np.testing.assert_allclose(word.asset.values.albedo[inner].mean(0), PAINTS[1], rtol=0.05)
+    assert "metal" in word.choice.chosen
+
+
+def test_a_texture_that_was_smoothed_away_comes_back(floor):
+    asset, jury, read, texels = floor
+    patch = (np.abs(texels.position[:, 0]) < 0.3) & (texels.position[:, 1] < -0.1)
+    albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
+    wrong = replace(asset, values=replace(asset.values, albedo=albedo.astype(np.float32)))
+    word = heard(jury, wrong, read, texels)
+    assert word.taken_back["smoothing"] > 0.05 and word.taken_back["metal"] == 0
+    middle = patch & (np.abs(texels.position[:, 0]) < 0.15) & (texels.position[:, 1] < -0.25)
+    np.testing.assert_allclose(
+        word.asset.values.albedo[middle], asset.values.albedo[middle], rtol=1e-3
+    )
+
+
+def test_what_nothing_explains_is_reported(floor):
+    asset, jury, read, texels = floor
+    patch = texels.position[:, 1] < -0.1
+    albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
+    albedo = albedo.astype(np.float32)
+    wrong = replace(asset, values=replace(asset.values, albedo=albedo, read=albedo))
+    word = heard(jury, wrong, read, texels)
+    assert word.unexplained > 0.2 and word.worst > 3.0
+    assert "still is" in word.choice.why
+    assert word.plain["unexplained"] == word.unexplained
+
+
+def test_a_loss_that_may_be_chance_or_that_nobody_sees_takes_nothing_back():
+    loss = Loss(
+        ours=np.float32([0.01, 0.01, 1e-4, np.nan]),
+        mean=np.float32([0.002, 0.002, 1e-5, np.nan]),
+        error=np.float32([0.001, 0.006, 1e-6, np.nan]),
+    )
+    assert loss.beyond(3.0).tolist() == [True, False, False, False]
