@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import estimate_gloss
-from robir.appearance.photometry.config import StatisticsConfig
-from robir.appearance.photometry.statistics import darker_view_weights, sharpest_views
+from robir.appearance.photometry.statistics import texture_weights
 from robir.maths.tone import curve_from_name
 
 MATERIAL = MaterialConfig()
@@ -90,15 +88,14 @@ def test_glossy_paint_that_touches_metal_is_no_part_of_it():
 def test_what_the_textures_subtract_is_what_their_views_show(ball):
     problem, light, is_gold, _ = ball
     gloss, diffuse = estimate_gloss(problem, light, 4, 0)
-    weight = problem.scene.transport.observations.weight
+    transport = problem.scene.transport
     plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
-    sharpest = torch.from_numpy(sharpest_views(weight) > 0)
-    darker = darker_view_weights(problem.linear, sharpest, StatisticsConfig())
-    darker = darker.numpy()[..., None]
-    read = (problem.linear.numpy() * darker).sum(1)
+    seen_by = transport.observations.weight, transport.observations.positions
+    share = texture_weights(seen_by, transport.surfels.position).numpy()[..., None]
+    read = (problem.linear.numpy() * share).sum(1)
     below = ((read - gloss.floor) / gloss.kept)[plastic]
     # the same without highlights view by view
-    expected = (diffuse.numpy() * darker).sum(1)[plastic]
+    expected = (diffuse.numpy() * share).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
     assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
 

@@ -268,12 +268,9 @@ def test_a_dark_polished_part_stays_darker_than_its_light_without_any_reflection
     assert np.all(values.albedo[inner] < 1.02 * slack * paints[1])
 
 
-@pytest.mark.parametrize(
-    ("has_highlights", "is_mean"),
-    [(False, True), (True, False)],
-)
-def test_what_no_model_explains_is_shown_as_the_mean(has_highlights, is_mean):
-    """A camera's photographs are shown no worse than their plain mean on the surface does."""
+@pytest.mark.parametrize("has_highlights", [False, True])
+def test_what_no_model_explains_is_shown_as_the_mean(has_highlights):
+    """Photographs are shown no worse than their plain mean on the surface does."""
     problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     # each photograph is brighter or darker than any light that is common to all would have it
     factors = (0.8, 1.0, 1.25)
@@ -294,4 +291,4 @@ def test_what_no_model_explains_is_shown_as_the_mean(has_highlights, is_mean):
     worst = np.mean((codes[known.all(1)] - mean) ** 2)
     ours = np.mean((codes[known.all(1)] - shown[known.all(1), None]) ** 2)
     # the mean of all views alike has the least squares there are; darker views lie 2 dB below
-    assert (10 * np.log10(ours / worst) < 0.2) == is_mean
+    assert 10 * np.log10(ours / worst) < 0.2

@@ -36,7 +36,7 @@ from robir.appearance.material.reflections import (
 from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
 from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import Trial
-from robir.appearance.photometry.statistics import BELOW_GLOSS, texture_weights
+from robir.appearance.photometry.statistics import texture_weights
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
@@ -54,7 +54,7 @@ class Gloss:
             scene has none.
         metal_reads: Mean over all metal of the log of the brightest channel of its base colour, as
             it is read under the light; None where there is none.
-        floor: (S, 3) float32, specular radiance left in the mean of the darker views.
+        floor: (S, 3) float32, specular radiance in the mean of the views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
         table: One dictionary per patch of paint and per metal part.
@@ -359,15 +359,10 @@ def _apply(
         least = scene.config.material.observed.least_diffuse * linear
         below = torch.maximum(linear - dielectric, least) / through
         # the views that the textures are read from, see texture.py
-        low = texture_weights(
-            (observations.weight[rows], observations.positions),
-            surfels.position[rows],
-            linear,
-            scene.config.photometry.statistics,
-            below_gloss=BELOW_GLOSS,
-        )[..., None]
-        floor[rows] = (dielectric * low).sum(1).numpy()
-        kept[rows] = (through * low).sum(1).numpy()
+        seen_by = observations.weight[rows], observations.positions
+        share = texture_weights(seen_by, surfels.position[rows])[..., None]
+        floor[rows] = (dielectric * share).sum(1).numpy()
+        kept[rows] = (through * share).sum(1).numpy()
         is_metal = torch.from_numpy(full_metal[rows] > 0.5)[:, None, None]
         diffuse[rows] = torch.where(is_metal, linear, below)
     return (

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +17,6 @@ from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
-
-BELOW_GLOSS = os.environ.get("ROBIR_SW_B", "0") == "0"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,12 +51,6 @@ def linear_observations(
     return gains.undone(decoded(observations, curve), observations, normals)
 
 
-def sharpest_views(weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights (N, V) of the views without the flattest of each sample: those blur its texture."""
-    best = weight.max(1, keepdims=True)
-    return np.where(weight > 0.5 * best, weight, 0).astype(np.float32)
-
-
 def darker_view_weights(linear: Tensor, valid: Tensor, config: StatisticsConfig) -> Tensor:
     """Weights of the views between two ranks of each sample's brightness.
 
@@ -80,32 +71,22 @@ def darker_view_weights(linear: Tensor, valid: Tensor, config: StatisticsConfig)
 
 
 def texture_weights(
-    seen: tuple[NDArray[np.float32], NDArray[np.float32]],
-    position: NDArray[np.float32],
-    linear: Tensor,
-    config: StatisticsConfig,
-    *,
-    below_gloss: bool,
+    seen: tuple[NDArray[np.float32], NDArray[np.float32]], position: NDArray[np.float32]
 ) -> Tensor:
     """What each view counts in the radiance that textures are made from.
 
-    Darker views show what is diffuse below a specular layer. Otherwise all views count by the
-    number of their pixels on a patch about the point, as their mean repeats the photographs best.
+    All views count by the number of their pixels on a patch about the point, as their mean repeats
+    the photographs best. Darker views alone would show less of a highlight, but those of a camera
+    are darker for many other reasons too.
 
     Args:
         seen: Weights (N, V) of the observations, and camera centres (V, 3).
         position: (N, 3) of the points.
-        linear: (N, V, 3) radiance of the observations.
-        config: Which views are the darker ones.
-        below_gloss: Whether only darker views count.
 
     Returns:
         (N, V); a row sums to 1, or to 0 where no view shows the point.
     """
     weight, cameras = seen
-    if below_gloss:
-        is_sharp = torch.from_numpy(sharpest_views(weight) > 0)
-        return darker_view_weights(linear, is_sharp, config)
     apart = cameras[None] - position[:, None]
     pixels = torch.from_numpy(weight / np.einsum("nvd,nvd->nv", apart, apart))
     return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)

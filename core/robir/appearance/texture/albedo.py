@@ -19,7 +19,6 @@ from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.statistics import (
-    BELOW_GLOSS,
     display_mean,
     linear_observations,
     texture_weights,
@@ -126,25 +125,17 @@ class Painting:
         views: tuple[View, ...],
         tracer: EmbreeTracer,
     ) -> Painting:
-        """Texels with what photographs show of them and what arrives at them; see `texel_albedo`.
-
-        Darker views show what is diffuse below a specular layer; a camera's photographs are darker
-        for many other reasons too, and the asset came out darker than they are.
-        """
+        """Texels with what photographs show and what arrives at them; see `texel_albedo`."""
         problem, light, gloss = solved
         blend = Blend(problem, texels)
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
         linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
-        below_gloss = gloss.has_highlights and BELOW_GLOSS
         observed = seen.weight, seen.positions
         config = problem.scene.config
-        statistics = config.photometry.statistics
-        share = texture_weights(
-            observed, texels.position, linear, statistics, below_gloss=below_gloss
-        )
-        radiance = weighted_radiance(seen, linear, share, statistics)
-        shown = radiance.linear if below_gloss else display_mean(linear, share, problem.curve)
+        share = texture_weights(observed, texels.position)
+        radiance = weighted_radiance(seen, linear, share, config.photometry.statistics)
+        shown = display_mean(linear, share, problem.curve)
         rays, nothing = 2 * config.light.problem.sun_ray_pairs, np.zeros(len(soft), np.float32)
         return cls(
             problem=problem,
