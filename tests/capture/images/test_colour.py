@@ -163,6 +163,12 @@ def test_cmyk_and_damaged_profiles(tmp_path):
     assert np.abs(read(tmp_path / "a.jpg").image_display - 255 * picture()).mean() < 3
 
 
+def test_gain_maps_are_said(tmp_path):
+    words = b'<x:xmpmeta xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0"/>'
+    Image.fromarray(codes(picture())).save(tmp_path / "a.jpg", quality=95, xmp=words)
+    assert "an HDR gain map (the base picture is taken)" in read(tmp_path / "a.jpg").colours
+
+
 def exr(path: Path, values: np.ndarray, **header) -> None:
     channels = {"RGBA": np.ascontiguousarray(values, np.float16)}
     if values.shape[2] == 3:

@@ -113,15 +113,15 @@ def test_alpha_turns_with_its_photograph(marked, tmp_path):
     assert_same(views_of(root), truth)
 
 
-def test_sparse_points_tell_where_there_are_no_masks(marked, tmp_path, monkeypatch):
-    from robir.capture.checks.turns import with_settled_turns
+def test_sparse_points_tell_where_there_are_no_masks(marked, tmp_path):
+    from robir.capture.checks.turns import prepared
     from robir.capture.recognise import read_frames
 
     root = writers.colmap(tmp_path / "a", marked, binary=True)
     for path in (root / "images").iterdir():
         turned(path, 3)
     frames = read_frames(root)
-    chosen, told = with_settled_turns(frames, [(f, "train") for f in frames.frames], {})
+    chosen, _, told = prepared(frames, [(f, "train") for f in frames.frames], {})
     assert all(frame.is_upright for frame, _ in chosen)
     assert "upright" in told[0].message
 
@@ -138,6 +138,16 @@ def test_nothing_tells(marked, tmp_path):
         marked_only(path, 3)
     assert len(poses["frames"]) == 12
     with pytest.raises(CaptureRefusedError, match="EXIF data turns 12 photographs, and neither"):
+        read_capture(root, None, CaptureConfig())
+
+
+def test_damaged_masks_are_not_blamed_on_exif(marked, tmp_path):
+    root = writers.nerfstudio(tmp_path / "a", marked)
+    for path in (root / "images").iterdir():
+        marked_only(path, 3)
+    for path in (root / "mattes").iterdir():
+        path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(CaptureRefusedError, match="truncated or damaged"):
         read_capture(root, None, CaptureConfig())
 
 

@@ -74,44 +74,26 @@ def prepared(
         drawn: Masks by frame name that win over the format's own.
 
     Raises:
-        CaptureError: As `with_settled_turns`, or if a mask cannot be read.
+        CaptureError: If a mask cannot be read, or if EXIF data turns photographs and nothing tells
+            whether poses heed it.
     """
-    chosen, masks, ignored = without_ignoring(chosen, drawn)
-    chosen, turned = with_settled_turns(frames, chosen, masks)
-    return chosen, masks, ignored + turned
-
-
-def with_settled_turns(
-    frames: FrameSet, chosen: Chosen, masks: Mapping[str, Path]
-) -> tuple[Chosen, list[Finding]]:
-    """The frames, each knowing what its pose and its mask are for.
-
-    Args:
-        frames: What the format says.
-        chosen: Frames to read, with their split.
-        masks: Masks by frame name that win over the format's own.
-
-    Raises:
-        CaptureError: If EXIF data turns photographs and nothing tells whether poses heed it.
-    """
-    turned = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}
-    turns = [_Turn(poses, drawn) for poses in (False, True) for drawn in (False, True)]
-    given = False
+    chosen, masks, findings = without_ignoring(chosen, drawn)
+    exif = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}
+    turns = [_Turn(poses, of_masks) for poses in (False, True) for of_masks in (False, True)]
+    own = {f.name: masks.get(f.name) or f.mask for f, _ in chosen if f.name in exif}
     for frame, _ in chosen:
-        if frame.name in turned:
-            mask = masks.get(frame.name) or frame.mask
-            given = given or mask is not None
-            turns = [turn for turn in turns if _fits(turn, frame, mask, *turned[frame.name])]
-    if not given:
-        turns = [turn for turn in turns if turn.poses == turn.masks]
-    if not turned or not turns:
-        return chosen, []
-    found = turns[0] if len(turns) == 1 else _tried(turns, frames, chosen, masks, list(turned))
-    if not given and len(turns) == 1:
-        return found.of(chosen), []
-    return found.of(chosen), [
-        note("exif-turn", f"EXIF data turns {len(turned)} photographs: {found}", *turned)
-    ]
+        if frame.name in exif:
+            turns = [t for t in turns if _fits(t, frame, own[frame.name], *exif[frame.name])]
+    has_masks = any(own.values())
+    turns = [turn for turn in turns if has_masks or turn.poses == turn.masks]
+    if not exif or not turns:
+        return chosen, masks, findings
+    found = turns[0] if len(turns) == 1 else _tried(turns, frames, chosen, masks, list(exif))
+    if has_masks or len(turns) > 1:
+        findings.append(
+            note("exif-turn", f"EXIF data turns {len(exif)} photographs: {found}", *exif)
+        )
+    return found.of(chosen), masks, findings
 
 
 def _exif_turn(frame: Frame) -> tuple[int, tuple[int, int]] | None:
@@ -149,6 +131,8 @@ def _tried(
     """The turn under which masks, and photographs, agree."""
     few = chosen[:: -(-len(chosen) // _MOST)]
     loaded = [load_views(turn.of(few), masks, _SIDE, unheard) for turn in turns]
+    if all(any(finding.level == "error" for finding in one.findings) for one in loaded):
+        raise CaptureRefusedError(loaded[0].findings)
     hulls = [
         None if one.maskless else sphere_from_masks(one.views, frames.sphere) for one in loaded
     ]

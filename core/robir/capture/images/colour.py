@@ -20,8 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageCms
 
-Floats = NDArray[np.float32]
-Matrix = NDArray[np.float64]
+from robir.maths.primaries import (
+    D50,
+    D65,
+    REC709,
+    Matrix,
+    linear_from_srgb,
+    rgb_to_rec709,
+    srgb_codes,
+    xyz_to_rec709,
+)
 
 _PLAIN = ("L", "RGB", "CMYK")
 """Modes that LittleCMS is given."""
@@ -35,14 +43,13 @@ _MOST_CHUNKS = 64
 MAX_PROFILE = 1 << 22
 """Largest profile that is looked at, bytes; the tables of printers have two million."""
 
-_D50, _D65 = (0.3457, 0.3585), (0.3127, 0.3290)
-_REC709 = ("Rec.709", ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06)), _D65)
-_ADOBE = ("Adobe RGB (by EXIF)", ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06)), _D65, 563 / 256)
+_ADOBE = ("Adobe RGB (by EXIF)", ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06)), D65, 563 / 256)
 _P3 = ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06))
+_REC709 = ("Rec.709", REC709, D65)
 _PRIMARIES = {
-    9: ("Rec.2020", ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046)), _D65),
+    9: ("Rec.2020", ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046)), D65),
     11: ("DCI-P3", _P3, (0.314, 0.351)),
-    12: ("Display P3", _P3, _D65),
+    12: ("Display P3", _P3, D65),
 }
 """Name, primaries and white, CIE xy, by the code points of H.273; all others are as Rec.709."""
 
@@ -52,22 +59,18 @@ _TRANSFER = {4: 2.2, 5: 2.8, 8: 1.0, 17: 2.6}
 HDR = {16: "PQ", 18: "HLG"}
 """Curves whose codes are no display values."""
 
-_BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)
-
 _CMS_FAULTS = (ImageCms.PyCMSError, OSError, ValueError, TypeError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """Colours of a file.
+    """Colours of a file: by matrix and curves, an ICC profile, both, or unknown.
 
     Attributes:
         name: For the user.
-        matrix: (3, 3) linear values to linear Rec.709, or None where only LittleCMS knows.
+        matrix: (3, 3) linear values to linear Rec.709.
         curves: Codes in [0, 1] to linear values, for each channel.
-        profile: ICC profile, or nothing.
+        profile: ICC profile.
     """
 
     name: str
@@ -146,13 +149,6 @@ def converted(codes: NDArray[Any], space: Space) -> NDArray[np.uint8]:
     return result
 
 
-def srgb_codes(linear: Floats) -> NDArray[np.uint8]:
-    """8-bit sRGB codes of linear Rec.709 values; what lies outside is clipped."""
-    value = np.clip(np.nan_to_num(linear), 0.0, 1.0)
-    curved = 1.055 * np.maximum(value, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.rint(255 * np.where(value <= 0.0031308, 12.92 * value, curved)).astype(np.uint8)
-
-
 def has_gain_map(picture: Image.Image) -> bool:
     """Whether a second picture says how much brighter the first may be shown."""
     is_told = b"hdrgm" in bytes(picture.info.get("xmp", b""))
@@ -161,36 +157,11 @@ def has_gain_map(picture: Image.Image) -> bool:
 
 def by_profile(picture: Image.Image, space: Space) -> Image.Image:
     """A picture without alpha whose profile LittleCMS applies, 8-bit sRGB."""
-    if picture.mode.startswith("I"):
-        return picture
     try:
         picture = picture if picture.mode in _PLAIN else picture.convert("RGB")
         return _transform(space.profile, picture.mode).apply(picture)  # type: ignore[union-attr]
     except _CMS_FAULTS:
         return picture.convert("RGB")
-
-
-def rgb_to_rec709(primaries: Any, white: Any) -> Matrix:
-    """Linear values of primaries and a white, CIE xy, to linear Rec.709, adapted by Bradford."""
-    return np.linalg.solve(_to_xyz(*_REC709[1:]), _to_xyz(primaries, white))
-
-
-def _to_xyz(primaries: Any, white: Any) -> Matrix:
-    """Linear values to XYZ under D65."""
-    columns = np.array([_xyz(point) for point in primaries]).T
-    scaled = columns * np.linalg.solve(columns, _xyz(white))
-    return _adapted(white) @ scaled
-
-
-def _adapted(white: Any) -> Matrix:
-    """XYZ under a white to XYZ under D65."""
-    gains = (_BRADFORD @ _xyz(_D65)) / (_BRADFORD @ _xyz(white))
-    return np.linalg.solve(_BRADFORD, gains[:, None] * _BRADFORD)
-
-
-def _xyz(point: Any) -> Matrix:
-    x, y = point
-    return np.array([x / y, 1.0, (1 - x - y) / y])
 
 
 def _of_primaries(name: str, primaries: Any, white: Any, gamma: float) -> Space | None:
@@ -203,11 +174,6 @@ def _of_primaries(name: str, primaries: Any, white: Any, gamma: float) -> Space 
         return None
     curve = (lambda code: code**gamma) if gamma else linear_from_srgb
     return Space(name=name, matrix=matrix, curves=(curve,) * 3)
-
-
-def linear_from_srgb(code: Matrix) -> Matrix:
-    """Linear values of sRGB codes in [0, 1]."""
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
 def _is_adobe(picture: Image.Image) -> bool:
@@ -257,18 +223,15 @@ def _matrix_and_curves(profile: bytes) -> tuple[Matrix | None, tuple[Any, ...]]:
     """Matrix to linear Rec.709 and curves of a profile that has no more than these (ICC.1)."""
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
-        entries = [
-            struct.unpack_from(">4sII", profile, 132 + 12 * i) for i in range(min(count, 99))
-        ]
-        tags = {name: profile[at : at + size] for name, at, size in entries}
+        table = profile[132 : 132 + 12 * count]
+        tags = {n: profile[at : at + size] for n, at, size in struct.iter_unpack(">4sII", table)}
         if b"A2B0" in tags:
             return None, ()
         columns = [struct.unpack_from(">3i", tags[c + b"XYZ"], 8) for c in (b"r", b"g", b"b")]
         curves = tuple(_curve(tags[c + b"TRC"]) for c in (b"r", b"g", b"b"))
-    except (struct.error, KeyError, ValueError):
+    except (struct.error, KeyError, ValueError, ZeroDivisionError):
         return None, ()
-    to_xyz = _adapted(_D50) @ (np.array(columns).T / 65536)
-    return np.linalg.solve(_to_xyz(*_REC709[1:]), to_xyz), curves
+    return xyz_to_rec709(D50) @ (np.array(columns).T / 65536), curves
 
 
 def _curve(tag: bytes) -> Callable[[Matrix], Matrix]:
@@ -284,9 +247,8 @@ def _curve(tag: bytes) -> Callable[[Matrix], Matrix]:
     if kind != b"para" or form > 4:
         raise ValueError("no curve that is known")
     number = (1, 3, 4, 5, 7)[form]
-    g, a, b, c, d, e, f = (np.frombuffer(tag, ">i4", number, 12) / 65536).tolist() + [0.0] * (
-        7 - number
-    )
+    stated = (np.frombuffer(tag, ">i4", number, 12) / 65536).tolist()
+    g, a, b, c, d, e, f = (*stated, *[0.0] * 6)[:7]
     if form == 0:
         return lambda code: code**g
     if form < 3:

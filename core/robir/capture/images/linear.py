@@ -15,10 +15,13 @@ from typing import Any, BinaryIO
 import numpy as np
 import OpenEXR
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.images.colour import Floats, rgb_to_rec709, srgb_codes
 from robir.capture.images.opencv import cv2
+from robir.maths.primaries import rgb_to_rec709, srgb_codes
+
+Floats = NDArray[np.float32]
 
 LINEAR = "linear"
 """Where a picture's `info` holds its linear Rec.709 values, (H, W, 3 or 4) float32, straight."""
@@ -98,10 +101,9 @@ def _exr(path: Path, most: int) -> Floats:
         alpha = channels[prefix + "A"][:, :, None]
         colour = np.dstack([colour / np.maximum(alpha, 1e-6), alpha])
     whole = np.zeros((height, width, colour.shape[2]), np.float32)
-    first, last = np.maximum(low, frame), np.minimum(high, end) + 1
-    (x0, y0), (x1, y1) = first - frame, last - frame
-    (u0, v0), (u1, v1) = first - low, last - low
-    whole[y0:y1, x0:x1] = colour[v0:v1, u0:u1]
+    (x0, y0), (x1, y1) = np.maximum(low, frame), np.minimum(high, end) + 1
+    part = colour[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]]
+    whole[y0 - frame[1] : y1 - frame[1], x0 - frame[0] : x1 - frame[0]] = part
     return whole
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.images.alpha import is_premultiplied, straight_codes
 from robir.capture.images.colour import (
     HDR,
     by_profile,
@@ -23,6 +22,9 @@ from robir.capture.images.colour import (
 from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
+
+_FEWEST = 20
+"""Soft pixels by which colours multiplied by alpha are told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +105,7 @@ def in_srgb(
             path.name,
         )
     told = [name_of(picture) if space is None else space.name]
-    if space is not None and space.is_known:
+    if space is not None and space.is_known and not picture.mode.startswith("I"):
         told = [f"{space.name} (converted to sRGB)"]
     else:
         space = None
@@ -134,3 +136,33 @@ def _eight_bits(codes: NDArray[Any]) -> Bytes:
     if codes.dtype == np.uint8:
         return np.ascontiguousarray(codes)
     return ((codes.astype(np.int32) + 128) // 257).astype(np.uint8)
+
+
+def is_premultiplied(codes: NDArray[Any]) -> bool:
+    """Whether no pixel has a channel above its alpha, and soft pixels are as much darker.
+
+    The second is for dark objects, whose straight colours are below nearly any alpha.
+
+    Args:
+        codes: (H, W, 4) uint8 or uint16.
+    """
+    most = np.iinfo(codes.dtype).max
+    brightest, alpha = codes[:, :, :3].max(axis=2), codes[:, :, 3]
+    soft, full = (alpha > 0) & (alpha < most), alpha == most
+    if (brightest > alpha).any() or soft.sum() < _FEWEST or not full.any():
+        return False
+    share = float(alpha[soft].mean()) / most
+    # brightness of the soft pixels: that of the object if straight, else a share of it
+    return float(brightest[soft].mean()) < np.sqrt(share) * float(brightest[full].mean())
+
+
+def straight_codes(codes: NDArray[Any]) -> NDArray[Any]:
+    """Codes with colours divided by alpha.
+
+    Args:
+        codes: (H, W, 4) uint8 or uint16, no channel above its alpha.
+    """
+    most = np.iinfo(codes.dtype).max
+    alpha = np.maximum(codes[:, :, 3:], 1).astype(np.float32)
+    colour = np.rint(codes[:, :, :3] * (np.float32(most) / alpha)).astype(codes.dtype)
+    return np.dstack([colour, codes[:, :, 3]])

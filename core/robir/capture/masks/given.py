@@ -17,7 +17,6 @@ from robir.capture.capture import Finding, Split
 from robir.capture.frames import IMAGE_SUFFIXES, Frame
 from robir.capture.images.decode import may_hold_alpha
 from robir.capture.images.loading import read_mask
-from robir.capture.images.regular import regular
 from robir.capture.refusal import note, refuse, warning
 
 _AFFIX = re.compile(
@@ -121,17 +120,12 @@ def without_ignoring(
         CaptureError: If a mask cannot be read.
     """
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
-    beside = [frame.image.with_name(f"{IGNORE}_{frame.image.stem}.png") for frame, _ in chosen]
-    found = [
-        note(
-            "ignore-masks",
-            f"{len(names)} pictures {IGNORE}_* say what to ignore in a photograph; they outline no "
-            "object and are not used",
-            *names,
-        )
-        for names in [[path.name for path in beside if path.is_file()]]
-        if names
-    ]
+    beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]
+    dynamic = [path.name for path in beside if path.is_file()]
+    found = []
+    if dynamic:
+        what = f"{len(dynamic)} pictures {IGNORE}_* say what to ignore, outline no object"
+        found.append(note("ignore-masks", f"{what} and are not used", *dynamic))
     if len(chosen) < _FEWEST or not _are_one(masks):
         return list(chosen), dict(drawn), found
     found.append(
@@ -148,19 +142,13 @@ def without_ignoring(
 
 def _are_one(masks: Sequence[Path | None]) -> bool:
     """Whether all masks are one picture that calls most of its border object."""
-    paths = {os.path.normpath(path) for path in masks if path is not None and path.is_file()}
-    if None in masks or not paths or len({Path(path).stat().st_size for path in paths}) > 1:
+    if None in masks:
         return False
-    first, *others = (Path(path) for path in sorted(paths))
-    with regular(first) as file:
-        content = file.read()
-    for other in others:
-        with regular(other) as file:
-            if file.read() != content:
-                return False
+    first, *others = sorted({Path(os.path.normpath(path)) for path in masks if path is not None})
     mask = read_mask(first, (0, 0))
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    return bool((border >= INSIDE).mean() > _OPEN)
+    is_open = (border >= INSIDE).mean() > _OPEN
+    return bool(is_open) and all(np.array_equal(read_mask(p, (0, 0)), mask) for p in others)
 
 
 def _pictures(folder: Path) -> list[Path]:
