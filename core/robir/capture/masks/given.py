@@ -78,7 +78,7 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
                 (found[frame.name],) = index[key]
                 break
     missing = [frame.relative for frame in frames if frame.name not in found]
-    if missing and own >= {os.path.normpath(path) for path in pictures}:
+    if missing and pictures and own >= {os.path.normpath(path) for path in pictures}:
         raise refuse(
             "missing-masks",
             f"{folder} holds photographs and no masks that outline the object"
