@@ -14,7 +14,9 @@ from PIL import Image
 from robir.capture.capture import Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import PosedRefusedError
+from robir.capture.poses.diagnose import Links, judge
 from robir.capture.poses.photos import find_photographs
+from robir.capture.poses.prepare import Prepared
 from robir.capture.recognise import read_capture
 from robir.capture.refusal import CaptureRefusedError, describe, error, grouped, note
 
@@ -117,3 +119,18 @@ def test_reports_with_masks_to_ignore(name):
     if name.startswith("f2"):
         with pytest.raises(CaptureRefusedError, match="no masks that outline"):
             read_capture(REPORTS / name, REPORTS / name / "images", CaptureConfig())
+
+
+def test_no_photograph_is_compared_with_itself():
+    photographs = [
+        Prepared(relative=f"IMG_{i}.jpg", copy=f"{i}.png", width=9, height=9, lens=0, focal=None)
+        for i in range(6)
+    ]
+    nothing, motion = np.zeros((6, 6), np.int64), float("nan")
+    (said,) = judge(photographs, Links(nothing, nothing > 0, motion, 0.0), [])
+    assert "IMG_0.jpg" not in said.message
+    assert "no pair has any" in said.message
+    some = nothing.copy()
+    some[1, 4] = some[4, 1] = 7
+    (said,) = judge(photographs, Links(some, some > 0, motion, 0.0), [])
+    assert "IMG_1.jpg and IMG_4.jpg, has 7 points" in said.message
