@@ -37,7 +37,7 @@ DISTORTIONS = {
 }
 
 
-def read_photo(path, declared, is_upright=False):
+def read_photo(path, declared, is_upright=None):
     with open_photo(path, declared, is_upright) as stored:
         return stored.read()
 
@@ -68,10 +68,11 @@ def test_sixteen_bits_become_eight(tmp_path):
     assert np.array_equal(again.image_display, photo.image_display)
 
 
-def test_floating_point_pictures_are_refused(tmp_path):
-    Image.fromarray(np.ones((4, 4), dtype=np.float32)).save(tmp_path / "linear.tif")
-    with pytest.raises(CaptureError, match="floating-point"):
-        read_photo(tmp_path / "linear.tif", None)
+def test_grey_floating_point_pictures_are_linear(tmp_path):
+    Image.fromarray(np.full((4, 4), 0.5, dtype=np.float32)).save(tmp_path / "linear.tif")
+    photo = read_photo(tmp_path / "linear.tif", None)
+    assert photo.is_linear
+    assert (photo.image_display == 188).all()
 
 
 @pytest.mark.parametrize("kind", ["zeros and ones", "grey", "alpha", "one bit"])

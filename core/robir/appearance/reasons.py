@@ -40,6 +40,7 @@ def light_choices(
         False: "bright pixels thin out towards code 255: the curve rolls off",
         None: "too little is white, or nearly so, to tell; all families were compared",
     }[evidence.verdict]
+    is_compared = len(tone.allowed) > 1
     return (
         Choice(
             choice="tone curve",
@@ -47,7 +48,9 @@ def light_choices(
             alternatives=tuple(candidate.curve.name for candidate in candidates[1:]),
             held_out_error=candidates[0].score,
             cost_seconds=seconds["tone_curve"],
-            why=f"{reason}; of those with a shoulder the lowest display error of albedo carried "
+            why="the photographs are linear, or the settings allow no other"
+            if not is_compared
+            else f"{reason}; of those with a shoulder the lowest display error of albedo carried "
             "between neighbours in different light, the simplest within one standard error"
             f"{_near(tone)}{_lead(tone)}{_beyond(tone)}",
         ),

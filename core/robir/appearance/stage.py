@@ -29,6 +29,7 @@ from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
 from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
+from robir.appearance.tone.ranking import PLAIN
 from robir.appearance.tone.rivals import albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
@@ -77,7 +78,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     check_left_out(STEPS, config.without, "appearance.without")
     course = Course(config.without)
     capture = load_settled(context.paths).normalised()
-    mesh, tracer, own_tracer = _surface(context)
+    config, (mesh, tracer, own_tracer) = with_known_curve(config, capture), _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
     compared = Comparison.of(transport, tracer, capture, config, context.seed)
@@ -135,6 +136,12 @@ def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, course: Cours
     first = tone.candidates[0]
     found = solve(first.problem, first.light, config, seed, course)
     return with_proven_suns(tone, found, course)
+
+
+def with_known_curve(config: AppearanceConfig, capture: Capture) -> AppearanceConfig:
+    """The settings, with the one curve that linear photographs can have gone through."""
+    is_open = capture.is_linear and len(config.families) > 1
+    return replace(config, families=(PLAIN,)) if is_open else config
 
 
 def _scene(

@@ -104,6 +104,7 @@ class Capture:
         bounds: Bounding sphere of the object.
         findings: What the readers and checks noticed.
         table: What the object stands on, where masks were guessed and it was found.
+        is_linear: Whether no photograph went through a tone curve but sRGB's.
         photographs: File of each view by its name, while it is known; not stored.
     """
 
@@ -113,6 +114,7 @@ class Capture:
     bounds: Bounds
     findings: tuple[Finding, ...] = field(default=())
     table: Plane | None = None
+    is_linear: bool = False
     photographs: Mapping[str, Path] = field(default_factory=dict)
 
     @property

@@ -11,6 +11,8 @@ r2 = x^2 + y^2:
 
 A fisheye lens first replaces the radius by the angle, (x, y) by (x, y) atan(r) / r; with the
 polynomial that is the model of Kannala and Brandt, which OpenCV and COLMAP call OPENCV_FISHEYE.
+
+Other models of COLMAP (FOV, thin prism, division, EUCM) are evaluated by pycolmap.
 """
 
 from __future__ import annotations
@@ -37,10 +39,14 @@ HEIF_SUFFIXES = (".heic", ".heif")
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2")
 """Sensor data of cameras, developed by rawpy."""
 
+LINEAR_SUFFIXES = (".exr",)
+"""Pictures whose values are light itself."""
+
 IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"),
     *HEIF_SUFFIXES,
     *RAW_SUFFIXES,
+    *LINEAR_SUFFIXES,
 )
 """Kinds of photographs that are read."""
 
@@ -67,6 +73,8 @@ class Distortion:
         tangential: p1, p2.
         skew: s, how far a step down moves along the row.
         is_fisheye: Whether the radius is the angle to the axis, not its tangent.
+        model: Name of another model of COLMAP instead of all this, or nothing.
+        others: Its parameters after focal length and principal point.
     """
 
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -74,19 +82,23 @@ class Distortion:
     tangential: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
     is_fisheye: bool = False
+    model: str = ""
+    others: tuple[float, ...] = ()
 
     @property
     def parameters(self) -> tuple[float, ...]:
         """All numbers."""
-        return (*self.radial, *self.rational, *self.tangential, self.skew)
+        return (*self.radial, *self.rational, *self.tangential, self.skew, *self.others)
 
     @property
     def is_null(self) -> bool:
         """Whether the lens distorts nothing."""
-        return not self.is_fisheye and not any(self.parameters)
+        return not self.is_fisheye and not self.model and not any(self.parameters)
 
     def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Distorted image points of undistorted ones, both at focal length one, y down."""
+        if self.model:
+            return self._by_pycolmap(x, y)
         k1, k2, k3, k4 = self.radial
         d1, d2, d3 = self.rational
         p1, p2 = self.tangential
@@ -98,6 +110,15 @@ class Distortion:
         q = q / (1 + r2 * (d1 + r2 * (d2 + r2 * d3)))
         down = q * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return q * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + self.skew * down, down
+
+    def _by_pycolmap(self, x: Array, y: Array) -> tuple[Array, Array]:
+        import pycolmap
+
+        params = [1.0, 1.0, 0.0, 0.0, *self.others]
+        camera = pycolmap.Camera(model=self.model, width=1, height=1, params=params)
+        points = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+        found = np.asarray(camera.img_from_cam(points)).reshape(*x.shape, 2)
+        return found[..., 0], found[..., 1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +198,9 @@ class Frame:
         lens: Intrinsics as stated.
         camera_to_world: 4x4, OpenGL axes, as stated; not yet checked.
         split: "test" if the format keeps the view aside, else "train".
-        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
+        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it; None
+            where only its size can tell.
+        is_mask_upright: The same of the mask.
     """
 
     name: str
@@ -187,7 +210,8 @@ class Frame:
     lens: Lens
     camera_to_world: Array
     split: Literal["train", "test"] = "train"
-    is_upright: bool = False
+    is_upright: bool | None = None
+    is_mask_upright: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,6 +18,7 @@ from robir.capture.checks.moving_light import check_light, check_turntable
 from robir.capture.checks.place import place_object
 from robir.capture.checks.shapes import check_shapes
 from robir.capture.checks.sharpness import check_sharpness
+from robir.capture.checks.turns import prepared
 from robir.capture.checks.uneven_exposure import check_settings
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame, FrameSet, PosedRefusedError
@@ -302,13 +303,14 @@ def _read_posed(
         drawn = {} if masks is None else mask_files.from_folder(masks, [f for f, _ in chosen])
         if config.outside == "refuse":
             _refuse_outside(tuple(drawn.values()), (frames.root, *given))
+        chosen, drawn, about = prepared(frames, chosen, drawn)
+        findings += about
     except CaptureRefusedError as refusal:
         raise CaptureRefusedError([*findings, *refusal.findings]) from None
     loaded, about = _load_masked(frames, chosen, drawn, how, progress)
     findings += about
     if loaded.views:
-        findings += check_photographs(loaded.views)
-        findings += check_shapes(frames.frames, loaded.views)
+        findings += check_photographs(loaded.views) + check_shapes(frames.frames, loaded.views)
     findings += _check_mask_supply(loaded)
     _stop_on_errors(findings)
     findings += check_masks(loaded.views)
@@ -329,6 +331,7 @@ def _read_posed(
         bounds=bounds,
         findings=tuple(findings),
         table=loaded.table,
+        is_linear=loaded.is_linear,
         photographs={frame.name: frame.image for frame in frames.frames},
     )
 

@@ -7,6 +7,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from robir.capture.capture import Finding
@@ -14,6 +15,9 @@ from robir.errors import CaptureError
 
 MAX_FILES = 12
 """Files a finding names at most; the message holds the count."""
+
+SHOWN_FILES = 3
+"""Files that a line of text names; the table of findings has all that are kept."""
 
 MAX_LETTERS = 2000
 """Letters of a message or a name that are shown."""
@@ -48,9 +52,28 @@ class CaptureRefusedError(CaptureError):
         super().__init__("\n".join(describe(finding) for finding in errors))
 
 
+def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """One finding a kind: the first of those with one code and cure, which counts the others."""
+    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+    for finding in findings:
+        kinds.setdefault((finding.level, finding.code, finding.cure), []).append(finding)
+    return tuple(_joined(group) for group in kinds.values())
+
+
+def _joined(group: list[Finding]) -> Finding:
+    first, *others = group
+    if not others:
+        return first
+    names = tuple(dict.fromkeys(name for finding in group for name in finding.files))
+    message = f"{first.message}; so it is with {len(others)} more"
+    return replace(first, message=message, files=names[:MAX_FILES])
+
+
 def describe(finding: Finding) -> str:
     """A finding as one line: message, files, cure."""
-    files = f" ({', '.join(finding.files)})" if finding.files else ""
+    shown = ", ".join(finding.files[:SHOWN_FILES])
+    rest = ", ..." if len(finding.files) > SHOWN_FILES else ""
+    files = f" ({shown}{rest})" if shown else ""
     cure = f" {finding.cure}" if finding.cure else ""
     return f"{finding.message}{files}.{cure}"
 

@@ -13,7 +13,7 @@ from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
 
-REVISION = 5
+REVISION = 6
 """Raised by hand when the results of this stage change."""
 
 

@@ -33,6 +33,7 @@ _CAPTURE = {
     "views": [CAMERA],
     "findings": [{"level": str, "code": str, "message": str, "cure": str, "files": [str]}],
     "table": [{"normal": NUMBERS, "offset": float, "tolerance": float}],
+    "is_linear?": bool,
 }
 
 _FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS, "bounds": _BOUNDS}
@@ -59,6 +60,7 @@ def save_capture(folder: Path, capture: Capture) -> None:
             "views": [plain_view(view) for view in capture.views],
             "findings": [asdict(finding) for finding in capture.findings],
             "table": [] if capture.table is None else [_plain_plane(capture.table)],
+            "is_linear": capture.is_linear,
         },
     )
 
@@ -85,6 +87,7 @@ def load_capture(folder: Path) -> Capture:
             bounds=_bounds(plain["bounds"]),
             findings=tuple(Finding.from_plain(entry) for entry in plain["findings"]),
             table=next((_plane(entry) for entry in plain["table"]), None),
+            is_linear=plain.get("is_linear", False),
         )
     except _DAMAGE as fault:
         raise _damaged(folder, fault) from fault

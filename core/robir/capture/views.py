@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame
-from robir.capture.images.decode import stored_size
-from robir.capture.images.reading import MaskSource, read_view
-from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.capture.images.decode import header, stored_size
+from robir.capture.images.linear import LINEAR, common_exposure
+from robir.capture.images.reading import MaskSource, Reading, read_view
+from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, warning
 from robir.capture.support import Plane
 
 HARMLESS_PIXELS = 16_000_000
@@ -45,6 +48,7 @@ class Loaded:
         maskless: Names of the views without a mask.
         findings: One error a photograph that could not be read, and notes.
         table: What the object stands on, where masks were guessed and it was found.
+        is_linear: Whether no photograph went through a tone curve but sRGB's.
     """
 
     views: tuple[View, ...]
@@ -52,6 +56,7 @@ class Loaded:
     maskless: tuple[str, ...]
     findings: tuple[Finding, ...]
     table: Plane | None = None
+    is_linear: bool = False
 
 
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:
@@ -136,10 +141,11 @@ def load_views(
     """
     readings, findings = [], []
     most = _most_pixels(chosen)
+    exposure = _exposure([frame for frame, _ in chosen])
     for done, (frame, split) in enumerate(chosen):
         try:
             _refuse_odd_size(frame, most)
-            readings.append(read_view(frame, split, masks.get(frame.name), max_side))
+            readings.append(read_view(frame, split, masks.get(frame.name), max_side, exposure))
         except CaptureRefusedError as refusal:
             findings.extend(refusal.findings)
         progress((done + 1) / len(chosen), f"reading {frame.name}")
@@ -152,14 +158,54 @@ def load_views(
                 *turned,
             )
         )
+    findings += _about_colours(readings, exposure)
     if any(not frame.lens.distortion.is_null for frame, _ in chosen):
         findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
     return Loaded(
         views=tuple(reading.view for reading in readings),
         overviews=tuple(reading.overview for reading in readings),
         maskless=tuple(reading.view.name for reading in readings if not reading.has_mask),
-        findings=tuple(findings),
+        findings=grouped(findings),
+        is_linear=bool(readings) and all(reading.is_linear for reading in readings),
     )
+
+
+def _exposure(frames: Sequence[Frame]) -> float:
+    """Factor on the values of all linear photographs, 1 where there are none."""
+    linear = [f.image for f in frames if f.image.suffix.lower() in (".exr", ".tif", ".tiff")]
+
+    def pictures() -> Iterator[Image.Image]:
+        for path in linear:
+            with suppress(CaptureRefusedError), header(path) as picture:
+                if LINEAR in picture.info:
+                    yield picture
+
+    return common_exposure(pictures()) if linear else 1.0
+
+
+def _about_colours(readings: Sequence[Reading], exposure: float) -> list[Finding]:
+    """What was found of the photographs' colours, one line; a warning where tone curves differ."""
+    of: dict[str, list[str]] = {}
+    for reading in readings:
+        for told in reading.colours:
+            of.setdefault(told, []).append(reading.view.name)
+    if not of:
+        return []
+    groups = "; ".join(f"{len(names)} {told}" for told, names in of.items())
+    scaled = "" if exposure == 1.0 else f", times {exposure:g} so that they do not clip"
+    found = [note("colours", f"Colours of the photographs: {groups}{scaled}")]
+    toned = [reading.view.name for reading in readings if not reading.is_linear]
+    if 0 < len(toned) < len(readings):
+        found.append(
+            warning(
+                "mixed-tone-curves",
+                f"{len(toned)} of {len(readings)} photographs went through a tone curve, the "
+                "others are linear",
+                "Give all photographs of one kind.",
+                *toned,
+            )
+        )
+    return found
 
 
 def _most_pixels(chosen: Sequence[tuple[Frame, Split]]) -> float:

@@ -59,7 +59,9 @@ def test_focal_length_of_exif(exif, focal):
     assert found is None if focal is None else found == pytest.approx(focal, rel=1e-4)
 
 
-def read_photo(path: Path, declared: tuple[int, int] | None, is_upright: bool = False) -> Photo:
+def read_photo(
+    path: Path, declared: tuple[int, int] | None, is_upright: bool | None = None
+) -> Photo:
     with open_photo(path, declared, is_upright) as stored:
         return stored.read()
 
@@ -132,6 +134,11 @@ def test_raw_is_developed_upright_at_half_its_size(tmp_path: Path):
     assert abs(height - 192) <= 4
     # Turned clockwise, the bright top is on the right.
     assert photo.image_display[:, -8:].mean() > 2 * photo.image_display[:, :8].mean()
+    # Values are linear but for sRGB's curve: ten times the light.
+    values = ((photo.image_display[:, :, 1] / 255 + 0.055) / 1.055) ** 2.4
+    ratio = np.median(values[:, -8:]) / np.median(values[:, :8])
+    assert ratio == pytest.approx(10, rel=0.03)
+    assert photo.is_linear
     (tmp_path / "b.dng").write_bytes(b"II*\0torn")
     with pytest.raises(CaptureRefusedError, match="truncated or damaged"):
         read_photo(tmp_path / "b.dng", None)

@@ -245,7 +245,7 @@ def test_a_truncated_colmap_model(sparse, name):
         "EQUIRECTANGULAR",
     ],
 )
-def test_colmap_models_that_are_not_read(model, odd_shots, tmp_path):
+def test_colmap_models_that_are_not_read_or_lack_parameters(model, odd_shots, tmp_path):
     writers.colmap(tmp_path, odd_shots, binary=False)
     path = tmp_path / "sparse/0/cameras.txt"
     path.write_text(f"3 {model} 48 48 58 63 22 25 0.1 0 0 0\n")

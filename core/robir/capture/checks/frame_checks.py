@@ -11,6 +11,7 @@ import numpy as np
 
 from robir.capture.capture import Finding
 from robir.capture.frames import Frame, FrameSet, pose_fault
+from robir.capture.masks.given import IGNORE
 from robir.capture.readers.files import children
 from robir.capture.refusal import error, note, warning
 
@@ -40,8 +41,8 @@ def check_frames(frames: FrameSet) -> list[Finding]:
     found = [
         note(
             "counts",
-            f"{frames.format} capture with {len(everything)} posed photographs, "
-            f"{tests} of them test views",
+            f"{frames.format} capture with {len(everything)} posed photographs"
+            + (f", {tests} of them test views" if tests else ""),
         )
     ]
     if len(everything) - tests < MIN_VIEWS:
@@ -101,7 +102,9 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
         path.name
         for folder in sorted({path.parent for path in images})
         for path in children(folder)
-        if path.suffix.lower() in suffixes and os.path.normpath(path) not in used
+        if path.suffix.lower() in suffixes
+        and os.path.normpath(path) not in used
+        and not path.name.startswith(IGNORE)
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.

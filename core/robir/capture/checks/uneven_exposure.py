@@ -114,12 +114,12 @@ def check_brightness(views: Sequence[View], bounds: Bounds, sightings: Sightings
     spread = float(offsets.std())
     order = np.argsort(-np.abs(offsets))
     far = [views[i].name for i in order if abs(offsets[i]) > POINT_SPREAD]
+    outliers = f" ({len(far)} of {len(views)} stand out)" if far else ""
     return [
         warning(
             "brightness-changes",
             f"The object's brightness changes by {spread:.2f} steps between photographs of the "
-            f"same places ({len(far)} of {len(views)} stand out): exposure, white balance or the "
-            "light changed",
+            f"same places{outliers}: exposure, white balance or the light changed",
             _CURE,
             *far,
             spread_steps=round(spread, 3),

@@ -2,9 +2,9 @@
 """The one door for photographs and masks: which files are opened, how large, and by what.
 
 A file counts only if it is a regular one and holds one of a few formats, told by content: PNG,
-JPEG, TIFF, BMP, WebP, or, under its own suffix, HEIC or RAW, which optional packages decode. Its
-size is looked at before a pixel is decoded. Nothing else of Pillow's is ever asked, for it knows
-formats that start other programs.
+JPEG, TIFF, BMP, WebP, or, under its own suffix, EXR, HEIC or RAW; optional packages decode the
+last two. Its size is looked at before a pixel is decoded. Nothing else of Pillow's is ever asked,
+for it knows formats that start other programs.
 
 Where a package is missing, the refusal says how to install it. EXIF data never stops a photograph:
 what is damaged there counts as absent.
@@ -19,9 +19,14 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
-from robir.capture.frames import HEIF_SUFFIXES, RAW_SUFFIXES
+from robir.capture.frames import HEIF_SUFFIXES, LINEAR_SUFFIXES, RAW_SUFFIXES
+from robir.capture.images.colour import code_points
+from robir.capture.images.linear import read_linear
+from robir.capture.images.opencv import cv2
 from robir.capture.images.regular import regular
 from robir.capture.images.tiff import check_directories
 from robir.capture.refusal import CaptureRefusedError, refuse
@@ -43,6 +48,9 @@ MAX_DECODED = 2_000_000_000
 
 MAX_EXIF_BYTES = 1 << 20
 """Largest EXIF data that is looked at; JPEG can have a sixteenth of it."""
+
+DEVELOPED = "developed"
+"""Where a picture's `info` says that it was developed here, without a tone curve."""
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 _SCAN = b"\xff\xda"
@@ -97,6 +105,27 @@ def load(picture: Image.Image, path: Path) -> None:
         picture.load()
     except _DAMAGE as fault:
         raise _damaged(path, fault) from None
+
+
+def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
+    """Pixels of a picture with 16 bits a channel, of which Pillow would keep eight.
+
+    Args:
+        picture: Not yet decoded.
+        path: Its file.
+
+    Returns:
+        (H, W, 3 or 4), or None for other pictures and for what OpenCV would turn.
+    """
+    tiles = getattr(picture, "tile", ())
+    is_deep = picture.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in tiles)
+    if not is_deep or (picture.format == "TIFF" and orientation(picture) != 1):
+        return None
+    with regular(path, MAX_FILE_BYTES) as file:
+        codes = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+    if codes is None or codes.dtype != np.uint16 or codes.ndim != 3:
+        return None
+    return codes[:, :, [2, 1, 0, 3][: codes.shape[2]]] if codes.shape[2] in (3, 4) else None
 
 
 def reduce(picture: Image.Image, factor: int) -> int:
@@ -169,9 +198,12 @@ def header(path: Path) -> Iterator[Image.Image]:
             file = stack.enter_context(regular(path, MAX_FILE_BYTES))
             if suffix in RAW_SUFFIXES:
                 picture = _developed(path, file)
+            elif check_directories(file) or suffix in LINEAR_SUFFIXES:
+                picture = read_linear(path, file, MAX_PIXELS // 4)
             else:
-                check_directories(file)
                 picture = Image.open(file, formats=formats)
+                if picture.format == "PNG":
+                    picture.info |= code_points(file)
             _check_size(path, *picture.size)
         except FileNotFoundError:
             raise refuse(
@@ -222,7 +254,7 @@ def exif_values(picture: Image.Image) -> dict[int, object] | None:
     Returns:
         What can be read; None if there is EXIF data but nothing of it can be read.
     """
-    if len(picture.info.get("exif", b"")) > MAX_EXIF_BYTES:
+    if len(picture.info.get("exif") or b"") > MAX_EXIF_BYTES:
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -245,6 +277,11 @@ def upright(picture: Image.Image, orientation: int) -> Image.Image:
     return picture.transpose(_TURNS[orientation]) if orientation in _TURNS else picture
 
 
+def undone(orientation: int) -> int:
+    """The EXIF orientation whose turn undoes that of another."""
+    return {6: 8, 8: 6}.get(orientation, orientation)
+
+
 def _register_heif(path: Path) -> None:
     try:
         import pillow_heif
@@ -261,6 +298,8 @@ def _register_heif(path: Path) -> None:
 def _developed(path: Path, file: BinaryIO) -> Image.Image:
     """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
 
+    No tone curve but sRGB's own is applied, so that its values are linear once that is undone.
+
     Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
     """
     try:
@@ -276,11 +315,16 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
             pixels = raw.postprocess(
-                half_size=True, use_camera_wb=True, no_auto_bright=True, output_bps=8
+                half_size=True,
+                use_camera_wb=True,
+                no_auto_bright=True,
+                output_bps=8,
+                gamma=(2.4, 12.92),
             )
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
     picture = Image.fromarray(pixels)
+    picture.info[DEVELOPED] = True
     # Most RAW files are TIFF as well, so the lens can be read; the picture is upright already.
     file.seek(0)
     with suppress(UnidentifiedImageError, *_BAD_EXIF), Image.open(file, formats=["TIFF"]) as stored:

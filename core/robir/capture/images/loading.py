@@ -17,8 +17,19 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.frames import Distortion
-from robir.capture.images.decode import header, load, opened, orientation, reduce, upright
+from robir.capture.images.decode import (
+    DEVELOPED,
+    deep_codes,
+    header,
+    load,
+    opened,
+    orientation,
+    reduce,
+    upright,
+)
+from robir.capture.images.linear import LINEAR, coded
 from robir.capture.images.opencv import cv2
+from robir.capture.images.pixels import Photo, in_srgb, pixels_of
 from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
@@ -33,28 +44,6 @@ MESH = 8
 """Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Photo:
-    """A photograph as stored.
-
-    Attributes:
-        image_display: (H, W, 3) uint8, display-referred, straight.
-        alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
-        orientation: EXIF orientation that was applied, 1 to 8; 1 if none was.
-        reduction: How many pixels of the file, along rows and columns, went into one of these.
-    """
-
-    image_display: Bytes
-    alpha: Bytes | None
-    orientation: int
-    reduction: int = 1
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        return self.image_display.shape[1], self.image_display.shape[0]
-
-
 @dataclass(frozen=True, slots=True)
 class StoredPhoto:
     """A photograph that is open and not yet decoded.
@@ -63,11 +52,13 @@ class StoredPhoto:
         picture: As the file holds it.
         path: Its file.
         orientation: EXIF orientation to apply, 1 to 8.
+        stated: EXIF orientation that the file states.
     """
 
     picture: Image.Image
     path: Path
     orientation: int
+    stated: int
 
     @property
     def size(self) -> tuple[int, int]:
@@ -75,35 +66,44 @@ class StoredPhoto:
         width, height = self.picture.size
         return (height, width) if self.orientation >= 5 else (width, height)
 
-    def read(self, reduction: int = 1) -> Photo:
+    def read(self, reduction: int = 1, exposure: float = 1.0) -> Photo:
         """Decode it, once.
 
         Args:
             reduction: 1, 2, 4 or 8: by how much it may be reduced if that spares decoding.
+            exposure: Factor on linear values; others are as they are.
 
         Raises:
             CaptureError: If the pixels are damaged or are no display values.
         """
-        applied = reduce(self.picture, reduction)
+        is_linear = LINEAR in self.picture.info
+        applied = 1 if is_linear else reduce(self.picture, reduction)
+        deep = None if is_linear else deep_codes(self.picture, self.path)
         load(self.picture, self.path)
-        turned = upright(self.picture, self.orientation)
-        return replace(pixels_of(turned, self.path, self.orientation), reduction=applied)
+        if is_linear:
+            shown, colours = coded(self.picture, exposure), ("linear",)
+        else:
+            shown, colours = in_srgb(self.picture, deep, self.path)
+        photo = pixels_of(upright(shown, self.orientation), self.orientation)
+        is_linear = is_linear or DEVELOPED in self.picture.info
+        return replace(photo, reduction=applied, colours=colours, is_linear=is_linear)
 
 
 @contextmanager
 def open_photo(
-    path: Path, declared: tuple[int, int] | None, is_upright: bool = False
+    path: Path, declared: tuple[int, int] | None, is_upright: bool | None = None
 ) -> Iterator[StoredPhoto]:
     """Open a photograph.
 
     Programs that write poses with an image size ignore the EXIF orientation, so it is applied
-    only if the pixels as stored do not have the declared size, or none is declared; or if the
-    poses are known to be for upright photographs.
+    only if the pixels as stored do not have the declared size, or none is declared, unless it is
+    known what the poses are for.
 
     Args:
         path: PNG, JPEG, TIFF or whatever else can be decoded; 8 or 16 bits.
         declared: (width, height) that belongs to the pose, or None.
-        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it.
+        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it; None
+            if that is not known.
 
     Yields:
         The photograph; its size may still differ from the declared one.
@@ -112,20 +112,23 @@ def open_photo(
         CaptureError: If the file is missing or no photograph.
     """
     with header(path) as picture:
-        turn = orientation(picture) if is_upright or picture.size != declared else 1
-        yield StoredPhoto(picture, path, turn)
+        stated = orientation(picture)
+        is_upright = picture.size != declared if is_upright is None else is_upright
+        yield StoredPhoto(picture, path, stated if is_upright else 1, stated)
 
 
-def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
+def read_mask(
+    path: Path, size: tuple[int, int], turn: int = 1, is_turned: bool | None = False
+) -> Bytes:
     """Read a mask: alpha where it varies, else brightness; 255 is the object.
 
-    Masks of zeros and ones are stretched to 0 and 255. A mask that was drawn on the pixels as
-    stored, and fits the photograph only if turned with it, is turned.
+    Masks of zeros and ones are stretched to 0 and 255.
 
     Args:
         path: Mask file.
         size: Width and height of its photograph.
-        turn: EXIF orientation that was applied to the photograph.
+        turn: EXIF orientation that brings a mask to its photograph if one of them was turned.
+        is_turned: Whether that is so; None if it is where the mask fits only thus.
 
     Returns:
         (H, W) uint8 coverage, of its own size.
@@ -135,10 +138,11 @@ def read_mask(path: Path, size: tuple[int, int], turn: int = 1) -> Bytes:
     """
     with opened(path) as picture:
         picture = upright(picture, orientation(picture))
-        if turn != 1 and not same_shape(picture.size, size):
-            turned = upright(picture, turn)
-            picture = turned if same_shape(turned.size, size) else picture
-        photo = pixels_of(picture, path)
+        turned = upright(picture, turn)
+        if is_turned is None:
+            is_turned = same_shape(turned.size, size) and not same_shape(picture.size, size)
+        picture = turned if is_turned else picture
+        photo = pixels_of(picture)
     mask = photo.image_display.max(axis=2) if photo.alpha is None else photo.alpha
     return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
 
@@ -348,48 +352,3 @@ def _zoom_without_gaps(
 
 def _bytes(values: NDArray[np.float32]) -> Bytes:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _array_of(picture: Image.Image, mode: str) -> Bytes:
-    """Pixels in a mode; Pillow would copy those that have it already once more."""
-    return np.array(picture if picture.mode == mode else picture.convert(mode))
-
-
-def pixels_of(picture: Image.Image, path: Path, turn: int = 1) -> Photo:
-    """Pixels of a decoded picture as 8-bit RGB and alpha.
-
-    Args:
-        picture: As `robir.capture.images.decode.opened` yields it, turned where it has to be.
-        path: Its file, for messages.
-        turn: EXIF orientation that was applied.
-
-    Raises:
-        CaptureError: If the pixels are no display values.
-    """
-    if picture.mode == "F":
-        raise refuse(
-            "unreadable-images",
-            f"{path} holds floating-point pixels, not display values",
-            "Save it as 8- or 16-bit PNG, JPEG or TIFF.",
-            path.name,
-        )
-    if picture.mode.startswith("I"):
-        # 16-bit grey; 65535 / 255 = 257.
-        grey = np.clip(np.asarray(picture), 0, 65535).astype(np.int32)
-        grey += 128  # so that whole numbers are rounded, not cut
-        grey //= 257
-        return Photo(
-            image_display=np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2),
-            alpha=None,
-            orientation=turn,
-        )
-    if not picture.has_transparency_data:
-        image = _array_of(picture, "RGB")
-        return Photo(image_display=image, alpha=None, orientation=turn)
-    pixels = _array_of(picture, "RGBA")
-    alpha = np.ascontiguousarray(pixels[:, :, 3])
-    return Photo(
-        image_display=np.ascontiguousarray(pixels[:, :, :3]),
-        alpha=None if alpha.min(initial=255) == 255 else alpha,
-        orientation=turn,
-    )

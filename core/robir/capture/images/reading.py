@@ -14,6 +14,7 @@ from robir.capture.camera import Box, Camera
 from robir.capture.capture import Split, View
 from robir.capture.frames import Distortion, Frame, rigid
 from robir.capture.images.crop import NEVER_REDUCED, object_box, scaled_box
+from robir.capture.images.decode import undone
 from robir.capture.images.loading import (
     Bytes,
     Photo,
@@ -80,16 +81,24 @@ class Reading:
         overview: The whole of it, small.
         has_mask: Whether anything says which pixels are the object.
         is_turned: Whether an EXIF orientation was applied.
+        colours: What was found of its colours, and done, for the user.
+        is_linear: Whether it went through no tone curve but sRGB's.
     """
 
     view: View
     overview: View
     has_mask: bool
     is_turned: bool
+    colours: tuple[str, ...]
+    is_linear: bool
 
 
 def read_view(
-    frame: Frame, split: Split, given: Path | MaskSource | None, max_side: int
+    frame: Frame,
+    split: Split,
+    given: Path | MaskSource | None,
+    max_side: int,
+    exposure: float = 1.0,
 ) -> Reading:
     """Read a photograph and its mask.
 
@@ -98,6 +107,7 @@ def read_view(
         split: What the view is for.
         given: Its mask or the mask's file, which win over the format's own and over alpha; or None.
         max_side: Longer side that is kept of what shows the object, pixels.
+        exposure: Factor on the values of a linear photograph.
 
     Raises:
         CaptureError: If photograph or mask cannot be read, or do not fit the pose or each other.
@@ -106,8 +116,8 @@ def read_view(
         size = stored.size
         _check_size(size, frame)
         given = given or frame.mask
-        source = _drawn(given, stored) if isinstance(given, Path) else given
-        photo = stored.read(_reduction(size, source, max_side))
+        source = _drawn(given, stored, frame) if isinstance(given, Path) else given
+        photo = stored.read(_reduction(size, source, max_side), exposure)
     camera = _reduced(frame.lens.camera(rigid(frame.camera_to_world), *size), photo)
     mask = photo.alpha if source is None else source.of(photo, size)
     image = photo.image_display
@@ -120,6 +130,8 @@ def read_view(
         overview=overview.view(frame.name, split),
         has_mask=mask is not None,
         is_turned=photo.orientation != 1,
+        colours=photo.colours,
+        is_linear=photo.is_linear,
     )
 
 
@@ -137,10 +149,14 @@ def _check_size(size: Size, frame: Frame) -> None:
         )
 
 
-def _drawn(path: Path, stored: StoredPhoto) -> DrawnMask:
+def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> DrawnMask:
     """A mask from its file."""
     width, height = stored.size
-    mask = read_mask(path, stored.size, stored.orientation)
+    is_turned, turn = None, stored.orientation
+    if frame.is_mask_upright is not None:
+        is_turned = frame.is_mask_upright != frame.is_upright
+        turn = undone(stored.stated) if frame.is_mask_upright else stored.stated
+    mask = read_mask(path, stored.size, turn, is_turned)
     if not same_shape((mask.shape[1], mask.shape[0]), stored.size):
         raise refuse(
             "wrong-size",

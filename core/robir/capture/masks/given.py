@@ -6,16 +6,32 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from robir.capture.bounds import INSIDE
+from robir.capture.capture import Finding, Split
 from robir.capture.frames import IMAGE_SUFFIXES, Frame
-from robir.capture.refusal import refuse
+from robir.capture.images.decode import may_hold_alpha
+from robir.capture.images.loading import read_mask
+from robir.capture.refusal import note, refuse, warning
 
 _AFFIX = re.compile(
     r"^(?:dynamic_)?(?:mask|alpha|matte|seg)[-_.]|"
     r"[-_.](?:mask|masks|alpha|matte|matted|seg|segmentation|rgba|removebg-preview|removebg)$"
 )
+
+IGNORE = "dynamic_mask"
+"""How the names of pictures begin that say what to ignore (instant-ngp)."""
+
+_FEWEST = 3
+"""Photographs by which one mask for all is told from a coincidence."""
+
+_OPEN = 0.5
+"""Share of the border that a mask has to leave in to outline nothing."""
 
 MAX_FILES = 100_000
 """Files that a folder of masks may hold."""
@@ -45,10 +61,14 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
         CaptureError: If the folder is missing or a photograph has no mask.
     """
     frames = tuple(frames)
+    own = {os.path.normpath(f.image) for f in frames if not may_hold_alpha(f.image)}
     if not folder.is_dir():
         raise refuse("missing-masks", f"The folder of masks {folder} does not exist", HOW_TO_SUPPLY)
     index: dict[str, set[Path]] = defaultdict(set)
-    for path in _pictures(folder):
+    pictures = [path for path in _pictures(folder) if not path.name.startswith(IGNORE)]
+    for path in pictures:
+        if os.path.normpath(path) in own:
+            continue  # a photograph is not its own outline
         for key in _keys(path.relative_to(folder).as_posix()):
             index[key].add(path)
     found = {}
@@ -58,6 +78,13 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
                 (found[frame.name],) = index[key]
                 break
     missing = [frame.relative for frame in frames if frame.name not in found]
+    if missing and pictures and own >= {os.path.normpath(path) for path in pictures}:
+        raise refuse(
+            "missing-masks",
+            f"{folder} holds photographs and no masks that outline the object"
+            f" ({IGNORE}* says what to ignore)",
+            HOW_TO_SUPPLY,
+        )
     if missing:
         raise refuse(
             "missing-masks",
@@ -75,6 +102,53 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
             *shared,
         )
     return found
+
+
+def without_ignoring(
+    chosen: Sequence[tuple[Frame, Split]], drawn: Mapping[str, Path]
+) -> tuple[list[tuple[Frame, Split]], dict[str, Path], list[Finding]]:
+    """Frames and masks without those masks that say what to ignore, and findings.
+
+    Such a mask is the same for every photograph and leaves most of the border in; or it is called
+    `dynamic_mask_*` and lies beside its photograph, white where it is to be ignored.
+
+    Args:
+        chosen: Frames with their split.
+        drawn: Masks by frame name that win over the format's own.
+
+    Raises:
+        CaptureError: If a mask cannot be read.
+    """
+    masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
+    beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]
+    dynamic = [path.name for path in beside if path.is_file()]
+    found = []
+    if dynamic:
+        what = f"{len(dynamic)} pictures {IGNORE}_* say what to ignore, outline no object"
+        found.append(note("ignore-masks", f"{what} and are not used", *dynamic))
+    if len(chosen) < _FEWEST or not _are_one(masks):
+        return list(chosen), dict(drawn), found
+    found.append(
+        warning(
+            "ignore-masks",
+            f"The masks of all {len(chosen)} photographs are the same picture and leave the border "
+            "in: they say what to ignore, not what is the object, and are not used",
+            HOW_TO_SUPPLY,
+            str(masks[0]),
+        )
+    )
+    return [(replace(frame, mask=None), split) for frame, split in chosen], {}, found
+
+
+def _are_one(masks: Sequence[Path | None]) -> bool:
+    """Whether all masks are one picture that calls most of its border object."""
+    if None in masks:
+        return False
+    first, *others = sorted({Path(os.path.normpath(path)) for path in masks if path is not None})
+    mask = read_mask(first, (0, 0))
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    is_open = (border >= INSIDE).mean() > _OPEN
+    return bool(is_open) and all(np.array_equal(read_mask(p, (0, 0)), mask) for p in others)
 
 
 def _pictures(folder: Path) -> list[Path]:

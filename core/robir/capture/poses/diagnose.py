@@ -276,11 +276,13 @@ def _failure(photographs: Sequence[Prepared], links: Links, placed: Sequence[str
     linked = links.matches >= LINK
     if not linked.any():
         i, j = divmod(int(np.argmax(links.matches)), len(photographs))
+        best = (
+            f"the best pair, {photographs[i].relative} and {photographs[j].relative}, has "
+            f"{links.matches[i, j]} points in common and needs {LINK}"
+        )
         return error(
             "no-matches",
-            f"{outcome}: no two have enough in common; the best pair, {photographs[i].relative} "
-            f"and {photographs[j].relative}, has {links.matches[i, j]} points in common and needs "
-            f"{LINK}",
+            f"{outcome}: no two have enough in common; {best if i != j else 'no pair has any'}",
             f"{_TEXTURE} Neighbouring photographs should share two thirds of what they show.",
         )
     if links.motion < STILL:

@@ -13,7 +13,7 @@ from PIL import ExifTags
 
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES
-from robir.capture.masks.given import natural_order
+from robir.capture.masks.given import IGNORE, natural_order
 from robir.capture.readers.files import children
 from robir.capture.refusal import note, refuse
 from robir.jobs.names import UnsafeNameError, checked_name
@@ -119,7 +119,7 @@ def _photographs_in(folder: Path) -> list[Path]:
         for path in children(folder)
         if path.suffix.lower() in IMAGE_SUFFIXES
         and path.is_file()
-        and not path.name.startswith(".")
+        and not path.name.startswith((".", IGNORE))
     ]
     for path in found:
         try:

@@ -13,7 +13,8 @@ from PIL import Image
 
 from robir.capture.capture import Finding
 from robir.capture.images.decode import exif_values, header, load, orientation, reduce, upright
-from robir.capture.images.loading import pixels_of, size_within
+from robir.capture.images.loading import size_within
+from robir.capture.images.pixels import pixels_of
 from robir.capture.poses.photos import Lens, lens_of
 from robir.capture.refusal import CaptureRefusedError, error, note, warning
 from robir.capture.views import Progress
@@ -133,7 +134,7 @@ def _copy(root: Path, path: Path, target: Path) -> _Copy:
         spare = max(stored_size) // (2 * FEATURE_SIDE)
         reduce(picture, max(factor for factor in (1, 2, 4, 8) if factor <= max(1, spare)))
         load(picture, path)
-        pixels = pixels_of(upright(picture, turn), path)
+        pixels = pixels_of(upright(picture, turn))
     grey = Image.fromarray(pixels.image_display).convert("L")
     size = size_within(grey.size, FEATURE_SIDE)
     if size != grey.size:
@@ -210,8 +211,8 @@ def _remarks(copies: Sequence[_Copy]) -> list[Finding]:
         message = f"The photographs come from {len(by_lens)} cameras, lenses or formats ({groups})"
         found.append(note("several-cameras", f"{message}; each has its own intrinsics"))
     known = sum(c.lens is not None and c.lens.focal is not None for c in copies)
-    start = "EXIF data give a start for" if known else "No EXIF data give"
-    found.append(note("focal-length", f"{start} the focal length of {known} of {len(copies)}"))
+    start = f"of {known} of {len(copies)}" if known else "of none"
+    found.append(note("focal-length", f"EXIF data give a start for the focal length {start}"))
     return found
 
 

@@ -7,6 +7,7 @@ OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.
 
 from __future__ import annotations
 
+import importlib.util
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -57,6 +58,9 @@ _MODELS = {
 }
 """Camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)."""
 
+
+_BY_PYCOLMAP = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "DIVISION", "EUCM")
+"""Models that pycolmap evaluates."""
 
 _MAX_BYTES = 1 << 29
 """Largest file of a model: every photograph's observations stand in it."""
@@ -280,6 +284,12 @@ def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Arra
         return pose @ OPENGL_FROM_OPENCV
 
 
+def _is_for_pycolmap(name: str, count: int) -> bool:
+    """Whether pycolmap is there and evaluates a model of so many parameters."""
+    is_known = name in _BY_PYCOLMAP and (name, count) in _MODELS.values()
+    return is_known and importlib.util.find_spec("pycolmap") is not None
+
+
 def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
     """Intrinsics from a camera model's parameters, or a refusal that names the model."""
     match name, values:
@@ -299,6 +309,10 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
         case "FISHEYE" | "OPENCV_FISHEYE", (fx, fy, cx, cy, *rest):
             k1, k2, k3, k4 = (*rest, *[0.0] * 4)[:4]
             distortion = Distortion(radial=(k1, k2, k3, k4), is_fisheye=True)
+        case str(), (fx, fy, cx, cy, *rest) if _is_for_pycolmap(name, len(values)):
+            distortion = Distortion(model=name, others=tuple(rest))
+        case "SIMPLE_DIVISION", (fx, cx, cy, k) if _is_for_pycolmap("DIVISION", 5):
+            fy, distortion = fx, Distortion(model="DIVISION", others=(k,))
         case _:
             raise refuse(
                 "camera-model",
