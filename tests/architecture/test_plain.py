@@ -27,7 +27,7 @@ def test_each_habit_is_counted(name: str) -> None:
 
 
 def test_code_headings_and_links_are_no_prose() -> None:
-    page = "# Told .5\n\n```\ntold .5\n```\n\nSee [the page](told .5.md) first.\n"
+    page = "# Told .5\n\n```\n` told .5 of it\n```\n\nSee [the page](told .5.md) first.\n"
     assert plain.read(page) == (["See the page first."], [])
 
 
