@@ -157,6 +157,7 @@ lint: setup
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml $(SHIPPED)
+	$(BIN)/python tests/plain.py --limit README.md docs/*.md
 
 # Hostile bytes for every reader, SECONDS each; what crashes one is kept in tests/hostile/crashes.
 fuzz: setup

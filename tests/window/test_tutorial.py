@@ -38,42 +38,62 @@ LEAD = """# From photographs to a relit object, in two minutes of clicks
 Everything happens in one tab: open the sidebar of the 3D viewport with N and click *RobIR*. The
 engine is installed once, by *Install Engine* in the panel *Engine*. The sample takes a few minutes
 to compute; Blender stays usable. These pictures are taken by a test that clicks through Blender
-as it is written here (`tests/window/test_tutorial.py`), under software rendering.
+in the order of this page (`tests/window/test_tutorial.py`), under software rendering.
 """
 
 STEPS = (
     (
         "sample",
         "Press *Try the Sample*, or drop a capture of your own into the viewport: photographs in a "
-        "folder, or what COLMAP, nerfstudio, RealityScan and others write. You see where the "
-        "cameras stood, what the folder was recognised as, and what is wrong with it, if anything.",
+        "folder, or the output of COLMAP, nerfstudio, RealityScan and others. You see the cameras, "
+        "the format that was recognised, and any faults.",
     ),
     (
         "reconstructing",
-        "Press *Reconstruct*. Photograph and reconstruction stand side by side and get more alike, "
-        "and the surface grows inside the bounds while it is fitted; Esc stops, and pressing again "
-        "goes on where it stopped. You may work on, or close Blender.",
+        "Press *Reconstruct*. Photograph and reconstruction appear side by side and become more "
+        "alike, and the surface grows inside the bounds while it is fitted. Esc stops; pressing "
+        "again continues. You may work on, or close Blender.",
     ),
     (
         "arrived",
         "The object arrives by itself, with its textures, the cameras and the recovered light as "
-        "the scene's World. The panel *Result* says how good it is and what the model chose.",
+        "the scene's World. The panel *Result* shows the quality and the model that was chosen.",
     ),
     (
         "lights",
         "Press *Picture All Lights*: this object under the recovered light and each that Blender "
-        "ships. Press one, turn it, make it stronger; *Environment File* takes a map of yours.",
+        "ships. Press one, turn it, make it stronger; *Environment File* loads a map of yours.",
     ),
     (
         "placed",
-        "In *Size and Place*: *Set Real Size* asks for two clicks and a length, *Stand on Floor* "
-        "puts the origin to the foot, *Drop Ground* deletes the ground that was photographed too. "
+        "In *Size and Place*: *Set Real Size* needs two clicks and a length, *Stand on Floor* "
+        "moves the origin to the foot, *Drop Ground* deletes the ground around the object. "
         "A newer result keeps size and place.",
     ),
 )
 END = """
-What is next: *Export* writes GLB (in levels of detail, if you like), USD and textures, and marks
-the object as an asset; F3 finds every command; the same works without a window, see README.
+## More in the panels
+
+- **Photographs** has a tick for each photograph. *Leave Out* removes photographs with findings.
+- **De-light Object** gives your own mesh a texture without light: [delight.md](delight.md).
+- **Compare**, in *Result*, shows photograph, re-render, albedo and roughness; arrow keys change the
+  view. **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale
+  of brightness: [uncertainty.md](uncertainty.md).
+- **Export** writes GLB (in levels of detail, if you like), USD and textures, and marks the object
+  as an asset. **Library** runs many captures: [batch.md](batch.md).
+
+## Search, scripts and installation
+
+F3 finds every command. Scripts can call them too, and a command returns when it is done:
+`bpy.ops.robir.choose_capture(directory=...)`, `bpy.ops.robir.reconstruct()`. Without a window use
+`blender -b --command robir CAPTURE -o OUT`, with the options and exit codes of
+[command_line.md](command_line.md).
+
+*Install Engine* needs Blender's permission to go online (*Preferences > System*). The engine lives
+in a folder of its own, and Blender's Python is not changed. If that is too new, another Python of
+the machine is used. The add-on's preferences accept an existing environment with `robir`, or a
+folder of wheels for a machine without network. The panels speak German where Blender does; messages
+of the engine stay English.
 """
 
 

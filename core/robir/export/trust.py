@@ -6,11 +6,11 @@ worst value of 48 runs on rendered captures of 40 views, by about a quarter of i
 median or more. Three differ. The one of the views per texel, which those runs do not vary, is
 chosen. The one of the re-render is of photographs, which gloss, exposure and light make differ: of
 eight real captures the plain mean of all photographs, on the surface, misses those held out at 16
-to 27 dB, see docs/real.md, and results that were plainly bad, faces gone and metal on paper, lay at
-17.5 dB and below. The one of what is shown worse than by the mean is by reason: what the model
-cannot explain after all that can be at fault was taken back (appearance/last_word.py). All were
-judged on captures spoilt on purpose: see docs/stability.md. What two explanations leave open has a
-limit by reason, see `rivals`.
+to 27 dB, see docs/lab/real.md, and results that were plainly bad, faces gone and metal on paper,
+lay at 17.5 dB and below. The one of what is shown worse than by the mean is by reason: what the
+model cannot explain after all that can be at fault was taken back (appearance/last_word.py). All
+were judged on captures spoilt on purpose: see docs/lab/stability.md. What two explanations leave
+open has a limit by reason, see `rivals`.
 """
 
 from __future__ import annotations
