@@ -27,11 +27,18 @@ from typing import (
     get_type_hints,
 )
 
+from robir.constants import of_setting
 from robir.errors import ConfigError
 from robir.jobs.names import read_regular
 
 _MAX_BYTES = 1 << 20
 """Largest file of settings; all there are come to twenty thousand bytes."""
+
+_RENAMED = {
+    "geometry.stereo.image_side": "geometry.stereo_side",
+    "geometry.refine.image_sides": "geometry.refine_sides",
+}
+"""Settings of before by their names of today."""
 
 SettingsT = TypeVar("SettingsT")
 
@@ -142,7 +149,7 @@ def checked_table(
     for key, value in table.items():
         dotted = f"{section}.{key}" if section else key
         if key not in names:
-            raise ConfigError(_unknown_key(dotted, key, names, source))
+            raise ConfigError(_unknown_key(dotted, value, names, source))
         hint = hints[key]
         if not is_dataclass(hint):
             values[key] = _converted(value, hint, dotted, source)
@@ -171,7 +178,7 @@ def toml_from_settings(settings: Any) -> str:
 def changed_settings(
     before: Mapping[str, Any], after: Mapping[str, Any], section: str = ""
 ) -> list[str]:
-    """Sentences such as `geometry.num_steps: 900 -> 400` for every value that differs."""
+    """Sentences such as `geometry.rays: 900 -> 400` for every value that differs."""
     sentences = []
     for key in sorted({*before, *after}):
         old, new = before.get(key), after.get(key)
@@ -194,7 +201,19 @@ def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     )
 
 
-def _unknown_key(dotted: str, key: str, names: list[str], source: str) -> str:
+def _unknown_key(dotted: str, value: Any, names: list[str], source: str) -> str:
+    key, leaf = dotted.rpartition(".")[2], dotted
+    while isinstance(value, Mapping) and value:
+        name, value = next(iter(value.items()))
+        leaf = f"{leaf}.{name}"
+    if leaf in _RENAMED:
+        return f"{source}: {leaf} is called {_RENAMED[leaf]} now; write that"
+    constant = of_setting(leaf)
+    if constant is not None:
+        return (
+            f"{source}: {leaf} is no setting any more; take it out (it is a constant, which "
+            f"developers change by --constant {constant}=VALUE)"
+        )
     close = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
     return f"{source}: unknown setting {dotted!r}; {hint}known here: {', '.join(names)}"
