@@ -42,6 +42,13 @@ def asset_formats(text: str) -> tuple[str, ...]:
     return tuple(chosen)
 
 
+def add_constant(parser: argparse.ArgumentParser) -> None:
+    """Add what the bench sweeps constants by: for developers, so not in the help."""
+    parser.add_argument(
+        "--constant", action="append", default=[], dest="constants", help=argparse.SUPPRESS
+    )
+
+
 def positive(text: str) -> int:
     """A whole number of at least 1."""
     value = int(text)

@@ -16,7 +16,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from robir import __version__, commands
-from robir.arguments import asset_formats, path_argument, positive, stage_range
+from robir.arguments import add_constant, asset_formats, path_argument, positive, stage_range
 from robir.errors import CancelledError, RobirError
 from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
@@ -102,6 +102,7 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         "--config", type=path_argument, metavar="FILE", help="TOML file of changed settings"
     )
     _add_set(parser)
+    add_constant(parser)
     parser.add_argument(
         "--masks", type=path_argument, metavar="DIR", help="masks named like the images"
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.config import RunConfig, resolve
-from robir.errors import CaptureError, RobirError, UsageError
+from robir.errors import CaptureError, ConfigError, RobirError, UsageError
 from robir.jobs.folder import refuse_special
 from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.presets import PRESETS
@@ -188,10 +188,17 @@ def _settings(
     if before is not None and mesh is None and before["capture"].get("mesh") is not None:
         mesh = Path(before["capture"]["mesh"]["path"])
     if before is not None and options.preset is None and paths.config.exists():
-        preset, base = before["preset"], folder.read_config(paths)
+        preset = before["preset"]
+        try:
+            base = folder.read_config(paths)
+        except ConfigError as error:
+            hint = f"--preset {preset} goes on with today's settings"
+            raise ConfigError(f"{error}; {hint}") from error
     config = resolve(base or PRESETS[preset](), options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
+    if options.constants:
+        config = replace(config, constants=tuple(options.constants))
     if config.geometry.fit_mesh and mesh is None:
         raise UsageError("--fit-mesh moves the mesh that --mesh FILE names; give that too")
     return preset, config, (masks, mesh)

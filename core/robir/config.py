@@ -36,6 +36,7 @@ class RunConfig:
 
     Attributes:
         seed: Seed of every random generator, >= 0.
+        constants: Constants of modules that the bench changes, see `robir.constants`.
         capture: Reading and checking of the photographs.
         geometry: Signed distance field and mesh.
         transport: Visibility and one-bounce light.
@@ -44,6 +45,7 @@ class RunConfig:
     """
 
     seed: int = 0
+    constants: tuple[str, ...] = ()
     capture: CaptureConfig = field(default_factory=CaptureConfig)
     geometry: GeometryConfig = field(default_factory=GeometryConfig)
     transport: TransportConfig = field(default_factory=TransportConfig)
@@ -62,7 +64,7 @@ def resolve(base: RunConfig, file: Path | None, assignments: Sequence[str]) -> R
     Args:
         base: Usually a preset.
         file: TOML file of changes, or None.
-        assignments: Items such as "geometry.num_steps=900".
+        assignments: Items such as "geometry.rays=900".
 
     Raises:
         ConfigError: If a setting is unknown, of the wrong type or out of range.

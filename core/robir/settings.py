@@ -12,49 +12,50 @@ import difflib
 import json
 import math
 import tomllib
-import types
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import msgspec
+
+from robir.constants import of_setting
 from robir.errors import ConfigError
 from robir.jobs.names import read_regular
 
 _MAX_BYTES = 1 << 20
 """Largest file of settings; all there are come to twenty thousand bytes."""
 
+_RENAMED = {
+    "geometry.stereo.image_side": "geometry.stereo_side",
+    "geometry.refine.image_sides": "geometry.refine_sides",
+}
+"""Settings of before by their names of today."""
+
+_WORDS = {
+    "Expected": "it must be",
+    "`int`": "a whole number",
+    "`float`": "a number",
+    "`str`": "a string",
+    "`bool`": "true or false",
+    "`array`": "a list",
+}
+"""What msgspec says of types, for users."""
+
 SettingsT = TypeVar("SettingsT")
 
 
-@dataclass(frozen=True, slots=True)
-class Within:
-    """What a setting may be, beside its type: `reach: Annotated[float, Within(0, 1, "radians")]`.
+def Within(low: float, high: float, unit: str = "") -> msgspec.Meta:  # noqa: N802  as a type
+    """The range of a number, or of every member of a tuple.
 
-    Of a tuple it holds for every member.
+    It stands beside the type: `reach: Annotated[float, Within(0, 1, "radians")]`.
 
-    Attributes:
+    Args:
         low: Least value allowed.
         high: Largest value allowed.
         unit: Of the value, empty for a count or a plain ratio.
     """
-
-    low: float
-    high: float
-    unit: str = ""
-
-    def __str__(self) -> str:
-        """As it stands beside the value in a file of settings."""
-        return f"{self.low:g} .. {self.high:g} {self.unit}".rstrip()
+    return msgspec.Meta(ge=low, le=high, description=unit)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -142,7 +143,7 @@ def checked_table(
     for key, value in table.items():
         dotted = f"{section}.{key}" if section else key
         if key not in names:
-            raise ConfigError(_unknown_key(dotted, key, names, source))
+            raise ConfigError(_unknown_key(dotted, value, names, source))
         hint = hints[key]
         if not is_dataclass(hint):
             values[key] = _converted(value, hint, dotted, source)
@@ -154,8 +155,8 @@ def checked_table(
 
 
 def table_from_settings(settings: Any) -> dict[str, Any]:
-    """Nested plain values of a settings dataclass; tuples become lists."""
-    return {field.name: _plain(getattr(settings, field.name)) for field in fields(settings)}
+    """Nested plain values of a settings dataclass."""
+    return msgspec.to_builtins(settings)
 
 
 def toml_from_settings(settings: Any) -> str:
@@ -171,7 +172,7 @@ def toml_from_settings(settings: Any) -> str:
 def changed_settings(
     before: Mapping[str, Any], after: Mapping[str, Any], section: str = ""
 ) -> list[str]:
-    """Sentences such as `geometry.num_steps: 900 -> 400` for every value that differs."""
+    """Sentences such as `geometry.rays: 900 -> 400` for every value that differs."""
     sentences = []
     for key in sorted({*before, *after}):
         old, new = before.get(key), after.get(key)
@@ -194,7 +195,19 @@ def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     )
 
 
-def _unknown_key(dotted: str, key: str, names: list[str], source: str) -> str:
+def _unknown_key(dotted: str, value: Any, names: list[str], source: str) -> str:
+    key, leaf = dotted.rpartition(".")[2], dotted
+    while isinstance(value, Mapping) and value:
+        name, value = next(iter(value.items()))
+        leaf = f"{leaf}.{name}"
+    if leaf in _RENAMED:
+        return f"{source}: {leaf} is called {_RENAMED[leaf]} now; write that"
+    constant = of_setting(leaf)
+    if constant is not None:
+        return (
+            f"{source}: {leaf} is no setting any more; take it out (it is a constant, which "
+            f"developers change by --constant {constant}=VALUE)"
+        )
     close = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
     return f"{source}: unknown setting {dotted!r}; {hint}known here: {', '.join(names)}"
@@ -202,68 +215,38 @@ def _unknown_key(dotted: str, key: str, names: list[str], source: str) -> str:
 
 def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     """The value as the annotated type, or ConfigError."""
-    origin = get_origin(hint)
-    if origin is Annotated:
-        inner, *notes = get_args(hint)
-        return _in_range(_converted(value, inner, dotted, source), notes, dotted, source)
-    if origin is Literal:
-        if value in get_args(hint):
-            return value
-        allowed = ", ".join(repr(choice) for choice in get_args(hint))
-        raise ConfigError(f"{source}: {dotted} is {value!r}; choose one of {allowed}")
-    if origin in (Union, types.UnionType):
-        inner = [choice for choice in get_args(hint) if choice is not type(None)]
-        return None if value is None else _converted(value, inner[0], dotted, source)
-    if origin is tuple:
-        return _converted_tuple(value, get_args(hint), dotted, source)
-    if hint is float and type(value) is int:
-        return float(value)
-    if type(value) is hint and not (hint is float and not math.isfinite(value)):
-        return value
-    raise ConfigError(
-        f"{source}: {dotted} must be {_type_name(hint)}, found {value!r} ({type(value).__name__})"
-    )
+    members = value if isinstance(value, list | tuple) else [value]
+    try:
+        if any(isinstance(one, float) and not math.isfinite(one) for one in members):
+            raise ConfigError(f"{source}: {dotted} is {value!r}; it must be finite")
+        return msgspec.convert(value, _of_members(hint))
+    except msgspec.ValidationError as error:
+        allowed = "".join(f"; it must be in {text}" for text in _ranges(hint))
+        if get_origin(hint) is Literal:
+            allowed = f"; choose one of {', '.join(repr(choice) for choice in get_args(hint))}"
+        text = str(error)
+        for theirs, ours in _WORDS.items():
+            text = text.replace(theirs, ours)
+        raise ConfigError(f"{source}: {dotted} is {value!r}: {text}{allowed}") from error
 
 
-def _in_range(value: Any, notes: Sequence[Any], dotted: str, source: str) -> Any:
-    """The value, each of its numbers within every range among the notes, or ConfigError."""
-    ranges = [note for note in notes if isinstance(note, Within)]
-    for number in value if isinstance(value, tuple) else (value,):
-        for allowed in ranges:
-            if not allowed.low <= number <= allowed.high:
-                raise ConfigError(f"{source}: {dotted} is {value!r}; it must be in {allowed}")
-    return value
+def _of_members(hint: Any) -> Any:
+    """A type whose range, where it is a tuple's, is that of its members."""
+    if get_origin(hint) is not Annotated or get_origin(hint.__origin__) is not tuple:
+        return hint
+    members = get_args(hint.__origin__)
+    return tuple[
+        tuple(one if one is ... else Annotated[one, *hint.__metadata__] for one in members)
+    ]
 
 
-def _converted_tuple(value: Any, members: tuple[Any, ...], dotted: str, source: str) -> Any:
-    if not isinstance(value, list | tuple):
-        raise ConfigError(f"{source}: {dotted} must be a list, found {value!r}")
-    if len(members) == 2 and members[1] is Ellipsis:
-        members = (members[0],) * len(value)
-    if len(members) != len(value):
-        raise ConfigError(f"{source}: {dotted} needs {len(members)} values, found {len(value)}")
-    return tuple(
-        _converted(item, member, f"{dotted}[{index}]", source)
-        for index, (item, member) in enumerate(zip(value, members, strict=True))
-    )
-
-
-def _type_name(hint: Any) -> str:
-    names = {
-        bool: "true or false",
-        int: "a whole number",
-        float: "a finite number",
-        str: "a string",
-    }
-    return names.get(hint, str(hint))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return table_from_settings(value)
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return value
+def _ranges(hint: Any) -> list[str]:
+    """Ranges that a type carries, as they stand beside the value in a file of settings."""
+    return [
+        f"{note.ge:g} .. {note.le:g} {note.description or ''}".rstrip()
+        for note in getattr(hint, "__metadata__", ())
+        if isinstance(note, msgspec.Meta)
+    ]
 
 
 def _write_section(settings: Any, section: str, lines: list[str]) -> None:
@@ -273,21 +256,16 @@ def _write_section(settings: Any, section: str, lines: list[str]) -> None:
         lines += ["", f"[{section}]"]
     for field in fields(settings):
         value = getattr(settings, field.name)
+        beside = "".join(f"  # {text}" for text in _ranges(hints[field.name]))
         if value is not None and field not in nested:
-            lines.append(f"{field.name} = {_toml_value(_plain(value))}{_beside(hints[field.name])}")
+            lines.append(f"{field.name} = {_toml_value(value)}{beside}")
     for field in nested:
         name = f"{section}.{field.name}" if section else field.name
         _write_section(getattr(settings, field.name), name, lines)
 
 
-def _beside(hint: Any) -> str:
-    """Comment with the ranges that a type carries, else nothing."""
-    ranges = [str(note) for note in getattr(hint, "__metadata__", ()) if isinstance(note, Within)]
-    return f"  # {', '.join(ranges)}" if ranges else ""
-
-
 def _toml_value(value: Any) -> str:
-    if isinstance(value, list):
+    if isinstance(value, tuple):
         return "[" + ", ".join(_toml_value(item) for item in value) + "]"
     if isinstance(value, float):
         return repr(value)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robir.arguments import path_argument, positive
+from robir.arguments import add_constant, path_argument, positive
 from robir.errors import UsageError
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def _add_runs(parser: argparse.ArgumentParser, *, is_out_needed: bool) -> None:
         "another waits for that",
     )
     parser.add_argument("--task", type=int, metavar="N", help="only run N of the plan, for farms")
+    add_constant(parser)
 
 
 def bench(options: Namespace) -> int:
@@ -116,7 +117,7 @@ def bench(options: Namespace) -> int:
     Of a plan the exit code is the largest of its runs'; of a population, where failures are counted
     among the scores, only a bug is a failure.
     """
-    from robir_bench.plan import read_plan
+    from robir_bench.plan import read_plan, with_constants
     from robir_bench.population import read_population
 
     if options.compare is not None:
@@ -131,6 +132,7 @@ def bench(options: Namespace) -> int:
         raise UsageError("--ablate, --oracle and --keep need --population DIR")
     is_population = options.population is not None
     runs = read_population(options.population) if is_population else read_plan(options.plan)
+    runs = with_constants(runs, options.constants)
     if is_ablation:
         from robir_bench.ablation import ablated, chosen_trials
 
@@ -154,9 +156,9 @@ def stability(options: Namespace) -> int:
 
     A spoilt capture may well be refused; only a bug is a failure of the sweep.
     """
-    from robir_bench.plan import read_sweep
+    from robir_bench.plan import read_sweep, with_constants
 
-    runs = read_sweep(options.plan, options.out)
+    runs = with_constants(read_sweep(options.plan, options.out), options.constants)
     if _is_farmed(runs, options, is_truth_needed=True):
         return 0
     from robir_bench.page import write_stability

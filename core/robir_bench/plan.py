@@ -21,7 +21,8 @@ capture = "captures/truck-noground"
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
@@ -206,6 +207,12 @@ def read_sweep(path: Path, out: Path) -> list[BenchRun]:
     ]
     entries = [_entry(path, entry) for entry in rendered]
     return whole + spoilt + [run for entry in entries for run in _rendered(path, entry, whole)]
+
+
+def with_constants(runs: Sequence[BenchRun], constants: Sequence[str]) -> list[BenchRun]:
+    """The runs with constants changed, items as for `robir.constants`."""
+    setting = (f"constants={json.dumps(list(constants))}",) if constants else ()
+    return [replace(run, settings=run.settings + setting) for run in runs]
 
 
 def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:

@@ -66,7 +66,8 @@ def words_of(options: Namespace, source: str, out: str) -> list[str]:
     words = ["--population", source] if options.population is not None else [source]
     ablate = [] if options.ablate is None else ["--ablate", *options.ablate]
     told = [] if options.oracle is None else ["--oracle", *options.oracle]
-    return [options.command.__name__, *words, *ablate, *told, "-o", out]
+    constants = [word for change in options.constants for word in ("--constant", change)]
+    return [options.command.__name__, *words, *ablate, *told, *constants, "-o", out]
 
 
 def _waves(runs: Sequence[BenchRun], missing: Sequence[int]) -> list[list[int]]:

@@ -14,7 +14,6 @@ import pytest
 from robir.appearance import stage, texturing
 from robir.appearance.config import AppearanceConfig
 from robir.capture.store import save_capture
-from robir.geometry.mesh.config import MeshConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.unwrap import unwrap
 from robir.jobs.context import StageContext
@@ -49,9 +48,7 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     capture = replace(whole, views=(*views[:-1], replace(views[-1], split="held_out")))
     paths = JobPaths(tmp_path)
     save_capture(paths.stage("capture"), capture)
-    mesh = unwrap(
-        plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces)), 20.0, print, MeshConfig()
-    )
+    mesh = unwrap(plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces)), 20.0, print)
     paths.stage("geometry").mkdir(parents=True)
     mesh.save(paths.stage("geometry") / "mesh.npz")
     spot = mesh.uvs[mesh.uv_faces].mean(1)[np.argmax(mesh.vertices[mesh.faces].mean(1)[:, 2])]

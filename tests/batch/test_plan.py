@@ -80,7 +80,7 @@ def test_no_path_in_a_library_is_absolute(folder, tmp_path):
     [
         ("[[capture]]\npath = 'shots/lamp'\nprest = 'draft'", 3, "did you mean 'preset'"),
         ("[[capture]]\npath = 'shots/lamp'\n\ntags = 'a'", 4, "must be a list"),
-        ("author = 3\n[[capture]]\npath = 'shots/lamp'", 1, "author must be a string"),
+        ("author = 3\n[[capture]]\npath = 'shots/lamp'", 1, "author is 3: it must be a string"),
         ("\n[[capture]]\npreset = 'draft'", 2, "no path"),
         ("[[capture]]\npath = 'shots/lamp'\n[[capture]]\npath = 'shots/x*'", 3, "matches no"),
         ("[[capture]]\npath='shots/lamp'\n[[capture]]\npath='a/lamp'", 3, "both become 'lamp'"),

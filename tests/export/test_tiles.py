@@ -23,7 +23,6 @@ from robir.evaluation.metrics import srgb_from_linear
 from robir.export import stage, tiles
 from robir.export.textures import finished_textures, write_png
 from robir.export.usd import write_usd
-from robir.geometry.given.config import LayoutConfig
 from robir.geometry.given.layout import Layout, own_layout
 from robir.jobs.paths import of_tile, read_json
 
@@ -137,7 +136,7 @@ def test_handed_in_again_the_glb_has_the_layout_it_was_made_for(exported):
     third = np.floor(own_uvs().mean(axis=1)) @ [1, 10]
     expected = own_uvs()[np.argsort(third, kind="stable")]
     assert given.uvs[given.faces] == pytest.approx(expected, abs=1e-6)
-    found = own_layout(given, LayoutConfig())
+    found = own_layout(given)
     assert isinstance(found, Layout), found
     assert found.tiles.tolist() == TILES.tolist()
 

@@ -12,7 +12,6 @@ import trimesh
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
-from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
@@ -98,10 +97,10 @@ def ground_of(
     """Ground of a scene as the masks show it, photographs, lattice, and their hull (N,) on it."""
     capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
     photos = [reduce_view(view, 128) for view in capture.views]
-    lattice, hull = carve(hull_of(photos, 48), 64)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), GroundConfig())
+    lattice, hull = carve(hull_of(photos), 64)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     assert plane is not None
-    return Ground(plane, photos, lattice, hull, GroundConfig()), photos, lattice, hull
+    return Ground(plane, photos, lattice, hull), photos, lattice, hull
 
 
 def disc(radius: float = 0.9, top: float = -0.3) -> trimesh.Trimesh:

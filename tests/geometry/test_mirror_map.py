@@ -8,13 +8,12 @@ import pytest
 from geometry.scenes import ball, capture_of
 from geometry.test_refine import RADIUS, SIDE, sphere
 
+from robir.geometry import mirror_map
 from robir.geometry.mirror_map import learnt_map, mirrored_cells
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
-from robir.geometry.step_config import MirrorMapConfig, PredictionConfig
 
-CONFIG = MirrorMapConfig()
-CELLS = CONFIG.cells
+CELLS = mirror_map._SIDE**2
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:
@@ -30,7 +29,7 @@ def about(away: np.ndarray) -> np.ndarray:
 
 def test_cells_part_the_sphere_into_pieces_of_like_directions():
     normals = directions(200_000)
-    cells = mirrored_cells(normals, normals, CONFIG)
+    cells = mirrored_cells(normals, normals)
     assert cells.max() < CELLS
     share = np.bincount(cells, minlength=CELLS) / len(cells)
     assert share.min() > 0 and share.max() * CELLS < 2.5
@@ -47,9 +46,9 @@ def test_what_is_mirrored_is_the_reflection():
     mirrored = [
         -(np.eye(3) - 2 * np.outer(n, n)) @ t for n, t in zip(normals, towards, strict=True)
     ]
-    wanted = mirrored_cells(np.array(mirrored), np.array(mirrored), CONFIG)
-    cells = mirrored_cells(normals, towards, CONFIG)
-    grazing = (normals * towards).sum(1) <= CONFIG.grazing
+    wanted = mirrored_cells(np.array(mirrored), np.array(mirrored))
+    cells = mirrored_cells(normals, towards)
+    grazing = (normals * towards).sum(1) <= mirror_map._GRAZING
     np.testing.assert_array_equal(cells[~grazing], wanted[~grazing])
     assert grazing.any() and (cells[grazing] == CELLS).all()
 
@@ -66,12 +65,11 @@ def test_the_map_is_learnt_beside_the_spots_own_colours():
     cells = mirrored_cells(
         np.broadcast_to(normals[:, None], towards.shape).reshape(-1, 3),
         towards.reshape(-1, 3),
-        CONFIG,
     ).reshape(cosine.shape)
-    found = learnt_map(colours, (cosine > 0).astype(float), cells, CONFIG)
+    found = learnt_map(colours, (cosine > 0).astype(float), cells)
     assert found.shape == (CELLS + 1, 3) and (found[CELLS] == 0).all()
     test = directions(3000, 2)
-    wanted, told = about(test), found[mirrored_cells(test, test, CONFIG)]
+    wanted, told = about(test), found[mirrored_cells(test, test)]
     # a constant goes over from the map to the spots
     apart = told - wanted - (told - wanted).mean(0)
     # held to nothing where little is seen, so it is flatter than the truth
@@ -101,7 +99,7 @@ def predictions():
         photo.premultiplied_display[inside] = (
             polished(points, normals, -rays) * photo.coverage[inside, None]
         )
-    return Predictions(photos, PredictionConfig())
+    return Predictions(photos)
 
 
 def test_photographs_of_a_mirror_prefer_the_smooth_surface(predictions):
@@ -113,4 +111,4 @@ def test_photographs_of_a_mirror_prefer_the_smooth_surface(predictions):
 def test_of_paint_nothing_mirrored_is_proven():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE)
     photos = [reduce_view(view, SIDE) for view in capture.train]
-    assert Predictions(photos, PredictionConfig()).mirroring(sphere()) < 1
+    assert Predictions(photos).mirroring(sphere()) < 1

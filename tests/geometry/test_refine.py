@@ -12,8 +12,7 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
-from robir.config import RunConfig, resolve
-from robir.errors import ConfigError
+from robir.geometry import rival as rival_module
 from robir.geometry.config import GeometryConfig
 from robir.geometry.finishing import finished
 from robir.geometry.fit.field import Field
@@ -22,7 +21,6 @@ from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
-from robir.geometry.refine.config import RefineConfig
 from robir.geometry.refine.correlation import (
     Patches,
     agreement,
@@ -34,13 +32,17 @@ from robir.geometry.refine.correlation import (
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.rival import FIELD, HULL, STEREO, Judge, Rival, bending, refined
-from robir.geometry.step_config import PredictionConfig, RivalConfig
-from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
 
 SIDE = 128
-CONFIG = RefineConfig(image_sides=(SIDE,), most_vertices=12000)
+CONFIG = GeometryConfig(stereo_side=SIDE, refine_sides=(SIDE,), face_budget=3000)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 12000)
+    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 48)
 
 
 @pytest.fixture(scope="module")
@@ -95,15 +97,13 @@ def test_agreement_is_the_mean_of_pairs_and_spares_what_disagrees():
 
 def test_photographs_agree_most_on_the_surface(photos):
     """Of a sphere that is too small by two pixels the best shift is two pixels."""
-    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
+    pictures = [Picture.of(photo) for photo in photos]
     pixel = pixel_size([photo.camera for photo in photos])
     mesh = sphere(RADIUS - 2 * pixel)
-    cosine = seen_by(
-        mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel, CONFIG.correlation
-    )
+    cosine = seen_by(mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel)
     assert (cosine[mesh.normals[:, 2] < -0.9] == 0).all()
     shifts = np.linspace(-5, 5, 21).astype(np.float32) * pixel
-    agreed = correlations(mesh, pictures, cosine, shifts, CONFIG)
+    agreed = correlations(mesh, pictures, cosine, shifts)
     sure = ((cosine > 0).sum(1) >= 4) & (agreed.max(1) > 0.8)
     assert sure.sum() > 300
     best = shifts[agreed[sure].argmax(1)] / pixel
@@ -112,7 +112,7 @@ def test_photographs_agree_most_on_the_surface(photos):
 
 def test_a_patch_is_what_the_camera_sees_of_it(photos):
     """Of the true sphere the patches of two cameras are alike, and those of another place not."""
-    pictures = [Picture.of(photo, STEREO_CONFIG.stereo.sweep) for photo in photos]
+    pictures = [Picture.of(photo) for photo in photos]
     mesh = sphere()
     patches = Patches(mesh, 0.02, 3)
     top = torch.tensor([int(mesh.vertices[:, 2].argmax())])
@@ -130,27 +130,24 @@ def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
     for off in (-1.5, 1.5):
         mesh = sphere(RADIUS + off * pixel)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        shift, count = outline_shifts(mesh, tracer, photos, pixel, CONFIG.outlines)
+        shift, count = outline_shifts(mesh, tracer, photos, pixel)
         assert (count > 0).sum() > 200
         assert np.median(shift[count > 0]) / pixel == pytest.approx(-off, abs=0.5)
 
 
-def test_what_is_set_decides_what_an_outline_is(photos):
+def test_how_grazing_a_view_must_be_decides_what_an_outline_is(photos, monkeypatch):
     mesh, pixel = sphere(), pixel_size([photo.camera for photo in photos])
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    words = ["geometry.refine.outlines.grazing=0.05"]
-    strict = resolve(RunConfig(), None, words).geometry.refine.outlines
-    few, all_ = (
-        outline_shifts(mesh, tracer, photos, pixel, config)[1].sum()
-        for config in (strict, CONFIG.outlines)
-    )
+    all_ = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
+    monkeypatch.setattr("robir.geometry.refine.outlines._GRAZING", 0.05)
+    few = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
     assert 0 < few < 0.7 * all_
 
 
 def test_the_thin_plate_is_that_of_a_dense_solve():
     solid = trimesh.creation.icosphere(subdivisions=1)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
-    plate = ThinPlate(mesh, 1.0, CONFIG.step.most_iterations)
+    plate = ThinPlate(mesh, 1.0, 80)
     count = len(mesh.vertices)
     rng = np.random.default_rng(0)
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
@@ -176,18 +173,18 @@ def test_the_thin_plate_is_that_of_a_dense_solve():
 def test_dents_are_taken_out_where_photographs_tell(capture):
     dented = sphere(dents=0.03)
     before = roughness(dented)
-    after = roughness(refine(dented, capture.train, STEREO_CONFIG))
+    after = roughness(refine(dented, capture.train, (SIDE,)))
     assert before > 0.01
     assert after < 0.4 * before
 
 
 def test_without_texture_a_mesh_is_not_made_rougher():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
-    assert roughness(refine(sphere(), capture.train, STEREO_CONFIG)) < 0.012
+    assert roughness(refine(sphere(), capture.train, (SIDE,))) < 0.012
 
 
 def test_photographs_predict_each_other_better_over_the_better_surface(photos):
-    predictions = Predictions(photos, PredictionConfig())
+    predictions = Predictions(photos)
     true, dented, small = (
         predictions.errors(mesh) for mesh in (sphere(), sphere(dents=0.04), sphere(RADIUS - 0.05))
     )
@@ -205,7 +202,7 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
 def test_a_surface_that_is_missing_predicts_nothing(photos):
     whole = sphere()
     cap = whole.vertices[whole.faces].mean(1)[:, 2] > 0.8 * RADIUS
-    predictions = Predictions(photos, PredictionConfig())
+    predictions = Predictions(photos)
     errors = predictions.errors(plain_mesh(whole.vertices, whole.faces[cap]))
     outlines = np.mean([np.isnan(one).mean() for one in errors])
     assert outlines < 0.2
@@ -222,33 +219,21 @@ def waves(lattice):
     return torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
 
 
-STEREO_CONFIG = replace(
-    GeometryConfig(),
-    stereo=StereoConfig(image_side=SIDE, cells=48),
-    refine=CONFIG,
-    face_budget=3000,
-)
-
-
 def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(
-            capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
-        )
+        rival = Rival(capture.train, Predictions(photos), (hull, hull), CONFIG)
         field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = finished(
-        refined(rival.best, capture.train, STEREO_CONFIG), STEREO_CONFIG, print, Course()
-    )
+    mesh = finished(refined(rival.best, capture.train, CONFIG), CONFIG, print, Course())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
-    off = replace(STEREO_CONFIG, stereo=StereoConfig(image_side=0))
-    silent = Rival(capture.train, Predictions(photos, PredictionConfig()), (hull, hull), off)
+    off = replace(CONFIG, stereo_side=0)
+    silent = Rival(capture.train, Predictions(photos), (hull, hull), off)
     assert not silent.beats(field)
 
 
@@ -259,7 +244,7 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
     monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
     hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Rival(capture.train, Predictions(photos, PredictionConfig()), hulls, STEREO_CONFIG)
+    rival = Rival(capture.train, Predictions(photos), hulls, CONFIG)
     assert rival.beats(Field(lattice, dented.values, 1))
     assert rival.best.name == HULL and rival.best.cell == lattice.cell
     (choice,) = rival.choices
@@ -267,16 +252,14 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
     assert roughness(rival.best.mesh) < 0.01
 
 
-BENT = RivalConfig().bent
+BENT = rival_module._BENT
 
 
 @pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    rival = Rival(
-        capture.train, Predictions(photos, PredictionConfig()), (hull, hull), STEREO_CONFIG
-    )
+    rival = Rival(capture.train, Predictions(photos), (hull, hull), CONFIG)
     bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
     monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
     monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))
@@ -296,19 +279,11 @@ def test_how_much_a_sphere_and_a_box_bend():
     assert bending(plain_mesh(box.vertices, box.faces)) == pytest.approx(wanted, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"offsets": 1}, {"views": 1}, {"rounds": 0}, {"image_sides": ()}, {"reach": 0.0}]
-)
-def test_settings_it_cannot_work_with_are_refused(wrong):
-    with pytest.raises(ConfigError, match=rf"geometry\.refine\.{next(iter(wrong))}"):
-        RefineConfig(**wrong)
-
-
 def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
     lattice, radius = lattice_and_radius()
     true, dented = (
         Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
     )
-    judge = Judge(Predictions(photos, PredictionConfig()), GeometryConfig())
+    judge = Judge(Predictions(photos))
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

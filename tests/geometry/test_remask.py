@@ -15,16 +15,15 @@ from scipy.ndimage import binary_dilation
 from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Bounds, Capture, Finding, View
 from robir.capture.store import load_settled, save_capture, save_masks
 from robir.capture.support import Plane
-from robir.config import RunConfig, resolve
 from robir.errors import StorageError
+from robir.geometry import hull
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import HullCarver, object_hull
 from robir.geometry.rays import reduce_view
 from robir.geometry.remask import remasked
-from robir.geometry.stereo.config import StereoConfig
 from robir.jobs.paths import JobPaths
 
-CONFIG = GeometryConfig(hull_cells=48, stereo=StereoConfig(image_side=160, cells=80))
+CONFIG = GeometryConfig(hull_cells=48, stereo_side=160)
 TABLE = Plane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0, tolerance=0.01)
 
 
@@ -71,7 +70,8 @@ def overlaps(capture: Capture, shots: list[scene.Posed]) -> np.ndarray:
     return np.array([(one & two).sum() / (one | two).sum() for one, two in pairs])
 
 
-def test_masks_come_nearer_to_the_silhouettes(guessed, shots):
+def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
+    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 80)
     heard: list[float] = []
     found = remasked(guessed.normalised(), CONFIG, heard.append)
     before, after = overlaps(guessed, shots), overlaps(found, shots)
@@ -87,18 +87,18 @@ def test_only_what_we_cut_is_cut_again(guessed):
     assert not replace(guessed, findings=kept).has_guessed_masks
 
 
-def test_the_hull_of_guessed_masks_ends_above_the_table(guessed):
+def test_the_hull_of_guessed_masks_ends_above_the_table(guessed, monkeypatch):
     capture = guessed.normalised()
     photos = [reduce_view(view, 160) for view in capture.train]
-    lattice, values = object_hull(capture, photos, CONFIG)
+    lattice, values = object_hull(capture, photos, 48)
     height = lattice.nodes()[:, 2].numpy() * 0.9 + 0.45
-    assert (values[torch.from_numpy(height < 0.9 * CONFIG.hull.clearance - 1e-4)] > 0).all()
-    high = resolve(RunConfig(geometry=CONFIG), None, ["geometry.hull.clearance=0.1"]).geometry
-    assert (object_hull(capture, photos, high)[1] < 0).sum() < (values < 0).sum()
+    assert (values[torch.from_numpy(height < 0.9 * hull._CLEARANCE - 1e-4)] > 0).all()
     given = replace(capture, findings=())
-    reaching = object_hull(given, photos, CONFIG)
+    reaching = object_hull(given, photos, 48)
     inside = reaching[0].nodes()[reaching[1] < 0][:, 2].numpy() * 0.9 + 0.45
-    assert inside.min() < 0.5 * CONFIG.hull.clearance
+    assert inside.min() < 0.5 * hull._CLEARANCE
+    monkeypatch.setattr(hull, "_CLEARANCE", 0.1)
+    assert (object_hull(capture, photos, 48)[1] < 0).sum() < (values < 0).sum()
 
 
 def test_outvoted_masks_are_those_that_say_outside_most(shots):

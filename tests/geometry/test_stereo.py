@@ -10,12 +10,9 @@ import pytest
 import torch
 from geometry.scenes import ball, camera_at, capture_of
 
-from robir.config import RunConfig, resolve
-from robir.errors import ConfigError
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import reduce_view
-from robir.geometry.stereo.config import StereoConfig, SweepConfig
 from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse, points_at
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 from robir.geometry.stereo.smoothest import laplacian, smoothest
@@ -31,7 +28,11 @@ from robir.geometry.stereo.sweep import (
 )
 
 RADIUS = 0.6
-CONFIG = StereoConfig(image_side=96, cells=48)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 48)
 
 
 def grain(points):
@@ -142,36 +143,31 @@ def test_planes_are_seen_where_the_cameras_project_them():
 
 
 def test_planes_lie_a_pixel_of_parallax_apart():
-    depths = plane_depths(2.0, 4.0, 0.5, 200.0, SweepConfig())
+    depths = plane_depths(2.0, 4.0, 0.5, 200.0)
     assert (depths[0], depths[-1]) == pytest.approx((2.0, 4.0))
     np.testing.assert_allclose(0.5 * 200 * -np.diff(1 / depths), 1, atol=0.05)
 
 
-def test_planes_are_as_many_as_is_set():
-    words = ["geometry.stereo.sweep.fewest_planes=60", "geometry.stereo.sweep.most_planes=60"]
-    config = resolve(RunConfig(), None, words).geometry.stereo.sweep
-    assert len(plane_depths(2.0, 4.0, 0.5, 200.0, config)) == 60
-
-
-def test_sources_lie_at_a_good_angle_on_different_sides():
+def test_sources_lie_at_a_good_angle_on_different_sides(monkeypatch):
+    monkeypatch.setattr("robir.geometry.stereo.sources._SOURCES", 2)
     angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
     positions = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * 3
-    first = choose_sources(positions, StereoConfig(sources=2))[0]
+    first = choose_sources(positions)[0]
     assert set(first) == {2, 4}
     np.testing.assert_allclose(angles_between(positions)[0], [0, 2, 14, 15, 14, 60], atol=1e-6)
 
 
-def test_a_sphere_has_its_depths(sphere):
+def test_a_sphere_has_its_depths(sphere, monkeypatch):
     """With others at 15 degrees and a start in front of it; a plain one has none to trust."""
-    config = StereoConfig(image_side=96, baseline_degrees=20.0)
-    pictures = [Picture.of(photo, config.sweep) for photo in sphere]
+    monkeypatch.setattr("robir.geometry.stereo.sources._BASELINE_DEGREES", 20.0)
+    pictures = [Picture.of(photo) for photo in sphere]
     positions = np.stack([photo.camera.position for photo in sphere])
     own = 12
-    others = [pictures[k] for k in choose_sources(positions, config)[own]]
+    others = [pictures[k] for k in choose_sources(positions)[own]]
     camera = pictures[own].camera
     true = true_depths(camera)
     entry = np.where(np.isfinite(true), 2.4, np.inf).astype(np.float32)
-    found = sweep(pictures[own], others, entry, 3.4, config)
+    found = sweep(pictures[own], others, entry, 3.4)
     sure = found.trust > 0.5
     assert sure.sum() > 0.4 * np.isfinite(true).sum()
     off = np.abs(found.depth - true)[sure]
@@ -181,16 +177,16 @@ def test_a_sphere_has_its_depths(sphere):
 
 def test_depths_without_witnesses_are_dropped(sphere):
     lattice, outer = hull_of_radius(0.68)
-    maps = depth_maps(sphere, extract(lattice, outer), CONFIG)
+    maps = depth_maps(sphere, extract(lattice, outer))
     assert len(maps) == 30
-    kept = confirmed(maps, 0.02, CONFIG)
+    kept = confirmed(maps, 0.02)
     points = np.concatenate(
         [points_at(one, *np.nonzero(np.isfinite(one.depth))) for one in kept if one is not None]
     )
     off = np.abs(np.linalg.norm(points, axis=1) - RADIUS)
     assert np.quantile(off, 0.95) < 0.025
-    assert confirmed(maps[:2], 0.02, CONFIG)[0].depth[48, 48] != maps[0].depth[48, 48]
-    assert confirmed([], 0.02, CONFIG) == []
+    assert confirmed(maps[:2], 0.02)[0].depth[48, 48] != maps[0].depth[48, 48]
+    assert confirmed([], 0.02) == []
 
 
 def test_fused_distances_are_those_of_the_sphere(sphere):
@@ -201,7 +197,7 @@ def test_fused_distances_are_those_of_the_sphere(sphere):
         true = true_depths(photo.camera)
         sure = np.isfinite(true).astype(np.float32)
         maps.append(DepthMap(camera=photo.camera, depth=true, correlation=sure, trust=sure))
-    fused = fuse(maps, lattice, outer, CONFIG)
+    fused = fuse(maps, lattice, outer)
     true = lattice.nodes().norm(dim=1) - RADIUS
     above = lattice.nodes()[:, 2] > 0.1
     near = above & (fused.weight > 3) & (true.abs() < 0.4 * fused.band)
@@ -223,7 +219,7 @@ def test_the_smoothest_grid_is_that_of_a_dense_solve():
     ).double()
     matrix = torch.diag(weight.reshape(-1).double()) + 0.3 * bend.T @ bend
     wanted = torch.linalg.solve(matrix, (weight * measured).reshape(-1).double())
-    found = smoothest(measured, weight, 0.3, CONFIG.smoothest)
+    found = smoothest(measured, weight, 0.3)
     np.testing.assert_allclose(found.reshape(-1), wanted, atol=1e-4)
 
 
@@ -235,13 +231,13 @@ def test_what_is_known_at_few_places_is_bent_least_between_them():
     weight[::8, ::8, ::8] = 1.0
     measured = torch.where(weight > 0.5, true, 0.0)
     inner = np.s_[12:-12, 12:-12, 12:-12]
-    off = (smoothest(measured, weight, 0.02, CONFIG.smoothest) - true)[inner].abs()
+    off = (smoothest(measured, weight, 0.02) - true)[inner].abs()
     assert float(off.max()) < 0.25
 
 
 def test_stereo_finds_a_sphere_in_a_wide_hull(sphere):
     lattice, outer = hull_of_radius(0.7)
-    fine, sdf = stereo_surface(sphere, (lattice, outer), CONFIG)
+    fine, sdf = stereo_surface(sphere, (lattice, outer))
     mesh = extract(fine, sdf)
     above = mesh.vertices[mesh.vertices[:, 2] > 0.1]  # no camera looks from below
     radius = np.linalg.norm(above, axis=1)
@@ -253,7 +249,7 @@ def test_a_plain_part_stays_where_its_hull_is():
     """One half without texture: no noise of depths that nothing tells, no pits."""
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=30, side=96, paint=cut(grain, plain))
     photos = [reduce_view(view, 96) for view in capture.train]
-    fine, sdf = stereo_surface(photos, hull_of_radius(0.63), CONFIG)
+    fine, sdf = stereo_surface(photos, hull_of_radius(0.63))
     mesh = extract(fine, sdf)
     place = mesh.vertices[mesh.vertices[:, 2] > 0.25]
     radius = np.linalg.norm(place, axis=1)
@@ -261,12 +257,3 @@ def test_a_plain_part_stays_where_its_hull_is():
     assert radius[is_plain].min() > RADIUS - 0.012
     assert radius[is_plain].max() < 0.645
     assert np.median(np.abs(radius[place[:, 0] > 0.15] - RADIUS)) < 0.01
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"views": 2}, {"sources": 1}, {"cells": 3}, {"image_side": 9}, {"smoothness": 0.0}],
-)
-def test_settings_it_cannot_work_with_are_refused(wrong):
-    with pytest.raises(ConfigError, match=rf"geometry\.stereo\.{next(iter(wrong))}"):
-        StereoConfig(**wrong)

@@ -146,11 +146,11 @@ def test_wrong_usage_exits_with_2(words):
 
 def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_path):
     changes = tmp_path / "changes.toml"
-    changes.write_text("seed = 4\n[geometry]\nrays = 1000\nfeatures = 6\n")
+    changes.write_text("seed = 4\n[geometry]\nrays = 1000\nhull_cells = 60\n")
     words = ["--config", str(changes), "--set", "geometry.rays=900", "--preset", "standard"]
     assert reconstruct(capture, tmp_path / "out", *words) == 0
     config = folder.read_config(JobPaths(tmp_path / "out"))
-    assert (config.seed, config.geometry.rays, config.geometry.features) == (4, 900, 6)
+    assert (config.seed, config.geometry.rays, config.geometry.hull_cells) == (4, 900, 60)
     assert config.capture.max_side == 1600
     assert read_json(JobPaths(tmp_path / "out").run)["preset"] == "standard"
 

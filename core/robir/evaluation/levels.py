@@ -37,7 +37,7 @@ from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
 from robir.jobs.paths import JobPaths
-from robir.transport.config import TransportConfig
+from robir.transport.baked import RAY_OFFSET
 from robir.transport.observe import MASK_INSIDE, spread_views
 
 Picture = NDArray[np.uint8]
@@ -227,7 +227,7 @@ def _warped(
 ) -> tuple[Pictures, Pictures]:
     """The nearest photographs and the mean of all on a surface, by view."""
     cameras = [view.camera for view in views]
-    made = list(warped_views(mesh, photographs, cameras, TransportConfig().ray_offset))
+    made = list(warped_views(mesh, photographs, cameras, RAY_OFFSET))
     names = [view.name for view in views]
     return (
         {name: one.nearest for name, one in zip(names, made, strict=True)},
@@ -243,7 +243,7 @@ def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
     config = GeometryConfig()
     photos = [reduce_view(view, config.image_side) for view in photographs]
     try:
-        surface = extract(*carve(hull_of(photos, config.hull_views), config.hull_cells))
+        surface = extract(*carve(hull_of(photos), config.hull_cells))
     except RobirError:
         return {}
     return _warped(surface, photographs, views)[0]

@@ -65,20 +65,20 @@ def finished(
 
 
 def _flatten(state: Finishing) -> Finishing:
-    return replace(state, mesh=flattened(state.mesh, state.dense.grain, state.config.mesh.facets))
+    return replace(state, mesh=flattened(state.mesh, state.dense.grain))
 
 
 def _decimate(state: Finishing) -> Finishing:
-    return replace(state, mesh=decimate(state.mesh, state.dense.faces, state.config.mesh.simplify))
+    return replace(state, mesh=decimate(state.mesh, state.dense.faces))
 
 
 def _unwrap(state: Finishing) -> Finishing:
-    seconds, config = state.config.unwrap_seconds, state.config.mesh
-    return replace(state, mesh=unwrap(state.mesh, seconds, state.warn, config))
+    seconds = state.config.unwrap_seconds
+    return replace(state, mesh=unwrap(state.mesh, seconds, state.warn))
 
 
 def _crease(state: Finishing) -> Finishing:
-    return replace(state, mesh=with_creases(state.mesh, state.config.mesh.simplify))
+    return replace(state, mesh=with_creases(state.mesh))
 
 
 FINISHING: tuple[Step[Finishing], ...] = (

@@ -16,13 +16,18 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Capture
 from robir.capture.masks.guess import DISSENT
 from robir.errors import CaptureError
-from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
 
 BEHIND = -1e3
 """Signed distance a view gives to points behind its camera: no evidence."""
+
+
+HULL_VIEWS = 48  # most views the visual hull is carved with, and the ground is told by
+# height above the table, unit frame, from which something belongs to the object, where masks were
+# guessed
+_CLEARANCE = 0.015
 
 
 def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -95,17 +100,16 @@ class HullCarver:
             yield torch.where(local[2] < 0, pixels * scale, BEHIND)
 
 
-def hull_of(photos: list[Photo], views: int, *, guessed: bool = False) -> HullCarver:
-    """The visual hull of at most `views` photographs that lie far from each other.
+def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
+    """The visual hull of photographs that lie far from each other.
 
     Args:
         photos: With masks.
-        views: Photographs at most.
         guessed: Whether masks were guessed, so that some may be wrong at any point: as many
             as in the last round of guessing, one at least.
     """
     positions = np.stack([photo.camera.position for photo in photos])
-    kept = [photos[k] for k in farthest_points(positions, views)]
+    kept = [photos[k] for k in farthest_points(positions, HULL_VIEWS)]
     return HullCarver(
         [photo.camera for photo in kept],
         [photo.coverage for photo in kept],
@@ -149,7 +153,7 @@ def carve(carver: HullCarver, cells: int) -> Sampled:
 
 
 def object_hull(
-    capture: Capture, photos: list[Photo], config: GeometryConfig, *, guessed: bool = False
+    capture: Capture, photos: list[Photo], cells: int, *, guessed: bool = False
 ) -> Sampled:
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
@@ -159,13 +163,13 @@ def object_hull(
     Args:
         capture: In the unit frame.
         photos: Its training photographs, reduced.
-        config: Of the stage.
+        cells: Cells along the hull's longest side.
         guessed: Whether masks are as guessed at first: as for `hull_of`. Cut again they agree, and
             a hull that some may not bound has notches.
     """
-    carver = hull_of(photos, config.hull_views, guessed=guessed)
-    lattice, values = carve(carver, config.hull_cells)
+    carver = hull_of(photos, guessed=guessed)
+    lattice, values = carve(carver, cells)
     if capture.has_guessed_masks and capture.table is not None:
         height = capture.table.height(lattice.nodes().double().numpy())
-        values = torch.maximum(values, torch.from_numpy(config.hull.clearance - height).float())
+        values = torch.maximum(values, torch.from_numpy(_CLEARANCE - height).float())
     return Sampled(lattice, values)

@@ -23,8 +23,14 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mirror_map import learnt_map, mirrored_cells, nothing_mirrored
 from robir.geometry.rays import Photo
-from robir.geometry.step_config import PredictionConfig
 from robir.maths.vectors import farthest_points
+
+_JUDGES = 12  # photographs that are predicted; they lie far from each other
+_NEAREST = 4  # photographs, the nearest to a judge, that predict it
+_WHOLE = 0.95  # coverage from which a pixel is object
+_OUTLINE = 2  # distance from the outline within which masks are not believed (pixels)
+_LEARNT_POINTS = 6000  # points of the surface by which what is mirrored is learnt
+_SLACK = 0.01  # distance by which a ray may end before the surface it is to see (unit frame)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +57,9 @@ class Predictions:
 
     Args:
         photos: Training photographs, unit frame.
-        config: Of this step.
     """
 
-    def __init__(self, photos: list[Photo], config: PredictionConfig) -> None:
-        self._config = config
+    def __init__(self, photos: list[Photo]) -> None:
         positions = np.stack([photo.camera.position for photo in photos])
         towards = positions / np.linalg.norm(positions, axis=1, keepdims=True)
         alike = towards @ towards.T
@@ -65,8 +69,8 @@ class Predictions:
             torch.from_numpy(np.dstack([photo.premultiplied_display, photo.coverage]))
             for photo in photos
         ]
-        self._judges = farthest_points(positions, config.judges)
-        self._nearest = {own: np.argsort(-alike[own])[: config.nearest] for own in self._judges}
+        self._judges = farthest_points(positions, _JUDGES)
+        self._nearest = {own: np.argsort(-alike[own])[:_NEAREST] for own in self._judges}
 
     def errors(self, mesh: Mesh) -> list[NDArray[np.float32]]:
         """Squared errors of the judges' pixels, one flat array a judge.
@@ -96,13 +100,13 @@ class Predictions:
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
         maps = self._maps(tracer, list(spots.values()))
-        nothing = nothing_mirrored(self._config.mirror_map.cells)
+        nothing = nothing_mirrored()
         pairs = [self._judged(tracer, own, spots[own], (nothing, maps[own])) for own in spots]
         return [without for without, _ in pairs], [told for _, told in pairs]
 
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
         camera = self._cameras[own]
-        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > self._config.whole)
+        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > _WHOLE)
         origins, directions = camera.rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
         hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         met = np.isfinite(hits.distance)
@@ -119,7 +123,7 @@ class Predictions:
     def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, NDArray[np.floating]]:
         """What is mirrored as all photographs but a judge tell it, for each judge."""
         total = sum(len(one.points) for one in spots)
-        every = max(1, total // self._config.learnt_points)
+        every = max(1, total // _LEARNT_POINTS)
         points = np.concatenate([one.points for one in spots])[::every]
         normals = np.concatenate([one.normals for one in spots])[::every]
         shown = [self._shown(tracer, other, points, normals) for other in range(len(self._cameras))]
@@ -128,7 +132,7 @@ class Predictions:
         for own in self._judges:
             told = seen.copy()
             told[:, own] = 0.0
-            maps[own] = learnt_map(colours, told, cells, self._config.mirror_map)
+            maps[own] = learnt_map(colours, told, cells)
         return maps
 
     def _judged(
@@ -148,9 +152,9 @@ class Predictions:
                 total += seen[:, None] * (colours - mirrored[cells])
             weight += seen[:, None]
         towards = _unit(self._cameras[own].position - spots.points)
-        cells = mirrored_cells(spots.normals, towards, self._config.mirror_map)
+        cells = mirrored_cells(spots.normals, towards)
         display = layers[spots.rows, spots.columns, :3]
-        inner = _within(layers[..., 3] > self._config.whole, self._config.outline)
+        inner = _within(layers[..., 3] > _WHOLE, _OUTLINE)
         inner = inner[spots.rows, spots.columns]
         blind = ((display - display.mean(0)) ** 2).mean(1)
         results = []
@@ -174,12 +178,12 @@ class Predictions:
         away = points - camera.position
         distance = np.linalg.norm(away, axis=1)
         origins = np.broadcast_to(camera.position, away.shape).astype(np.float32)
-        reach = (distance - self._config.slack).astype(np.float32)
+        reach = (distance - _SLACK).astype(np.float32)
         directions = away / distance[:, None]
         free = ~tracer.is_blocked(origins, directions.astype(np.float32), reach)
         values, held = _read(layers, camera, points)
-        sure = (held & (values[:, 3] > self._config.whole)).numpy() & free
-        cells = mirrored_cells(normals, -directions, self._config.mirror_map)
+        sure = (held & (values[:, 3] > _WHOLE)).numpy() & free
+        cells = mirrored_cells(normals, -directions)
         return values[:, :3].numpy(), sure.astype(np.float32), cells
 
 

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.step_config import RaySamplerConfig
+
+_RING = 4  # width of the band around the mask whose pixels teach the field what is empty
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,16 +74,13 @@ class RaySampler:
         photos: Reduced photographs.
         device: Torch device of the rays.
         generator: Source of the order, on the CPU.
-        config: Which pixels are drawn.
     """
 
-    def __init__(
-        self, photos: list[Photo], device: str, generator: torch.Generator, config: RaySamplerConfig
-    ) -> None:
+    def __init__(self, photos: list[Photo], device: str, generator: torch.Generator) -> None:
         views, pixels, targets = [], [], []
         ring = np.ones((3, 3), bool)
         for number, photo in enumerate(photos):
-            wanted = binary_dilation(photo.coverage > 0.02, ring, iterations=config.ring)
+            wanted = binary_dilation(photo.coverage > 0.02, ring, iterations=_RING)
             rows, columns = np.nonzero(wanted)
             views.append(np.full(len(rows), number, np.int16))
             pixels.append(np.stack([columns, rows], axis=1).astype(np.int16))

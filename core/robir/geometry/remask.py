@@ -28,6 +28,10 @@ from robir.geometry.rival import smooth_surface
 from robir.geometry.stereo.fusion import entry_depth
 from robir.geometry.stereo.surface import stereo_surface
 
+# size of the photographs and of the lattice for these surfaces, as a share of the final ones
+_COARSENESS = 0.64
+_ROUNDS = 2  # surfaces and cuts, in turns
+
 
 def remasked(
     capture: Capture, config: GeometryConfig, progress: Callable[[float], None]
@@ -39,20 +43,15 @@ def remasked(
         config: Of the stage.
         progress: Told the share of the work done.
     """
-    stereo, own = config.stereo, config.remask
-    coarse = replace(
-        stereo,
-        image_side=round(own.coarseness * stereo.image_side),
-        cells=round(own.coarseness * stereo.cells),
-    )
+    side = round(_COARSENESS * config.stereo_side)
     pictures = reduced(capture.views, SIDE)
-    for number in range(own.rounds):
-        photos = [reduce_view(view, coarse.image_side) for view in capture.train]
-        hull = object_hull(capture, photos, config, guessed=True)
-        mesh = smooth_surface(Field(*stereo_surface(photos, hull, coarse), 1), config)
+    for number in range(_ROUNDS):
+        photos = [reduce_view(view, side) for view in capture.train]
+        hull = object_hull(capture, photos, config.hull_cells, guessed=True)
+        mesh = smooth_surface(Field(*stereo_surface(photos, hull, _COARSENESS), 1))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
-        progress((number + 1) / own.rounds)
+        progress((number + 1) / _ROUNDS)
     return capture
 
 

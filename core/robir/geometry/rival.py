@@ -36,15 +36,25 @@ from robir.jobs.choice import Choice
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
 
 
-def weighed(ahead: float, more: float, bent: float) -> float:
+# standard errors by which a surface must lead that bends e times as much: a fit full of pits
+# bends 2 to 3.4 times as much as depth maps
+_BENT = 5.0
+# rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
+_SMOOTH_ROUNDS = 5
+_GRAIN = 1.5  # width of what may be noise of the refined surface (pixels)
+# pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
+_FACE_PIXELS = 2.0
+_FACE_BUDGET = 24_000  # most triangles of the result; up to that many photographs' pixels decide
+
+
+def weighed(ahead: float, more: float) -> float:
     """A surface's lead over another that bends `more` times as much, in standard errors.
 
     Args:
         ahead: Its lead by predictions alone.
         more: How many times as much the other bends.
-        bent: Standard errors that bending e times as much counts.
     """
-    return ahead + bent * float(np.log(more))
+    return ahead + _BENT * float(np.log(more))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,21 +91,20 @@ class Judge:
 
     Args:
         predictions: Of the photographs, at the size that surfaces are judged at.
-        config: Settings of the stage.
     """
 
-    def __init__(self, predictions: Predictions, config: GeometryConfig) -> None:
-        self._predictions, self._config = predictions, config
+    def __init__(self, predictions: Predictions) -> None:
+        self._predictions = predictions
 
     def is_mirror(self, field: Field) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self._predictions.mirroring(smooth_surface(field, self._config)) > 1.0
+        return self._predictions.mirroring(smooth_surface(field)) > 1.0
 
     def is_better(self, field: Field, other: Field) -> bool:
         """Whether photographs predict each other better over a field, what it bends counted."""
-        mesh, than = (smooth_surface(one, self._config) for one in (field, other))
+        mesh, than = (smooth_surface(one) for one in (field, other))
         ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
-        return weighed(ahead, bending(than) / bending(mesh), self._config.rival.bent) > 0
+        return weighed(ahead, bending(than) / bending(mesh)) > 0
 
 
 class Rival:
@@ -122,7 +131,7 @@ class Rival:
     ) -> None:
         self._views, self._predictions = views, predictions
         self._hulls, self._config = hulls, config
-        self._was_asked = config.stereo.image_side == 0
+        self._was_asked = config.stereo_side == 0
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
 
@@ -136,12 +145,11 @@ class Rival:
             return False
         self._was_asked = True
         started = time.process_time()
-        own = self._config.rival
-        fitted = smooth_surface(field, self._config)
+        fitted = smooth_surface(field)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
         for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
-            mesh = smooth_surface(Field(lattice, values, 1), self._config)
+            mesh = smooth_surface(Field(lattice, values, 1))
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(
                 Candidate(
@@ -150,7 +158,7 @@ class Rival:
                     cell=lattice.cell,
                     ahead=ahead,
                     more=more,
-                    lead=weighed(ahead, more, own.bent),
+                    lead=weighed(ahead, more),
                 )
             )
         first = max(candidates, key=lambda candidate: candidate.lead)
@@ -171,9 +179,9 @@ class Rival:
     def _stereo(self) -> Sampled:
         # nothing is restored where masks show something that no depth does: guessed masks hold
         # background between arm and body, and stereo is right to carve it
-        side = self._config.stereo.image_side
+        side = self._config.stereo_side
         compared = [reduce_view(view, side) for view in self._views]
-        return stereo_surface(compared, self._hulls[0], self._config.stereo)
+        return stereo_surface(compared, self._hulls[0])
 
 
 def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
@@ -185,10 +193,10 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
         config: Settings of the stage.
     """
     mesh = best.mesh
-    photos = [reduce_view(view, max(config.refine.image_sides)) for view in views]
-    moved = refine(mesh, views, config)
+    photos = [reduce_view(view, max(config.refine_sides)) for view in views]
+    moved = refine(mesh, views, config.refine_sides)
     # at the size that it was refined by: half of it does not show what it gained
-    predictions = Predictions(photos, config.prediction)
+    predictions = Predictions(photos)
     if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
         mesh = moved
     grain, faces = resolved(photos, config)
@@ -198,15 +206,14 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
 def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
     """What photographs resolve: the width of what may be noise, and the faces they deserve."""
     pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-    grain = config.rival.grain * pixel_size([photo.camera for photo in photos])
-    most = config.refine.face_budget
-    return grain, int(min(max(config.face_budget, pixels / config.rival.face_pixels), most))
+    grain = _GRAIN * pixel_size([photo.camera for photo in photos])
+    return grain, int(min(max(config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
 
 
-def smooth_surface(field: Field, config: GeometryConfig) -> Mesh:
+def smooth_surface(field: Field) -> Mesh:
     """Surface of a field, freed of loose pieces and of the steps of its cells."""
     whole = extract(field.lattice, field.sdf)
-    return taubin(largest_pieces(whole, config.fit.clean), config.rival.smooth_rounds)
+    return taubin(largest_pieces(whole), _SMOOTH_ROUNDS)
 
 
 def bending(mesh: Mesh) -> float:

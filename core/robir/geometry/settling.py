@@ -18,7 +18,7 @@ from robir.geometry.fit.mirror_pits import Mirroring
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
-from robir.geometry.hull import object_hull
+from robir.geometry.hull import HULL_VIEWS, object_hull
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.prediction import Predictions
 from robir.geometry.rays import Photo, RaySampler, reduce_view
@@ -35,6 +35,12 @@ EVENING: tuple[Step[Capture], ...] = (
     ),
 )
 """What is done to the photographs before the fit."""
+
+
+# distance from the plane within which a surface may be ground that the fit left bumpy (cells)
+_BUMPY = 4.0
+_BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which that is asked
+_IMAGE_SIDE = 200  # longer side of the photographs that tell the ground (pixels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,12 +72,11 @@ class Start:
 
 
 def _find_ground(state: Start) -> Start:
-    config = state.config.ground
-    plane = detect(state.photos, state.lattice, state.hull, state.generator, config)
+    plane = detect(state.photos, state.lattice, state.hull, state.generator)
     if plane is None:
         return state
     judges = ground_photos(state.capture, state.config)
-    ground = Ground(plane, judges, state.lattice, state.hull, config)
+    ground = Ground(plane, judges, state.lattice, state.hull)
     backdrop = Backdrop(ground, judges)
     hull = ground.flatten(state.lattice, state.hull, ground.start & ~backdrop.foreign)
     return replace(state, hull=hull, backdrop=backdrop)
@@ -93,7 +98,6 @@ class Level:
     """A level of the fit that has ended; steps change its field's distances by `mended`.
 
     Attributes:
-        config: The stage's configuration.
         field: Field of the level.
         network: Its colour network.
         sampler: Source of rays.
@@ -106,7 +110,6 @@ class Level:
         changes: How often something was changed in place.
     """
 
-    config: GeometryConfig
     field: Field
     network: ColourNetwork
     sampler: RaySampler
@@ -134,8 +137,7 @@ class Level:
 def _restore_missing(state: Level) -> Level:
     lattice, hull = state.hull
     allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
-    config = state.config.fit.clean
-    return state.mended(restore_missing(state.field, allowed, state.sampler, config))
+    return state.mended(restore_missing(state.field, allowed, state.sampler))
 
 
 def _fill_mirror_pits(state: Level) -> Level:
@@ -147,14 +149,13 @@ def _flatten_ground(state: Level) -> Level:
     if state.backdrop is None:
         return state
     ground, lattice = state.backdrop.ground, state.field.lattice
-    config = ground.config.flatten
     top = ground.heights(lattice, state.sdf)
     columns = ground.settled(top, state.backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
     flat = ground.flatten(lattice, state.sdf, columns)
-    nearly = ground.nearly(top, columns, config.bumpy * lattice.cell)
-    if nearly.sum() > config.bumpy_gain * columns.sum():
+    nearly = ground.nearly(top, columns, _BUMPY * lattice.cell)
+    if nearly.sum() > _BUMPY_GAIN * columns.sum():
         # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
         flatter = ground.flatten(lattice, state.sdf, nearly)
         if state.judge.is_better(Field(lattice, flatter, 1), Field(lattice, flat, 1)):
@@ -222,8 +223,8 @@ class Settling:
         course: Course,
     ) -> None:
         photos = [reduce_view(view, config.image_side) for view in capture.train]
-        self.sampler = RaySampler(photos, device, generator, config.ray_sampler)
-        lattice, hull = object_hull(capture, photos, config)
+        self.sampler = RaySampler(photos, device, generator)
+        lattice, hull = object_hull(capture, photos, config.hull_cells)
         start = Start(
             capture=capture,
             config=config,
@@ -236,16 +237,15 @@ class Settling:
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         self.begun = Sampled(lattice, start.distances)
-        predictions = Predictions(photos, config.prediction)
-        self._config, self._judge = config, Judge(predictions, config)
+        predictions = Predictions(photos)
+        self._judge = Judge(predictions)
         cameras = [photo.camera for photo in photos]
-        self._mirroring = Mirroring(cameras, self.begun, self._judge, config.fit.mirror_pits)
+        self._mirroring = Mirroring(cameras, self.begun, self._judge)
         self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because the rival leads."""
         level = Level(
-            config=self._config,
             field=field,
             network=network,
             sampler=self.sampler,
@@ -273,5 +273,5 @@ def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
     """
     views = capture.train
     positions = np.stack([view.camera.position for view in views])
-    side = min(config.image_side, config.ground.image_side)
-    return [reduce_view(views[k], side) for k in farthest_points(positions, config.hull_views)]
+    side = min(config.image_side, _IMAGE_SIDE)
+    return [reduce_view(views[k], side) for k in farthest_points(positions, HULL_VIEWS)]

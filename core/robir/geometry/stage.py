@@ -59,7 +59,7 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     if context.mesh is not None:
         return _take(context, context.mesh, stored)
     capture = stored.normalised()
-    if capture.has_guessed_masks and context.config.stereo.image_side:
+    if capture.has_guessed_masks and context.config.stereo_side:
         capture = remasked(
             capture,
             context.config,
@@ -69,14 +69,14 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         )
         save_masks(context.paths, capture.views)
     preview = Preview(capture, context.paths.preview, context.device, context.reporter)
-    trial = PoseTrial(capture, context.seed, context.device, context.config.fit)
+    trial = PoseTrial(capture, context.seed, context.device)
     total = sum(context.config.level_steps)
     held_out = context.paths.stage("geometry") / "field_held_out.npz"
 
     def watch(share: float, present: Present, sampler: RaySampler) -> None:
         if share == 1.0:
-            views, size = trial.capture.held_out, context.config.fit.held_out
-            save_field_views(held_out, views, present.render, context.device, size)
+            views = trial.capture.held_out
+            save_field_views(held_out, views, present.render, context.device)
             return
         if preview.show(present.render):
             save_growing(context.paths.growing, present.surface, stored.bounds)
@@ -213,7 +213,7 @@ def reconstruct(
         dense = refined(best, capture.train, config)
     else:
         reporter.progress(0.86, "cleaning the mesh")
-        dense = Dense(smooth_surface(field, config), field.lattice.cell, config.face_budget)
+        dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
     mesh = finished(dense, config, reporter.warn, course)
     backdrop = settling.backdrop if best is None else None
     metrics: dict[str, float | str] = {

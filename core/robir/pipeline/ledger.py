@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from robir.config import RunConfig, fingerprint
+from robir.constants import of_stage
 from robir.errors import QualityError, StorageError
 from robir.jobs.context import StageContext
 from robir.jobs.names import leads_out
@@ -46,7 +47,7 @@ class StageModule(Protocol):
 def stage_fingerprints(
     config: RunConfig, revisions: Mapping[str, int], capture: str, mesh: str = ""
 ) -> dict[str, str]:
-    """Fingerprint of each stage: its settings, seed, revision and all that came before it.
+    """Fingerprint of each stage: settings, constants, seed, revision and all that came before it.
 
     Args:
         config: The resolved configuration.
@@ -58,7 +59,9 @@ def stage_fingerprints(
     upstream = fingerprint(capture, mesh) if mesh else capture
     for stage in STAGES:
         settings = table_from_settings(getattr(config, stage))
-        upstream = fingerprint(stage, settings, config.seed, revisions[stage], upstream)
+        constants = of_stage(config.constants, stage, STAGES)
+        facts = (settings, constants) if constants else settings
+        upstream = fingerprint(stage, facts, config.seed, revisions[stage], upstream)
         result[stage] = upstream
     return result
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from robir.config import RunConfig
+from robir.constants import changed
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.export.asset import AssetFacts, is_current, make_asset
 from robir.jobs.context import StageContext
@@ -110,12 +111,13 @@ def reconstruct(
     follows_links = request.config.capture.outside == "take"
     capture = capture_fingerprint(request.source, request.masks, request.out, follows_links)
     mesh = mesh_fingerprint(request.mesh)
-    create(paths)
-    try:
-        with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
-            _bring_up_to_date(request, paths, display, stages, (capture, mesh))
-    except OSError as error:
-        raise translated(error, "", paths.root) from error
+    with changed(request.config.constants):
+        create(paths)
+        try:
+            with folder_lock(paths.lock), _logging_to(paths.log), stop_requested():
+                _bring_up_to_date(request, paths, display, stages, (capture, mesh))
+        except OSError as error:
+            raise translated(error, "", paths.root) from error
     return paths
 
 

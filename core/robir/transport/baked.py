@@ -37,6 +37,11 @@ _FORMS = {
 """What each file has to hold, see `stored_arrays`."""
 
 
+# distance that rays start above the surface, unit frame; larger forgives errors of the mesh,
+# smaller keeps contact shadows
+RAY_OFFSET = 0.006
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transport:
     """Surface samples, what they see and how the photographs show them.
@@ -149,7 +154,7 @@ def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
     )
     surfels, observations = _seen_surfels(tracer, mesh, chosen, config, seed)
     directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
-    visibility = trace_visibility(mesh, tracer, surfels, directions, config.ray_offset)
+    visibility = trace_visibility(mesh, tracer, surfels, directions, RAY_OFFSET)
     nothing = csr_matrix(visibility.bounce.shape, dtype=np.float32)
     if not config.use_visibility:
         free = np.packbits(surfels.normal @ directions.T > 0, axis=1)
@@ -168,7 +173,7 @@ def _seen_surfels(
     """
 
     def observed(samples: Surfels) -> Observations:
-        return observe(tracer, samples.position, samples.normal, views, config.ray_offset)
+        return observe(tracer, samples.position, samples.normal, views, RAY_OFFSET)
 
     rng = np.random.default_rng(seed)
     few = sample_surfels(mesh, config.num_surfels // 8, rng)

@@ -18,8 +18,6 @@ class TransportConfig:
         observation_side: Longest side in pixels of the photographs that the surfels are read from;
             a surfel is about as large as such a pixel.
         max_views: Views that are read, spread evenly over the capture.
-        ray_offset: Distance that rays start above the surface, unit frame; larger forgives errors
-            of the mesh, smaller keeps contact shadows.
         use_visibility: Whether surfaces block light; off only for ablation.
         use_indirect: Whether light that bounced once is counted; off only for ablation.
     """
@@ -28,7 +26,6 @@ class TransportConfig:
     num_directions: int = 512
     observation_side: int = 200
     max_views: int = 48
-    ray_offset: float = 0.006
     use_visibility: bool = True
     use_indirect: bool = True
 
@@ -44,7 +41,3 @@ class TransportConfig:
                 raise ConfigError(
                     f"transport.{name} is {getattr(self, name)}; it must be at least {low}"
                 )
-        if not 0 < self.ray_offset < 0.1:
-            raise ConfigError(
-                f"transport.ray_offset is {self.ray_offset}; it must lie between 0 and 0.1"
-            )

@@ -92,7 +92,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     generator = job.begin()
     field = fit_neus(job.pixels(), job.config.neus, generator)
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
-    surface = smooth_surface(Field(lattice, values, _FEATURES), config)
+    surface = smooth_surface(Field(lattice, values, _FEATURES))
     dense = Dense(surface, lattice.cell, config.face_budget)
     mesh = finished(dense, config, lambda _: None, Course())
     folder = _folder(job, "geometry")

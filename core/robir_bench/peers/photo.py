@@ -25,6 +25,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, replacing, write_json
+from robir.transport.baked import RAY_OFFSET
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
 
@@ -48,7 +49,7 @@ def texture_photographs(paths: JobPaths, config: RunConfig) -> dict[str, Any]:
     face, barycentric = rasterise_atlas(mesh, solved_side(config.appearance, mesh.cells))
     inside = face >= 0
     position, normal = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
-    albedo, coverage = _blended(capture, mesh, position, normal, config.transport.ray_offset)
+    albedo, coverage = _blended(capture, mesh, position, normal, RAY_OFFSET)
     arrays: dict[str, NDArray[Any]] = {
         name: np.zeros(inside.shape, np.float32) for name in ("roughness", "coverage")
     }

@@ -60,7 +60,7 @@ def test_cameras_of_photographs_alone_come_to_the_mesh(
     metrics = stage.run(
         StageContext(
             paths=paths,
-            config=replace(GeometryConfig(), given=quick_to_place(GeometryConfig().given)),
+            config=replace(GeometryConfig(), given=quick_to_place()),
             source=walk.folder,
             masks=None,
             seed=0,

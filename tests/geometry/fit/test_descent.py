@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.config import DescentConfig, FieldConfig
+from robir.geometry.fit import descent, optimise
 from robir.geometry.fit.descent import Descent, agreement
 from robir.geometry.fit.field import Field
 from robir.geometry.fit.optimise import fit
@@ -15,26 +15,25 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import RaySampler
 
 LATTICE = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(24, 12, 12))
-CONFIG = DescentConfig()
-SOFT = FieldConfig().soft_passes
+SOFT = optimise._SOFT_PASSES
 EVERYWHERE = torch.ones(LATTICE.count, dtype=torch.bool)
 
 
 @pytest.mark.parametrize("steps", [10, 60, 300])
 def test_random_signs_show_the_agreement_that_chance_gives(steps: int) -> None:
     signs = torch.randint(2, (steps, 20000), generator=torch.Generator().manual_seed(0)) * 2.0 - 1.0
-    weights = CONFIG.memory ** torch.arange(steps - 1.0, -1.0, -1.0)
+    weights = descent._MEMORY ** torch.arange(steps - 1.0, -1.0, -1.0)
     mean = (weights[:, None] * signs).sum(0) / weights.sum()
     typical = mean.square().mean().sqrt()[None]
-    share = agreement(typical, torch.ones(1), steps, CONFIG)
-    assert share.item() == pytest.approx(1.0 / (1.0 + CONFIG.doubt**2), rel=0.1)
+    share = agreement(typical, torch.ones(1), steps)
+    assert share.item() == pytest.approx(1.0 / (1.0 + descent._DOUBT**2), rel=0.1)
 
 
 def _moved(signs: torch.Tensor) -> torch.Tensor:
     """Where distances end after gradients (T,) that are the same at all nodes of a cross-section,
     steady below the middle of x and of the given signs above it."""
     distances = torch.zeros(LATTICE.count, requires_grad=True)
-    steps = Descent(distances, LATTICE, CONFIG)
+    steps = Descent(distances, LATTICE)
     steps.follow(EVERYWHERE)
     for sign in signs:
         gradient = torch.full(LATTICE.shape, -1e-3)
@@ -50,7 +49,7 @@ def test_distances_go_where_gradients_agree_and_stay_where_they_do_not() -> None
     # at first there is nothing to agree with
     assert 8.0 < moved[5, 6, 6].item() < 10.0
     alone = torch.zeros(1, requires_grad=True)
-    betas = (CONFIG.first_decay, CONFIG.second_decay)
+    betas = (descent.FIRST_DECAY, descent.SECOND_DECAY)
     adam, farthest = torch.optim.Adam([alone], lr=0.1, betas=betas), 0.0
     for sign in signs:
         alone.grad = -1e-3 * sign[None]
@@ -64,7 +63,7 @@ def test_nodes_out_of_reach_stay_and_keep_their_moments() -> None:
     low = torch.zeros(LATTICE.shape, dtype=torch.bool)
     low[:12] = True
     whole, part = (torch.zeros(LATTICE.count, requires_grad=True) for _ in range(2))
-    one, two = Descent(whole, LATTICE, CONFIG), Descent(part, LATTICE, CONFIG)
+    one, two = Descent(whole, LATTICE), Descent(part, LATTICE)
     one.follow(EVERYWHERE)
     for step in range(6):
         two.follow(EVERYWHERE if step % 2 == 0 else low.view(-1))

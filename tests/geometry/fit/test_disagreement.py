@@ -21,8 +21,8 @@ from robir.capture.checks.uneven_exposure import exposure_offsets
 from robir.geometry import settling
 from robir.geometry.brightness import evened
 from robir.geometry.config import GeometryConfig
+from robir.geometry.ground import backdrop
 from robir.geometry.ground.backdrop import Backdrop, pixel_noise
-from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
@@ -30,8 +30,7 @@ from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, checker, disc, drum
 
-CONFIG = GroundConfig()
-COVERED = CONFIG.backdrop.noise_coverage
+COVERED = backdrop._NOISE_COVERAGE
 
 NOISE = 0.03
 """Standard deviation of the noise in the tests, display."""
@@ -165,10 +164,10 @@ def test_the_picture_of_the_ground_is_known_through_noise() -> None:
     rng = np.random.default_rng(4)
     shares = []
     for photos in (clean, [noisy(photo, rng) for photo in clean]):
-        lattice, hull = carve(hull_of(photos, 48), 48)
-        plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), CONFIG)
+        lattice, hull = carve(hull_of(photos), 48)
+        plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
         assert plane is not None
-        backdrop = Backdrop(Ground(plane, photos, lattice, hull, CONFIG), photos)
+        backdrop = Backdrop(Ground(plane, photos, lattice, hull), photos)
         # what remains of the pixels that show ground where single ones are no proof
         masks = [binary_opening(mask, np.ones((3, 3), bool)) for mask in backdrop.shown()]
         shares.append(np.mean([mask.mean() for mask in masks]))

@@ -19,13 +19,12 @@ from robir.geometry.fit import field_preview
 from robir.geometry.fit.growing import MAX_FACES, coarse, save_growing
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.stereo.config import StereoConfig
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 
 CONFIG = GeometryConfig(
     image_side=64, hull_cells=32, level_cells=(32, 48), level_steps=(60, 60), rays=512,
-    face_budget=1500, refine_poses=False, stereo=StereoConfig(image_side=0),
+    face_budget=1500, refine_poses=False, stereo_side=0,
 )  # fmt: skip
 
 CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0

@@ -15,15 +15,13 @@ from robir.capture.store import save_capture
 from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit import held_out
-from robir.geometry.fit.config import HeldOutConfig
 from robir.geometry.fit.held_out import field_view
-from robir.geometry.stereo.config import StereoConfig
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 
 CONFIG = GeometryConfig(
     image_side=64, hull_cells=32, level_cells=(32, 48), level_steps=(120, 120), rays=1024,
-    face_budget=1500, refine_poses=False, stereo=StereoConfig(image_side=0),
+    face_budget=1500, refine_poses=False, stereo_side=0,
 )  # fmt: skip
 """Without depth maps, which would end so short a fit on some processors."""
 
@@ -69,12 +67,13 @@ def test_the_stage_keeps_the_fields_own_pictures(tmp_path):
 def test_pictures_are_as_large_as_asked_and_lie_where_the_pixels_do(monkeypatch, side):
     """A field that shows each ray's own direction."""
     monkeypatch.setattr(held_out, "RAYS", 100)
+    monkeypatch.setattr(held_out, "_IMAGE_SIDE", side)
     view = capture_of(trimesh.creation.icosphere(radius=0.7), views=3, side=48).views[0]
 
     def render(origins, directions):
         return 0.5 + 0.5 * directions, torch.full((len(origins),), 0.6)
 
-    shown = field_view(view, render, "cpu", HeldOutConfig(image_side=side))
+    shown = field_view(view, render, "cpu")
     size = min(side, 48)
     assert shown.shape == (size, size, 4)
     camera = view.camera.resized(size, size)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from robir.capture.camera import Camera
-from robir.geometry.fit.config import FieldConfig, MirrorPitsConfig
+from robir.geometry.fit import mirror_pits, optimise
 from robir.geometry.fit.field import Field
 from robir.geometry.fit.mirror_pits import Mirroring, change_with_view
 from robir.geometry.lattice import Lattice
@@ -16,8 +16,7 @@ from robir.maths.vectors import fibonacci_sphere
 
 LATTICE = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.05, shape=(41, 41, 41))
 RADIUS = 0.6
-CONFIG = MirrorPitsConfig()
-SOFT = FieldConfig().soft_passes
+SOFT = optimise._SOFT_PASSES
 
 
 class Colours(torch.nn.Module):
@@ -101,14 +100,14 @@ def cameras():
 
 def test_change_is_the_mean_difference_from_the_median(cameras):
     field = Field(LATTICE, ball(), 4, SOFT)
-    change = change_with_view(field, Colours(0.2, everywhere=True), cameras, CONFIG)
+    change = change_with_view(field, Colours(0.2, everywhere=True), cameras)
     near = ball().abs() < 0.5 * LATTICE.cell
     expected = []
     for point in torch.nn.functional.normalize(LATTICE.nodes()[near], dim=1):
         views = [torch.from_numpy(c.position).float() - RADIUS * point for c in cameras]
         towards = torch.stack([view / view.norm() for view in views])
         cosine = towards @ point
-        shown = 0.2 * (2 * cosine[:, None] * point - towards)[cosine > CONFIG.least_cosine, 0]
+        shown = 0.2 * (2 * cosine[:, None] * point - towards)[cosine > mirror_pits._LEAST_COSINE, 0]
         expected.append((shown - shown.median()).abs().mean())
     # a region's mean differs from a spot's
     assert float((change[near] - torch.stack(expected)).mean().abs()) < 0.004
@@ -116,7 +115,7 @@ def test_change_is_the_mean_difference_from_the_median(cameras):
 
 def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG).filled(
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
         field, Colours(0.3)
     )
     assert depth(field.sdf, LATTICE) > 2.5
@@ -126,8 +125,8 @@ def test_a_pit_in_what_mirrors_is_filled_to_the_hull(cameras):
 
 def test_a_pit_in_paint_stays(cameras):
     field = pitted()
-    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG).filled(
-        field, Colours(0.2 * CONFIG.mirroring)
+    filled = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False)).filled(
+        field, Colours(0.2 * mirror_pits._MIRRORING)
     )
     assert torch.equal(filled, field.sdf.detach())
 
@@ -135,7 +134,7 @@ def test_a_pit_in_paint_stays(cameras):
 @pytest.mark.parametrize("is_proven", [False, True])
 def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
     field, verdict = pitted(), Verdict(is_proven)
-    mirroring = Mirroring(cameras, (LATTICE, ball()), verdict, CONFIG)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), verdict)
     filled = mirroring.filled(field, Colours(0.3, everywhere=True))
     assert verdict.asked == [pytest.approx(0.0, abs=0.75)], "of the filled surface, once"
     assert depth(filled, LATTICE) < 0.75 if is_proven else torch.equal(filled, field.sdf.detach())
@@ -146,7 +145,7 @@ def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
 @pytest.mark.parametrize(("mirrors", "prefers"), [(False, True), (True, False), (True, True)])
 def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefers):
     field = pitted()
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers), CONFIG)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers))
     filled = mirroring.filled(field, Colours(0.075, everywhere=True))
     assert (depth(filled, LATTICE) < 0.75) == (mirrors and prefers)
 
@@ -154,7 +153,7 @@ def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefe
 def test_a_finer_level_is_filled_where_the_coarse_one_mirrors(cameras):
     coarse = pitted()
     finer = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.04, shape=(51, 51, 51))
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False), CONFIG)
+    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False))
     mirroring.filled(coarse, Colours(0.3))
     field = coarse.refined(finer)
     filled = mirroring.filled(field, Colours(0.0))

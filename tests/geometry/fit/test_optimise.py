@@ -8,7 +8,6 @@ import torch
 from torch.nn.functional import normalize
 
 from robir.geometry.fit import optimise as fit
-from robir.geometry.fit.config import FieldConfig, OptimiseConfig, SamplingConfig
 from robir.geometry.fit.field import ColourNetwork
 from robir.geometry.fit.regularise import smoothed
 from robir.geometry.fit.sampling import Occupancy, march
@@ -21,7 +20,7 @@ def test_the_network_learns_what_a_mirror_shows() -> None:
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
-        network = ColourNetwork(8, FieldConfig())
+        network = ColourNetwork(8)
     features = torch.zeros(1024, 8)
     adam = Adam(list(network.parameters()), (0.9, 0.99))
     losses = []
@@ -45,12 +44,12 @@ def test_smoothing_takes_lumps_at_first_and_leaves_a_ball_as_it_is_in_the_end() 
     lumps = torch.sin(nodes[:, 0] * torch.pi / 3.0) * torch.cos(nodes[:, 1] * torch.pi / 3.0)
     field = nodes[:, 2] + lumps
     for step in range(28):
-        fit.smooth(field, lattice, step / 72, OptimiseConfig())
+        fit.smooth(field, lattice, step / 72)
     assert (field - nodes[:, 2])[inner].abs().max() < 0.1
     ball = nodes.norm(dim=1) - 5.0
     field = ball.clone()
     for step in range(50, 72):
-        fit.smooth(field, lattice, step / 72, OptimiseConfig())
+        fit.smooth(field, lattice, step / 72)
     near = ball.abs() < 0.7
     # a twentieth of the way to the end lifts it by a thirteenth of a cell
     assert (field - ball)[near].mean().abs() < 0.05
@@ -74,7 +73,7 @@ def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
     """Rays of various slants onto a plane, whose coverage is known in closed form."""
     lattice = Lattice(lower=(-1.0, -1.0, -2.0), cell=0.1, shape=(21, 21, 41))
     height = lattice.nodes()[:, 2]
-    occupancy = Occupancy.of(lattice, height, 5.0 / inv_std + lattice.cell, SamplingConfig())
+    occupancy = Occupancy.of(lattice, height, 5.0 / inv_std + lattice.cell)
     slant = torch.linspace(0.0, 0.2, 20)
     directions = normalize(torch.stack([slant, 0 * slant, slant - 1.0], dim=1), dim=1)
     origins = torch.tensor([0.0, 0.0, 3.0]).expand(20, 3).contiguous()
@@ -82,8 +81,8 @@ def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
     intervals = march(occupancy, height, inv_std, origins, directions, jitter)
     between = intervals.distance.diff()[intervals.joined > 0]
     torch.testing.assert_close(between, torch.full_like(between, 0.2 / steps), rtol=1e-3, atol=1e-5)
-    field = fit.Field(lattice, height, 8, FieldConfig().soft_passes)
+    field = fit.Field(lattice, height, 8, fit._SOFT_PASSES)
     rays = (origins, directions)
-    _, coverage = field.render(intervals, ColourNetwork(8, FieldConfig()), rays, inv_std)
+    _, coverage = field.render(intervals, ColourNetwork(8), rays, inv_std)
     # the band ends where the surface still covers a per cent
     assert (coverage > 0.97).all()

@@ -17,20 +17,18 @@ from robir.capture.capture import Capture
 from robir.capture.store import load_settled, save_capture, save_turned
 from robir.errors import StorageError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.fit import pose_trial
 from robir.geometry.fit.alignment import Alignment, image_motion_of_turns, turned
-from robir.geometry.fit.config import FitConfig
 from robir.geometry.fit.field_preview import Present, Renderer
 from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
-from robir.geometry.step_config import RaySamplerConfig
 from robir.jobs.paths import JobPaths
 from tests.geometry.mesh.test_isosurface import Silent
 from tests.geometry.scenes import ball, camera_at, capture_of
 
 SIDE = 96
-CONFIG = FitConfig()
 
 
 def painted(points: np.ndarray) -> np.ndarray:
@@ -110,7 +108,7 @@ def test_motion_of_the_image_is_that_of_finite_turns() -> None:
 
 def test_turned_cameras_are_turned_back(capture: Capture) -> None:
     wrong, turns = spoilt(capture, 0.6, seed=1)
-    alignment = Alignment(wrong.views, 0, CONFIG.alignment)
+    alignment = Alignment(wrong.views, 0)
     first = alignment.improve(exact(solid()), "cpu").mean()
     for _ in range(9):
         last = alignment.improve(exact(solid()), "cpu").mean()
@@ -120,7 +118,7 @@ def test_turned_cameras_are_turned_back(capture: Capture) -> None:
 
 
 def test_a_motion_of_the_world_is_no_turn_of_cameras(capture: Capture) -> None:
-    frame = Alignment(capture.views, 0, CONFIG.alignment)._frame
+    frame = Alignment(capture.views, 0)._frame
     push = np.array([0.02, -0.01, 0.015])
     follow = (
         np.stack(
@@ -136,7 +134,7 @@ def test_a_motion_of_the_world_is_no_turn_of_cameras(capture: Capture) -> None:
 
 
 def test_cameras_that_are_far_off_do_not_move_the_others(capture: Capture) -> None:
-    frame = Alignment(capture.views, 0, CONFIG.alignment)._frame
+    frame = Alignment(capture.views, 0)._frame
     off = np.zeros((len(capture.views), 3))
     off[:3] = 0.05
     kept = frame.shifts(frame.kept(off))
@@ -147,13 +145,13 @@ def test_cameras_that_are_far_off_do_not_move_the_others(capture: Capture) -> No
 def look_on(trial: PoseTrial, render: Renderer) -> None:
     """A fit whose field is known from the start."""
     photos = [reduce_view(view, SIDE) for view in trial.capture.train]
-    sampler = RaySampler(photos, "cpu", torch.Generator().manual_seed(0), RaySamplerConfig())
-    for step in range(0, CONFIG.pose_trial.last_step + 50, 25):
+    sampler = RaySampler(photos, "cpu", torch.Generator().manual_seed(0))
+    for step in range(0, pose_trial._LAST_STEP + 50, 25):
         trial.look(step, render, sampler)
 
 
 def test_exact_cameras_stay_as_they_are(capture: Capture) -> None:
-    trial = PoseTrial(capture, 0, "cpu", CONFIG)
+    trial = PoseTrial(capture, 0, "cpu")
     look_on(trial, exact(solid()))
     assert trial.capture is capture
     assert not trial.turns.any()
@@ -161,7 +159,7 @@ def test_exact_cameras_stay_as_they_are(capture: Capture) -> None:
 
 def test_wrong_cameras_are_turned_and_kept_if_the_next_fit_is_better(capture: Capture) -> None:
     wrong, _ = spoilt(capture, 0.6, seed=2)
-    trial = PoseTrial(wrong, 0, "cpu", CONFIG)
+    trial = PoseTrial(wrong, 0, "cpu")
     with pytest.raises(CamerasChangedError):
         look_on(trial, exact(solid()))
     look_on(trial, exact(solid()))
@@ -173,7 +171,7 @@ def test_wrong_cameras_are_turned_and_kept_if_the_next_fit_is_better(capture: Ca
 
 def test_cameras_are_given_up_if_the_next_fit_is_no_better(capture: Capture) -> None:
     wrong, _ = spoilt(capture, 0.6, seed=2)
-    trial = PoseTrial(wrong, 0, "cpu", CONFIG)
+    trial = PoseTrial(wrong, 0, "cpu")
     with pytest.raises(CamerasChangedError):
         look_on(trial, exact(solid()))
 
@@ -196,7 +194,7 @@ def test_a_fit_turns_cameras_back(capture: Capture, degrees: float) -> None:
     config = GeometryConfig(  # what other surfaces would do after the fit is not asked here
         level_cells=(40,), level_steps=(300,), rays=1024, face_budget=800, without=("rivals",)
     )
-    trial = PoseTrial(wrong, 0, "cpu", CONFIG)
+    trial = PoseTrial(wrong, 0, "cpu")
     steps = config.level_steps[0]
 
     def watch(share: float, present: Present, sampler: RaySampler) -> None:
@@ -211,21 +209,21 @@ def test_a_fit_turns_cameras_back(capture: Capture, degrees: float) -> None:
         untried = reconstruct(wrong, config, 0, "cpu", Silent()).mesh
         np.testing.assert_array_equal(mesh.vertices, untried.vertices)
         return
-    for _ in range(CONFIG.pose_trial.most_rounds + 1):
+    for _ in range(pose_trial._MOST_ROUNDS + 1):
         with contextlib.suppress(CamerasChangedError):
             fitted()
             break
-    alignment = Alignment(capture.views, 0, CONFIG.alignment)
+    alignment = Alignment(capture.views, 0)
     assert apart(alignment, turns) > 1.0
     assert apart(alignment, turns + trial.turns) < 0.3
 
 
 def test_short_fits_try_no_cameras(capture: Capture) -> None:
     wrong, _ = spoilt(capture, 0.6, seed=2)
-    trial = PoseTrial(wrong, 0, "cpu", CONFIG)
+    trial = PoseTrial(wrong, 0, "cpu")
     photos = [reduce_view(view, SIDE) for view in wrong.train]
-    sampler = RaySampler(photos, "cpu", torch.Generator(), RaySamplerConfig())
-    trial.look(CONFIG.pose_trial.trial_step - 1, exact(solid()), sampler)
+    sampler = RaySampler(photos, "cpu", torch.Generator())
+    trial.look(pose_trial._TRIAL_STEP - 1, exact(solid()), sampler)
     assert trial.capture is wrong
 
 

@@ -19,8 +19,8 @@ from robir.capture.mesh_file import Given
 from robir.capture.store import load_bounds, load_settled, save_capture, save_frame
 from robir.errors import CaptureError, StorageError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given import aligning
 from robir.geometry.given.aligning import Aligned, aligned
-from robir.geometry.given.config import VerdictConfig
 from robir.geometry.given.surface import hand_in
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.similarity import AS_IT_IS, Similarity
@@ -114,7 +114,7 @@ def test_a_mirrored_mesh_is_refused(capture, tmp_path):
 def test_another_object_is_refused_and_the_figure_told(capture, tmp_path):
     with pytest.raises(CaptureError, match="cannot be brought to the mesh") as refusal:
         bring(capture, trimesh.creation.torus(0.8, 0.2), known(0), tmp_path)
-    assert f"of {VerdictConfig().aligns:.0%} that it takes" in str(refusal.value)
+    assert f"of {aligning._ALIGNS:.0%} that it takes" in str(refusal.value)
     assert (tmp_path / "fit.png").exists()
 
 

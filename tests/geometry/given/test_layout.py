@@ -13,7 +13,6 @@ from geometry.given.test_surface import Quiet
 
 from robir.capture.mesh_file import Detail, Given
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.config import LayoutConfig
 from robir.geometry.given.layout import Layout, own_layout
 from robir.geometry.given.ready import FLAT, made_ready
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -62,7 +61,7 @@ def own_of(given: Given, found: Layout) -> np.ndarray:
     ],
 )
 def test_tiles_are_kept_border_to_border(one, numbers):
-    found = own_layout(one, LayoutConfig())
+    found = own_layout(one)
     assert isinstance(found, Layout), found
     assert found.tiles.tolist() == numbers
     assert own_of(one, found) == pytest.approx(one.uvs[one.faces], abs=1e-5)
@@ -86,7 +85,7 @@ def test_tiles_are_kept_border_to_border(one, numbers):
     ],
 )
 def test_what_is_no_layout_is_said(one, reason):
-    found = own_layout(one, LayoutConfig())
+    found = own_layout(one)
     assert isinstance(found, str)
     assert re.search(reason, found), found
 
@@ -94,7 +93,7 @@ def test_what_is_no_layout_is_said(one, reason):
 @pytest.mark.parametrize("corner", [(1, 0), (4, 7), (-1, 0), (25, -3)])
 def test_what_lies_in_one_other_square_is_shifted_and_told(corner):
     one = squares(corner)
-    found = own_layout(one, LayoutConfig())
+    found = own_layout(one)
     assert isinstance(found, Layout), found
     assert not len(found.tiles)
     assert found.uvs[found.uv_faces] == pytest.approx(squares((0, 0)).uvs[one.faces])
@@ -112,7 +111,7 @@ def test_faces_without_an_area_open_no_tile_of_their_own():
         faces=np.concatenate([one.faces, count + np.arange(9, dtype=np.int32).reshape(3, 3)]),
         uvs=np.concatenate([one.uvs, lines.reshape(-1, 2)]),
     )
-    found = own_layout(with_lines, LayoutConfig())
+    found = own_layout(with_lines)
     assert isinstance(found, Layout), found
     assert found.tiles.tolist() == [1001, 1003]
     # a border is left by a few millionths of a tile, so that rounding cannot cross it
@@ -123,11 +122,11 @@ def test_faces_without_an_area_open_no_tile_of_their_own():
 def test_rounding_beyond_a_border_is_taken_back():
     one = squares((0, 0), (1, 0))
     astray = replace(one, uvs=one.uvs + np.array([0.0005, -0.0005]))
-    found = own_layout(astray, LayoutConfig())
+    found = own_layout(astray)
     assert isinstance(found, Layout), found
     assert found.tiles.tolist() == [1001, 1002]
     farther = replace(one, uvs=one.uvs + np.array([0.0015, 0]))
-    assert isinstance(own_layout(farther, LayoutConfig()), str)
+    assert isinstance(own_layout(farther), str)
 
 
 def tiled_ball() -> Given:

@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from robir.geometry.given.config import NoiseConfig
 from robir.geometry.given.noise import vertex_noise, without_noise
-from robir.geometry.mesh.config import SimplifyConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.smoothing import face_geometry
 
 NOISE = 0.003
-CONFIG = NoiseConfig()
 
 
 def sphere(level: int = 5) -> trimesh.Trimesh:
@@ -52,9 +49,7 @@ def angles(one: np.ndarray, two: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("solid", [sphere(4), sphere(5), cube(4), cube(5)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_is_measured(solid, seed):
-    assert vertex_noise(noisy(solid, seed), arrays(solid)[1], CONFIG) == pytest.approx(
-        NOISE, rel=0.2
-    )
+    assert vertex_noise(noisy(solid, seed), arrays(solid)[1]) == pytest.approx(NOISE, rel=0.2)
 
 
 @pytest.mark.parametrize(("made", "left"), [(sphere, 0.3), (cube, 0.3)])
@@ -63,7 +58,7 @@ def test_faces_turn_back_to_the_true_normals(made, left):
     solid = made()
     faces = arrays(solid)[1]
     before = noisy(solid)
-    after, _ = without_noise(before, faces, CONFIG)
+    after, _ = without_noise(before, faces)
     true = true_normals(solid, face_geometry(arrays(solid)[0], faces)[2])
     was, now = (angles(face_geometry(x, faces)[0], true) for x in (before, after))
     assert was.mean() > 8
@@ -74,8 +69,8 @@ def test_faces_turn_back_to_the_true_normals(made, left):
 
 def test_edges_of_a_cube_stay_sharp():
     solid = cube()
-    after, _ = without_noise(noisy(solid), arrays(solid)[1], CONFIG)
-    mesh = with_creases(plain_mesh(after, arrays(solid)[1]), SimplifyConfig())
+    after, _ = without_noise(noisy(solid), arrays(solid)[1])
+    mesh = with_creases(plain_mesh(after, arrays(solid)[1]))
     centres = solid.triangles_center
     true = true_normals(solid, centres)
     near = np.sort(np.abs(centres), axis=1)[:, 1] > 0.53  # faces along an edge
@@ -97,7 +92,7 @@ def test_edges_of_a_cube_stay_sharp():
 )
 def test_a_mesh_without_noise_is_left_alone(solid):
     vertices, faces = arrays(solid)
-    after, noise = without_noise(vertices, faces, CONFIG)
+    after, noise = without_noise(vertices, faces)
     assert noise == 0.0
     assert after is vertices
 
@@ -115,9 +110,9 @@ def wavy() -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("faces", [20480, 5000, 2000, 800, 400])
 def test_what_decimation_leaves_is_no_noise(faces):
-    mesh = decimate(plain_mesh(*arrays(wavy())), faces, SimplifyConfig())
+    mesh = decimate(plain_mesh(*arrays(wavy())), faces)
     vertices = mesh.vertices.astype(np.float64)
-    after, noise = without_noise(vertices, mesh.faces, CONFIG)
+    after, noise = without_noise(vertices, mesh.faces)
     assert noise == 0.0
     assert after is vertices
 
@@ -126,7 +121,7 @@ def test_faces_without_an_area_and_lonely_vertices_do_no_harm():
     solid = sphere(4)
     vertices = np.concatenate([noisy(solid), [[9.0, 9.0, 9.0]]])
     faces = np.concatenate([arrays(solid)[1], [[0, 0, 1], [5, 5, 5]]]).astype(np.int32)
-    after, noise = without_noise(vertices, faces, CONFIG)
+    after, noise = without_noise(vertices, faces)
     assert noise == pytest.approx(NOISE, rel=0.2)
     assert np.isfinite(after).all()
     assert after[-1] == pytest.approx(vertices[-1])

@@ -13,7 +13,6 @@ from geometry.scenes import ball, capture_of
 
 from robir.capture.capture import Capture, Finding, View
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.config import OccludersConfig
 from robir.geometry.given.occluders import cleared
 from robir.geometry.given.surface import hand_in
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -47,7 +46,7 @@ def test_a_hand_is_left_out_where_it_is_and_nothing_else(capture):
     views, truth = list(capture.views), {}
     for number, place in PLACES.items():
         views[number], truth[number] = hand(views[number], place)
-    found = cleared(mesh_of(statue()), views, OccludersConfig())
+    found = cleared(mesh_of(statue()), views)
     assert set(found.pixels) == {views[number].name for number in PLACES}
     shares = []
     for number, (before, after) in enumerate(zip(views, found.views, strict=True)):
@@ -67,7 +66,7 @@ def test_a_hand_is_left_out_where_it_is_and_nothing_else(capture):
 
 
 def test_photographs_of_the_object_alone_stay_whole(capture):
-    found = cleared(mesh_of(statue()), capture.views, OccludersConfig())
+    found = cleared(mesh_of(statue()), capture.views)
     assert not found.pixels
     assert found.notes() == ()
     assert all(a is b for a, b in zip(found.views, capture.views, strict=True))
@@ -77,7 +76,7 @@ def test_an_exposure_of_its_own_is_nothing_in_front(capture):
     views = list(capture.views)
     darker = np.clip(views[4].image_display * 0.6, 0, 255).astype(np.uint8)
     views[4] = replace(views[4], image_display=darker)
-    assert not cleared(mesh_of(statue()), views, OccludersConfig()).pixels
+    assert not cleared(mesh_of(statue()), views).pixels
 
 
 def test_a_hand_before_a_photograph_with_an_exposure_of_its_own(capture):
@@ -85,7 +84,7 @@ def test_a_hand_before_a_photograph_with_an_exposure_of_its_own(capture):
     covered, truth = hand(views[3], (64, 60))
     darker = np.clip(covered.image_display * 0.7, 0, 255).astype(np.uint8)
     views[3] = replace(covered, image_display=darker)
-    found = cleared(mesh_of(statue()), views, OccludersConfig())
+    found = cleared(mesh_of(statue()), views)
     assert set(found.pixels) == {views[3].name}
     gone = (views[3].mask > 127) & (found.views[3].mask <= 127)
     assert (gone & truth).sum() > 0.8 * truth.sum()
@@ -115,7 +114,7 @@ def test_a_window_that_polish_mirrors_is_no_thing_in_front():
         views.append(replace(view, image_display=image))
     assert 0.1 < np.mean(np.array(shares) > 0.02) < 0.4
     assert max(shares) > 0.08
-    assert not cleared(mesh_of(solid), views, OccludersConfig()).pixels
+    assert not cleared(mesh_of(solid), views).pixels
 
 
 @pytest.mark.parametrize("base", [(150, 40, 30), (60, 60, 60)])
@@ -137,7 +136,7 @@ def test_a_highlight_that_wanders_is_no_thing_in_front(base):
         image = np.clip(view.image_display + shine, 0, 255).astype(np.uint8)
         views.append(replace(view, image_display=image))
     assert largest > 0.02
-    assert not cleared(mesh_of(ball(radius, (0, 0, 0))), views, OccludersConfig()).pixels
+    assert not cleared(mesh_of(ball(radius, (0, 0, 0))), views).pixels
 
 
 def test_a_photograph_that_is_another_as_a_whole_is_not_cut(capture):
@@ -147,13 +146,13 @@ def test_a_photograph_that_is_another_as_a_whole_is_not_cut(capture):
         views[2], image_display=np.ascontiguousarray(views[2].image_display[..., ::-1])
     )
     views[2] = turned
-    assert views[2].name not in cleared(mesh_of(statue()), views, OccludersConfig()).pixels
+    assert views[2].name not in cleared(mesh_of(statue()), views).pixels
 
 
 def test_few_photographs_tell_nothing(capture):
     views = list(capture.views[:6])
     views[3], _ = hand(views[3], PLACES[3])
-    assert not cleared(mesh_of(statue()), views, OccludersConfig()).pixels
+    assert not cleared(mesh_of(statue()), views).pixels
 
 
 @pytest.mark.parametrize("code", ["guessed-masks", "given"])

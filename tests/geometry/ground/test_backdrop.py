@@ -8,8 +8,8 @@ import pytest
 import torch
 import trimesh
 
+from robir.geometry.ground import backdrop
 from robir.geometry.ground.backdrop import Backdrop, common_colour, ground_palette, hues_held
-from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.pixel_rays import pixels_of
 from robir.geometry.ground.plane import detect
@@ -18,8 +18,7 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo, reduce_view
 from tests.geometry.scenes import camera_at, capture_of, checker, disc
 
-CONFIG = GroundConfig()
-BINS = CONFIG.backdrop.bins
+BINS = backdrop._BINS
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -43,10 +42,10 @@ def started(solid: trimesh.Trimesh, **options: object) -> tuple[Lattice, np.ndar
     """Lattice, its nodes and the values with and without the room in front of the ground."""
     capture = capture_of(solid, views=32, side=96, **options)  # type: ignore[arg-type]
     photos: list[Photo] = [reduce_view(view, 96) for view in capture.views]
-    lattice, hull = carve(hull_of(photos, 48), 48)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), CONFIG)
+    lattice, hull = carve(hull_of(photos), 48)
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     assert plane is not None
-    ground = Ground(plane, photos, lattice, hull, CONFIG)
+    ground = Ground(plane, photos, lattice, hull)
     backdrop = Backdrop(ground, photos)
     flat = ground.flatten(lattice, hull, ground.start & ~backdrop.foreign)
     return lattice, flat.numpy(), backdrop.clear(lattice, flat).numpy()
@@ -101,14 +100,14 @@ def test_shade_keeps_the_hue_of_the_ground() -> None:
     brown, shaded = np.array([0.37, 0.25, 0.22]), 0.5 * ground[-1]
     asked = np.stack([ground[-1], shaded, 1.02 * brown, 0.4 * brown, [0.3, 0.3, 0.5]])
     # the dark has the hue of what stands about
-    assert hues_held(asked, ground, CONFIG).tolist() == [True, True, False, True, False]
+    assert hues_held(asked, ground).tolist() == [True, True, False, True, False]
     ground[:200] = brown
-    assert hues_held(asked, ground, CONFIG)[2], "a second colour of the ground"
-    assert not hues_held(asked, ground[:0], CONFIG).any()
+    assert hues_held(asked, ground)[2], "a second colour of the ground"
+    assert not hues_held(asked, ground[:0]).any()
 
 
 def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:
-    palette = ground_palette(np.tile([0.8, 0.6, 0.4], (100, 1)), CONFIG.backdrop)
+    palette = ground_palette(np.tile([0.8, 0.6, 0.4], (100, 1)))
 
     def holds(*colour: float) -> bool:
         return bool(palette[tuple(int(c * BINS) for c in colour)])
@@ -124,7 +123,7 @@ def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:
     colours[:6, 0] = np.array([0.5, 0.4, 0.3]) + rng.normal(0.0, 0.01, (6, 3))
     colours[10:, 1] = np.nan
     colours[:10, 1] = np.linspace(0.0, 0.9, 10)[:, None]
-    found = common_colour(colours, palette, CONFIG)
+    found = common_colour(colours, palette)
     assert found[0] == pytest.approx([0.5, 0.4, 0.3], abs=0.03)
     assert np.isnan(found[1]).all()
 

@@ -11,16 +11,15 @@ import pytest
 import torch
 import trimesh
 
-from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import Field
+from robir.geometry.ground import flatten
 from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.config import FlattenConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.lattice import Sampled
 from robir.geometry.settling import LEVEL, Level
 from tests.geometry.scenes import disc, drum, ground_of
 
-HIGHEST = FlattenConfig().highest
+HIGHEST = flatten._HIGHEST
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -142,7 +141,6 @@ def test_bumpy_ground_is_made_flat_where_that_is_judged_better(monkeypatch, is_b
     monkeypatch.setattr(Ground, "settled", lambda self, top, known: self.joined(self.start & False))
     judge = Mock(is_better=Mock(return_value=is_better))
     state = Level(
-        config=GeometryConfig(),
         field=Field(lattice, torch.from_numpy(surface).float(), 1),
         network=Mock(),
         sampler=Mock(),

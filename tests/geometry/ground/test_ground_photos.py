@@ -19,12 +19,15 @@ from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import ball, capture_of, disc, drum
 
 
-def test_of_many_fine_photographs_a_few_coarse_ones_tell_the_ground() -> None:
+def test_of_many_fine_photographs_a_few_coarse_ones_tell_the_ground(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     capture = capture_of(ball(0.4, (0.0, 0.0, 0.0)), views=20, side=240)
-    config = GeometryConfig(image_side=240, hull_views=12)
+    monkeypatch.setattr(settling, "HULL_VIEWS", 12)
+    config = GeometryConfig(image_side=240)
     photos = ground_photos(capture, config)
     assert len(photos) == 12
-    assert {max(photo.coverage.shape) for photo in photos} == {config.ground.image_side}
+    assert {max(photo.coverage.shape) for photo in photos} == {settling._IMAGE_SIDE}
     eyes = np.stack([photo.camera.position for photo in photos])
     middle = np.stack([view.camera.position for view in capture.train]).mean(0)
     assert np.linalg.norm(eyes.mean(0) - middle) < 0.5  # from all around
@@ -50,8 +53,9 @@ def test_the_stage_tells_the_ground_by_them(monkeypatch: pytest.MonkeyPatch) -> 
             super().__init__(ground, photos)
 
     monkeypatch.setattr(settling, "Backdrop", Recorded)
+    monkeypatch.setattr(settling, "HULL_VIEWS", 16)
     config = GeometryConfig(
-        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, hull_views=16,
+        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800,
         without=("rivals",),
     )  # fmt: skip
     scene = trimesh.util.concatenate([disc(), drum(0.3, -0.3, -0.1)])

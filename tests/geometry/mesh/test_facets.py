@@ -8,7 +8,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from robir.geometry.lattice import Lattice
-from robir.geometry.mesh.config import FacetsConfig
 from robir.geometry.mesh.facets import find_facets, flattened
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.smoothing import face_geometry, taubin
@@ -17,7 +16,6 @@ from robir.geometry.mesh.triangles import Mesh
 TURN = torch.tensor(Rotation.from_euler("xyz", [0.3, 0.5, 0.2]).as_matrix()).float()
 LATTICE = Lattice.around(np.full(3, -0.75), np.full(3, 0.75), 64)
 POINTS = LATTICE.nodes() @ TURN
-CONFIG = FacetsConfig()
 
 
 def noisy(sdf: torch.Tensor, cells: float) -> Mesh:
@@ -42,13 +40,13 @@ def slant(mesh: Mesh) -> float:
 def test_a_noisy_box_becomes_flat_and_sharp() -> None:
     half = [0.5, 0.3, 0.4]
     mesh = noisy(box(half), 0.15)
-    facets = find_facets(mesh, LATTICE.cell, CONFIG)
+    facets = find_facets(mesh, LATTICE.cell)
     assert len(facets) == 6
     for facet in facets:
         axis = np.abs(facet.normal @ TURN.numpy())
         assert axis.max() > np.cos(np.radians(0.5))
         assert abs(facet.offset - half[int(axis.argmax())]) < 0.1 * LATTICE.cell
-    flat = flattened(mesh, LATTICE.cell, CONFIG)
+    flat = flattened(mesh, LATTICE.cell)
     assert slant(mesh) > 6.0
     assert slant(flat) < 2.0
     reach = np.abs(flat.vertices @ TURN.numpy()).max(axis=0)
@@ -61,10 +59,10 @@ def test_a_noisy_box_becomes_flat_and_sharp() -> None:
 def test_curved_surfaces_have_no_facets_but_their_flat_ends() -> None:
     ball = POINTS.norm(dim=1) - 0.6
     for cells in (0.0, 0.15):
-        assert find_facets(noisy(ball, cells), LATTICE.cell, CONFIG) == []
+        assert find_facets(noisy(ball, cells), LATTICE.cell) == []
     radial = POINTS[:, :2].norm(dim=1) - 0.4
     drum = noisy(torch.maximum(radial, POINTS[:, 2].abs() - 0.5), 0.1)
-    ends = find_facets(drum, LATTICE.cell, CONFIG)
+    ends = find_facets(drum, LATTICE.cell)
     assert len(ends) == 2
     for facet in ends:
         assert abs(facet.normal @ TURN.numpy()[:, 2]) > np.cos(np.radians(1.0))
@@ -77,4 +75,4 @@ def test_a_shallow_dome_is_not_a_facet() -> None:
     side = POINTS[:, :2].norm(dim=1) - 20.0 * LATTICE.cell
     mesh = noisy(torch.maximum(torch.maximum(dome, side), -0.4 - POINTS[:, 2]), 0.0)
     up = TURN.numpy()[:, 2]
-    assert not any(facet.normal @ up > 0.9 for facet in find_facets(mesh, LATTICE.cell, CONFIG))
+    assert not any(facet.normal @ up > 0.9 for facet in find_facets(mesh, LATTICE.cell))

@@ -13,21 +13,16 @@ from scipy.ndimage import binary_erosion
 
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.config import SamplingConfig
 from robir.geometry.fit.sampling import Occupancy, march
-from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
-from robir.geometry.mesh.config import SimplifyConfig
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.refine.config import RefineConfig
 from robir.geometry.stage import reconstruct
-from robir.geometry.step_config import RaySamplerConfig
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
 
@@ -58,7 +53,7 @@ def photos_of(solid: trimesh.Trimesh, **options: float) -> list[Photo]:
 
 
 def carved(photos: list[Photo]) -> tuple[Lattice, torch.Tensor]:
-    return carve(hull_of(photos, 48), 48)
+    return carve(hull_of(photos), 48)
 
 
 def test_interpolation_reproduces_linear_functions_and_its_gradient() -> None:
@@ -132,7 +127,7 @@ def test_extraction_of_a_sphere_is_closed_outward_and_exact() -> None:
 def test_march_finds_the_sphere_where_it_is() -> None:
     lattice, sdf = sphere_lattice()
     inv_std = 100.0
-    occupancy = Occupancy.of(lattice, sdf, 5.0 / inv_std + lattice.cell, SamplingConfig())
+    occupancy = Occupancy.of(lattice, sdf, 5.0 / inv_std + lattice.cell)
     offset = torch.tensor([[0.0, 0.0], [0.2, 0.1], [0.3, -0.3], [0.6, 0.3]])
     origins = torch.cat([torch.full((4, 1), -3.0), offset], dim=1)
     directions = torch.tensor([[1.0, 0.0, 0.0]]).expand(4, 3)
@@ -167,7 +162,7 @@ def test_decimation_spends_its_triangles_on_the_ball_and_not_on_the_flat_ground(
     rim = torch.hypot(nodes[:, 0], nodes[:, 1]) - 0.75
     middle = torch.tensor([0.0, 0.0, 0.1])
     sdf = torch.minimum((nodes - middle).norm(dim=1) - 0.32, torch.maximum(slab, rim))
-    mesh = decimate(extract(lattice, sdf), 1200, SimplifyConfig())
+    mesh = decimate(extract(lattice, sdf), 1200)
     assert 1150 < len(mesh.faces) <= 1200
     centres = mesh.vertices[mesh.faces].mean(axis=1)
     above = centres[centres[:, 2] > -0.1]
@@ -179,11 +174,11 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
     solid = trimesh.util.concatenate([disc(), ball(0.25, (0.1, 0.0, -0.05))])
     photos = photos_of(solid)
     lattice, hull = carved(photos)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), GroundConfig())
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     assert plane is not None
     assert plane.axes[2] @ [0.0, 0.0, 1.0] > 0.999
     assert plane.origin[2] == pytest.approx(-0.3, abs=0.015)
-    ground = Ground(plane, photos, lattice, hull, GroundConfig())
+    ground = Ground(plane, photos, lattice, hull)
     before = ground.columns.tops(lattice, hull, 0.6)[ground.start]
     after = ground.columns.tops(lattice, ground.flatten(lattice, hull, ground.start), 0.6)
     # a quarter of the columns at least are known to be ground from the masks and colours alone
@@ -205,11 +200,11 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
 def test_objects_without_ground_are_not_flattened(solid: trimesh.Trimesh) -> None:
     photos = photos_of(solid)
     lattice, hull = carved(photos)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0), GroundConfig())
+    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     if plane is None:
         return
     # a box may be found to stand on its own base, but nothing that stands may be cut off
-    ground = Ground(plane, photos, lattice, hull, GroundConfig())
+    ground = Ground(plane, photos, lattice, hull)
     changed = ground.flatten(lattice, hull, ground.start)
     lost = ((hull < -lattice.cell) & (changed > 0)).sum() / (hull < 0).sum()
     assert lost < 0.01
@@ -219,7 +214,7 @@ def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
     view = capture_of(ball(0.4, (0.2, 0.1, 0.0)), views=1, side=150).views[0]
     photo = reduce_view(view, 64)
     assert max(photo.coverage.shape) <= 64
-    sampler = RaySampler([photo], "cpu", torch.Generator().manual_seed(0), RaySamplerConfig())
+    sampler = RaySampler([photo], "cpu", torch.Generator().manual_seed(0))
     origins, directions, target = sampler.draw(1500)
     offset = torch.tensor([0.2, 0.1, 0.0]) - origins
     along = (offset * directions).sum(1, keepdim=True)
@@ -229,11 +224,11 @@ def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
 
 
 @pytest.mark.slow
-def test_small_fit_is_accurate_and_repeats_exactly() -> None:
+def test_small_fit_is_accurate_and_repeats_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 3000)
     capture = capture_of(ball(0.5, (0.0, 0.0, 0.0)), low=-1.0)
     config = GeometryConfig(
-        level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800,
-        refine=RefineConfig(image_sides=(64,), most_vertices=3000),
+        level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800, refine_sides=(64,),
     )  # fmt: skip
     surface = reconstruct(capture, config, 3, "cpu", Silent())
     first, metrics = surface.mesh, surface.metrics

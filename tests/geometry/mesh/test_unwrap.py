@@ -11,12 +11,9 @@ import trimesh
 
 from robir.errors import StorageError
 from robir.geometry.mesh import unwrap
-from robir.geometry.mesh.config import MeshConfig, UnwrapConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.simplify import with_creases
 from robir.geometry.mesh.triangles import Mesh
-
-CONFIG = MeshConfig()
 
 
 def ball(subdivisions: int = 3) -> Mesh:
@@ -25,7 +22,7 @@ def ball(subdivisions: int = 3) -> Mesh:
 
 
 def test_rasterised_texels_lie_where_their_barycentric_coordinates_say() -> None:
-    mesh = unwrap.unwrap(ball(), 60.0, pytest.fail, CONFIG)
+    mesh = unwrap.unwrap(ball(), 60.0, pytest.fail)
     size = 128
     faces, share = unwrap.rasterise_atlas(mesh, size)
     row, column = np.nonzero(faces >= 0)
@@ -40,7 +37,7 @@ def test_rasterised_texels_lie_where_their_barycentric_coordinates_say() -> None
 
 
 def test_rasteriser_finds_the_texels_a_brute_force_search_finds() -> None:
-    mesh = unwrap.unwrap(ball(1), 60.0, pytest.fail, CONFIG)
+    mesh = unwrap.unwrap(ball(1), 60.0, pytest.fail)
     size = 24
     faces, _ = unwrap.rasterise_atlas(mesh, size)
     centres = (np.arange(size) + 0.5) / size
@@ -75,9 +72,9 @@ def test_texture_coordinates_that_fill_no_texel_are_refused() -> None:
 def test_timeout_decimates_and_at_last_gives_each_triangle_its_own_chart(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(unwrap, "_in_child", lambda mesh, seconds, config: None)
+    monkeypatch.setattr(unwrap, "_in_child", lambda mesh, seconds: None)
     said: list[str] = []
-    mesh = unwrap.unwrap(ball(), 1.0, said.append, CONFIG)
+    mesh = unwrap.unwrap(ball(), 1.0, said.append)
     assert mesh.is_unwrapped
     assert len(mesh.faces) <= 1280 // 4 + 4
     assert len(said) == 3 and "every triangle" in said[-1]
@@ -86,17 +83,17 @@ def test_timeout_decimates_and_at_last_gives_each_triangle_its_own_chart(
 
 
 def test_a_child_that_takes_too_long_is_stopped() -> None:
-    assert unwrap._in_child(ball(), 0.01, CONFIG) is None
+    assert unwrap._in_child(ball(), 0.01) is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no processor time")
-def test_a_child_is_stopped_by_its_processor_time() -> None:
-    patient = MeshConfig(unwrap=UnwrapConfig(clock_factor=1000))
-    assert unwrap._in_child(ball(6), 0.5, patient) is None
+def test_a_child_is_stopped_by_its_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unwrap, "_CLOCK_FACTOR", 1000)
+    assert unwrap._in_child(ball(6), 0.5) is None
 
 
 def test_triangle_charts_do_not_overlap() -> None:
-    uvs, indices = unwrap.triangle_charts(37, CONFIG.charts)
+    uvs, indices = unwrap.triangle_charts(37)
     corners = uvs[indices]
     assert corners.min() >= 0 and corners.max() <= 1
     area = 0.5 * np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
@@ -114,11 +111,9 @@ def test_triangle_charts_do_not_overlap() -> None:
 
 def test_creases_split_a_box_into_its_sides_and_leave_a_ball_whole() -> None:
     box = trimesh.creation.box()
-    split = with_creases(
-        plain_mesh(np.asarray(box.vertices), np.asarray(box.faces)), CONFIG.simplify
-    )
+    split = with_creases(plain_mesh(np.asarray(box.vertices), np.asarray(box.faces)))
     assert len(split.vertices) == 24
     np.testing.assert_allclose(np.abs(split.normals).max(axis=1), 1.0, atol=1e-6)
-    whole = with_creases(ball(), CONFIG.simplify)
+    whole = with_creases(ball())
     assert len(whole.vertices) == len(ball().vertices)
     np.testing.assert_allclose(whole.normals, whole.vertices, atol=0.02)

@@ -28,11 +28,25 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
-from robir.geometry.fit.config import AlignmentConfig
 from robir.geometry.fit.field_preview import RAYS, Renderer
 from robir.geometry.rays import Photo, reduce_view
 
 Array = NDArray[np.float64]
+
+
+# longer side of the photographs that are compared (pixels); a coarse field shows no more
+_IMAGE_SIDE = 200
+_PIXELS = 600  # pixels of a photograph that are compared, drawn where it changes most
+_BLUR = 0.7  # standard deviation of the filter under which a photograph's slopes are taken (pixels)
+_BORDER = 2  # left out along a picture's border (pixels)
+# difference from the rendering, in multiples of the photograph's median, at which a pixel counts
+# half: what the field does not show yet must not turn the camera
+_TOLERANCE = 3.0
+# standard deviation that is expected of a given camera about each of its axes; it only holds what
+# the photograph does not tell, as the roll about a plain ball (degrees)
+_PRIOR = 1.0
+# rounds of reweighting by which the motion of the world is found without the worst cameras
+_FRAME_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,20 +72,16 @@ class Alignment:
     Args:
         views: Photographs, unit frame.
         seed: Of the choice of pixels.
-        config: What is compared, and how.
 
     Attributes:
         turns: (V, 3) rotation vectors in each camera's own axes, radians.
     """
 
-    def __init__(self, views: Sequence[View], seed: int, config: AlignmentConfig) -> None:
+    def __init__(self, views: Sequence[View], seed: int) -> None:
         rng = np.random.default_rng(seed)
-        self._config = config
-        self._samples = [
-            _sample(reduce_view(view, config.image_side), rng, config) for view in views
-        ]
+        self._samples = [_sample(reduce_view(view, _IMAGE_SIDE), rng) for view in views]
         self.turns: Array = np.zeros((len(views), 3))
-        self._frame = _Frame([sample.camera for sample in self._samples], config.frame_rounds)
+        self._frame = _Frame([sample.camera for sample in self._samples], _FRAME_ROUNDS)
 
     @property
     def cameras(self) -> list[Camera]:
@@ -95,14 +105,14 @@ class Alignment:
             values.
         """
         shown = self._rendered(render, device)
-        prior = np.radians(self._config.prior)
+        prior = np.radians(_PRIOR)
         steps, misfits = np.zeros_like(self.turns), np.zeros(len(shown))
         for number, (sample, rendered) in enumerate(zip(self._samples, shown, strict=True)):
             residual = rendered - sample.wanted
             size = np.sqrt((residual**2).sum(1))
             misfits[number] = np.median(size)
             # Cauchy's weights: what the field does not show yet must not turn the camera
-            scale = self._config.tolerance * misfits[number] + 2e-3
+            scale = _TOLERANCE * misfits[number] + 2e-3
             weight = 1.0 / (1.0 + (size / scale) ** 2)
             motion = np.einsum(
                 "pcx,pxw->pcw", sample.slope, image_motion_of_turns(sample.camera, sample.pixels)
@@ -173,17 +183,17 @@ def _turning(camera: Camera, local: Array) -> Array:
     return image_motion(camera, local, motion)
 
 
-def _sample(photo: Photo, rng: np.random.Generator, config: AlignmentConfig) -> _Sample:
+def _sample(photo: Photo, rng: np.random.Generator) -> _Sample:
     """Pixels of a photograph, drawn in proportion to its slope there."""
     layers = np.dstack([photo.premultiplied_display, photo.coverage]).astype(np.float64)
-    soft = gaussian_filter(layers, (config.blur, config.blur, 0.0))
+    soft = gaussian_filter(layers, (_BLUR, _BLUR, 0.0))
     down, right = np.gradient(soft, axis=(0, 1))
     steep = np.sqrt((down**2 + right**2).sum(2))
     inner = np.zeros(steep.shape, bool)
-    within = slice(config.border, -config.border)
+    within = slice(_BORDER, -_BORDER)
     inner[within, within] = True
     steep = np.where(inner, steep, 0.0).ravel()
-    count = min(config.pixels, int((steep > 0.0).sum()))
+    count = min(_PIXELS, int((steep > 0.0).sum()))
     chosen = rng.choice(len(steep), count, replace=False, p=steep / steep.sum())
     row, column = np.unravel_index(chosen, inner.shape)
     return _Sample(

@@ -9,15 +9,17 @@ import torch
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from robir.geometry.fit.config import CleanConfig
 from robir.geometry.fit.field import Field
 from robir.geometry.lattice import taken
 from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import RaySampler
 
+_BATCHES = 40  # batches of 2048 rays that are searched for missing parts
+_LEAST_SHARE = 0.02  # pieces with less than this share of the largest piece's area are removed
 
-def largest_pieces(mesh: Mesh, config: CleanConfig) -> Mesh:
+
+def largest_pieces(mesh: Mesh) -> Mesh:
     """Keep the pieces that are not small against the largest one."""
     faces = mesh.faces
     graph = scipy.sparse.coo_matrix(
@@ -29,10 +31,10 @@ def largest_pieces(mesh: Mesh, config: CleanConfig) -> Mesh:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     of_face = piece[faces[:, 0]]
     area = np.bincount(of_face, weights=np.linalg.norm(cross, axis=1))
-    return compacted(mesh.vertices, faces[area[of_face] >= config.least_share * area.max()])
+    return compacted(mesh.vertices, faces[area[of_face] >= _LEAST_SHARE * area.max()])
 
 
-def restore_missing(field: Field, hull: Tensor, sampler: RaySampler, config: CleanConfig) -> Tensor:
+def restore_missing(field: Field, hull: Tensor, sampler: RaySampler) -> Tensor:
     """Bring back from the hull what the fit lost although the masks show it.
 
     A thin part that is smoothed away at a coarse level leaves no surface that a gradient could
@@ -42,7 +44,6 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler, config: Cle
         field: Field of the present level.
         hull: (N,) signed distance of the visual hull on the field's lattice.
         sampler: Source of rays.
-        config: How long is searched.
 
     Returns:
         The new signed distances (N,).
@@ -50,7 +51,7 @@ def restore_missing(field: Field, hull: Tensor, sampler: RaySampler, config: Cle
     lattice, sdf = field.lattice, field.sdf.detach()
     marked = torch.zeros(lattice.count, dtype=torch.bool, device=sdf.device)
     steps = torch.arange(0.0, 2.2, 1.4 * lattice.cell, device=sdf.device)
-    for _ in range(config.batches):
+    for _ in range(_BATCHES):
         origins, directions, target = sampler.draw(2048)
         solid = target[:, 3] > 0.95
         origins, directions = origins[solid], directions[solid]

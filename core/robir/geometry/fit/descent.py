@@ -11,28 +11,35 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from robir.geometry.fit.config import DescentConfig
 from robir.geometry.fit.regularise import smoothed
 from robir.geometry.lattice import Lattice
 
+_GRADIENT_PASSES = 2  # passes of the (1, 2, 1) / 4 filter over the gradient of the distances
+FIRST_DECAY = 0.9  # of the first moment, of features and network as well
+SECOND_DECAY = 0.99  # of the second moment, likewise
+# decay of the mean gradient that tells whether gradients agree: over 50 steps every spot is seen
+# from many sides
+_MEMORY = 0.98
+# agreement, in multiples of what gradients of random sign show by chance, at which the step is
+# halved. Chance alone then leaves a tenth of the step, ten times chance all but a tenth.
+_DOUBT = 3.0
 
-def agreement(mean: Tensor, square: Tensor, taken: int, config: DescentConfig) -> Tensor:
+
+def agreement(mean: Tensor, square: Tensor, taken: int) -> Tensor:
     """How far gradients agree, as the share of a step that may be made.
 
     Args:
         mean: (K,) mean of `taken` gradients, weights decaying by `memory`, their sum 1.
         square: (K,) mean of their squares.
         taken: Number of gradients.
-        config: Memory and doubt.
 
     Returns:
         (K,) in [0, 1]; one half where the squared mean is `doubt` times what random signs leave.
     """
-    memory = config.memory
-    left = memory**taken
-    chance = (1.0 - memory) / (1.0 + memory) * (1.0 + left) / (1.0 - left)
+    left = _MEMORY**taken
+    chance = (1.0 - _MEMORY) / (1.0 + _MEMORY) * (1.0 + left) / (1.0 - left)
     # nodes that no ray has met yet have no gradient
-    odds = (mean.square() / (square * (config.doubt * chance)).clamp_(min=1e-30)).square_()
+    odds = (mean.square() / (square * (_DOUBT * chance)).clamp_(min=1e-30)).square_()
     return odds / (1.0 + odds)
 
 
@@ -45,12 +52,10 @@ class Descent:
     Args:
         distances: (N,) leaf that requires gradients.
         lattice: Its nodes.
-        config: Decays, and what counts as agreement.
     """
 
-    def __init__(self, distances: Tensor, lattice: Lattice, config: DescentConfig) -> None:
+    def __init__(self, distances: Tensor, lattice: Lattice) -> None:
         self._distances, self._lattice = distances, lattice
-        self._config = config
         self._moments = torch.zeros(3, lattice.count, device=distances.device)
         self._nodes = torch.zeros(0, dtype=torch.int64, device=distances.device)
         self._near = self._moments[:, self._nodes]
@@ -70,19 +75,18 @@ class Descent:
     def step(self, rate: float) -> None:
         """Move the distances by at most `rate` or so, and forget the gradient."""
         assert self._distances.grad is not None
-        config = self._config
-        whole = smoothed(self._distances.grad, self._lattice, config.gradient_passes)
+        whole = smoothed(self._distances.grad, self._lattice, _GRADIENT_PASSES)
         gradient = whole.index_select(0, self._nodes)  # a third of the time of square brackets
         self._distances.grad = None
         self._taken += 1
         first, second, lasting = self._near
-        first.lerp_(gradient, 1.0 - config.first_decay)
-        second.mul_(config.second_decay)
-        second.addcmul_(gradient, gradient, value=1.0 - config.second_decay)
-        lasting.lerp_(gradient, 1.0 - config.memory)
-        square = second / (1.0 - config.second_decay**self._taken)
-        mean = lasting / (1.0 - config.memory**self._taken)
-        share = agreement(mean, square, self._taken, config)
+        first.lerp_(gradient, 1.0 - FIRST_DECAY)
+        second.mul_(SECOND_DECAY)
+        second.addcmul_(gradient, gradient, value=1.0 - SECOND_DECAY)
+        lasting.lerp_(gradient, 1.0 - _MEMORY)
+        square = second / (1.0 - SECOND_DECAY**self._taken)
+        mean = lasting / (1.0 - _MEMORY**self._taken)
+        share = agreement(mean, square, self._taken)
         way = first * share / square.sqrt_().add_(1e-8)
-        way *= -rate / (1.0 - config.first_decay**self._taken)
+        way *= -rate / (1.0 - FIRST_DECAY**self._taken)
         self._distances.index_add_(0, self._nodes, way)

@@ -9,11 +9,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from robir.geometry.fit.config import FieldConfig
 from robir.geometry.fit.regularise import smoothed
 from robir.geometry.fit.sampling import Intervals
 from robir.geometry.lattice import Lattice, interpolate, resample, taken
 from robir.maths.volume import log_survival_between, weights
+
+# frequencies at which the mirrored direction is shown to the network as well (radians)
+_OCTAVES = (2.0, 4.0, 8.0)
+_WIDTH = 64  # units of a hidden layer
 
 
 class ColourNetwork(nn.Module):
@@ -27,12 +30,11 @@ class ColourNetwork(nn.Module):
 
     Args:
         features: Features C of a node, at least 3.
-        config: Its size, and what it sees.
     """
 
-    def __init__(self, features: int, config: FieldConfig) -> None:
+    def __init__(self, features: int) -> None:
         super().__init__()
-        width, self._octaves = config.width, config.octaves
+        width, self._octaves = _WIDTH, _OCTAVES
         self.layers = nn.Sequential(
             nn.Linear(features + 10 + 6 * len(self._octaves), width),
             nn.ReLU(inplace=True),

@@ -12,26 +12,24 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
-from robir.geometry.fit.config import HeldOutConfig
 from robir.geometry.fit.field_preview import RAYS, Renderer
 from robir.jobs.paths import replacing
 
+_IMAGE_SIDE = 400  # longer side of the pictures, where photographs are larger (pixels)
 
-def field_view(
-    view: View, render: Renderer, device: str, config: HeldOutConfig
-) -> NDArray[np.uint8]:
+
+def field_view(view: View, render: Renderer, device: str) -> NDArray[np.uint8]:
     """What a field shows within a view's mask.
 
     Args:
         view: In the unit frame.
         render: Draws rays of the field.
         device: Torch device of the rays.
-        config: Size of the picture.
 
     Returns:
         (H, W, 4) codes: display RGB and coverage, 0 outside the mask.
     """
-    size = size_within((view.camera.width, view.camera.height), config.image_side)
+    size = size_within((view.camera.width, view.camera.height), _IMAGE_SIDE)
     camera = view.camera.resized(*size)
     pixels = camera.pixel_centres()
     scale = np.array([view.camera.width, view.camera.height]) / (camera.width, camera.height)
@@ -49,9 +47,7 @@ def field_view(
     return codes.reshape(camera.height, camera.width, 4)
 
 
-def save_field_views(
-    file: Path, views: Sequence[View], render: Renderer, device: str, config: HeldOutConfig
-) -> None:
+def save_field_views(file: Path, views: Sequence[View], render: Renderer, device: str) -> None:
     """Store what a field shows of some views as .npz, by the view's name.
 
     Args:
@@ -59,8 +55,7 @@ def save_field_views(
         views: In the unit frame.
         render: Draws rays of the field.
         device: Torch device of the rays.
-        config: Size of the pictures.
     """
-    pictures = {view.name: field_view(view, render, device, config) for view in views}
+    pictures = {view.name: field_view(view, render, device) for view in views}
     with replacing(file) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **pictures)

@@ -19,16 +19,36 @@ from torch import Tensor
 from torch.nn.functional import max_pool3d, normalize
 
 from robir.capture.camera import Camera
-from robir.geometry.fit.config import MirrorPitsConfig
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.regularise import neighbour_mean, smoothed
 from robir.geometry.lattice import Lattice, Sampled, interpolate, resample
 from robir.maths.vectors import farthest_points
 
+_NEAR = 0.7  # nodes so close to the surface are asked, each about the surface next to it (cells)
+_LEAST_COSINE = 0.3  # between normal and view, from which a camera is asked
+_LEAST_VIEWS = 4  # cameras that must face a spot
+_MOST_VIEWS = 16  # cameras that are asked at all
+# passes of the (1, 2, 1) / 4 filter over what single spots show: twelve make regions of five
+# cells
+_REGION_PASSES = 12
+# mean change of display colour with the direction, over a region of the coarsest level, up to
+# which nothing is filled: more than glossy paint shows
+_DULL = 0.042
+_MIRRORING = 0.05  # the same from which hollows are filled at full speed: less than metal shows
+# as `dull` where photographs prove that something is mirrored: less than glossy paint shows. What
+# is filled by it must let them predict each other better.
+_PROVEN_DULL = 0.018
+_PROVEN_MIRRORING = 0.026  # as `mirroring`, likewise
+# share of the surface above which another light in some photographs, or cameras that are off, may
+# be the cause instead of metal: then it must be proven
+_MOST_MIRRORING = 0.25
+# by which such a region is widened: a pit hides from the network what dug it; cells of the
+# coarsest level
+_REACH = 4
+_ROUNDS = 200  # steps of the filling: 200 fill a hollow of nine cells across
 
-def change_with_view(
-    field: Field, network: ColourNetwork, cameras: list[Camera], config: MirrorPitsConfig
-) -> Tensor:
+
+def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]) -> Tensor:
     """How much the fitted colour of a region changes with the direction of view.
 
     Args:
@@ -36,14 +56,13 @@ def change_with_view(
         network: Its colour network.
         cameras: From where it is looked at; what hides the surface is not asked, for the network
             knows only directions.
-        config: What is asked of it.
 
     Returns:
         (N,) mean difference from the median over the cameras, display units, mean over a region
         about each node; 0 far from the surface.
     """
     lattice, sdf = field.lattice, field.sdf.detach()
-    near = (sdf.abs() < config.near * lattice.cell).nonzero()[:, 0]
+    near = (sdf.abs() < _NEAR * lattice.cell).nonzero()[:, 0]
     points = lattice.nodes(str(sdf.device))[near]
     normals = normalize(field.gradient(points), dim=1, eps=1e-4)
     points = points - sdf[near, None] * normals
@@ -55,13 +74,13 @@ def change_with_view(
             eye = torch.from_numpy(camera.position).to(points)
             towards = normalize(eye - points, dim=1)
             cosine = (towards * normals).sum(1)
-            facing = (cosine > config.least_cosine).nonzero()[:, 0]
+            facing = (cosine > _LEAST_COSINE).nonzero()[:, 0]
             own[facing] = network(features[facing], normals[facing], -towards[facing])
     apart = (shown - shown.nanmedian(0).values).abs().nanmean(dim=(0, 2))
-    known = shown[..., 0].isfinite().sum(0) >= config.least_views
+    known = shown[..., 0].isfinite().sum(0) >= _LEAST_VIEWS
     total, count = (torch.zeros(lattice.count, device=sdf.device) for _ in range(2))
     total[near[known]], count[near[known]] = apart[known], 1.0
-    total, count = (smoothed(values, lattice, config.region_passes) for values in (total, count))
+    total, count = (smoothed(values, lattice, _REGION_PASSES) for values in (total, count))
     return total / count.clamp(min=1e-6)
 
 
@@ -98,15 +117,12 @@ class Mirroring:
         cameras: From where it may be looked at.
         hull: What bounds the surface, signed distances on their lattice.
         judge: Tells by photographs whether a surface mirrors, and which one is better.
-        config: What counts as mirroring, and how far it is filled.
     """
 
-    def __init__(
-        self, cameras: list[Camera], hull: Sampled, judge: Judge, config: MirrorPitsConfig
-    ) -> None:
+    def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:
         positions = np.stack([camera.position for camera in cameras])
-        self._cameras = [cameras[k] for k in farthest_points(positions, config.most_views)]
-        self._hull, self._judge, self._config = hull, judge, config
+        self._cameras = [cameras[k] for k in farthest_points(positions, _MOST_VIEWS)]
+        self._hull, self._judge = hull, judge
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
@@ -119,12 +135,12 @@ class Mirroring:
         Returns:
             The new signed distances (N,).
         """
-        lattice, config = field.lattice, self._config
+        lattice = field.lattice
         if self._learnt is not None:
             return self._filled(field, _at(self._learnt, lattice))
-        change = change_with_view(field, network, self._cameras, config)
-        share = _mirrors(change, config.dull, config.mirroring)
-        more = _mirrors(change, config.proven_dull, config.proven_mirroring)
+        change = change_with_view(field, network, self._cameras)
+        share = _mirrors(change, _DULL, _MIRRORING)
+        more = _mirrors(change, _PROVEN_DULL, _PROVEN_MIRRORING)
         tried = self._tried(field, share)
         if self._common(field, more) > 0.0:
             mirror = Field(lattice, tried.values, 1)
@@ -132,7 +148,7 @@ class Mirroring:
                 further = self._tried(field, more)
                 if self._judge.is_better(Field(lattice, further.values, 1), mirror):
                     tried = further
-            elif self._common(field, share) > config.most_mirroring:
+            elif self._common(field, share) > _MOST_MIRRORING:
                 tried = self._tried(field, torch.zeros_like(share))
         self._learnt = Sampled(lattice, tried.share)
         return tried.values
@@ -142,7 +158,7 @@ class Mirroring:
         # off the surface a single spot may speak for a region: alone that is no metal
         if self._common(field, share) == 0.0:
             return _Tried(torch.zeros_like(share), field.sdf.detach())
-        grid, reach = share.view(field.lattice.shape)[None], self._config.reach
+        grid, reach = share.view(field.lattice.shape)[None], _REACH
         share = max_pool3d(grid, 2 * reach + 1, stride=1, padding=reach).view(-1)
         return _Tried(share, self._filled(field, share.view(field.lattice.shape)))
 
@@ -157,14 +173,14 @@ class Mirroring:
         box = tuple(slice(max(a - 1, 0), b + 2) for a, b in zip(low, high, strict=True))
         part, share = sdf[box], share[box]
         least = torch.minimum(_at(self._hull, lattice)[box].to(part.device), part)
-        for _ in range(self._config.rounds):
+        for _ in range(_ROUNDS):
             step = (neighbour_mean(part) - part).clamp_(max=0.0)
             part.copy_(torch.maximum(part + share * step, least))
         return sdf.view(-1)
 
     def _common(self, field: Field, share: Tensor) -> float:
         """Mean share of the surface that mirrors."""
-        near = self._config.near * field.lattice.cell
+        near = _NEAR * field.lattice.cell
         return float(share[field.sdf.detach().abs() < near].mean())
 
 

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.config import FitConfig, OptimiseConfig
-from robir.geometry.fit.descent import Descent
+from robir.geometry.fit.descent import FIRST_DECAY, SECOND_DECAY, Descent
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.field_preview import Present
 from robir.geometry.fit.regularise import laplacian_step
@@ -21,8 +20,36 @@ from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
 
-_FEATURES = 0
+_SLOT = 0
 """Where Adam keeps the features."""
+
+
+_FEATURES = 8  # colour features of a node of the field
+_SOFT_PASSES = 6  # passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps
+_FIRST_SHARPNESS = 30.0  # NeuS steepness at the start, for an object of longest side 2
+_LAST_SHARPNESS = 160.0  # the same at the end
+_SHARPEST_AT = 0.85  # share of the fit from which it is the last one
+_BAND = 5.0  # distance from the surface that rays are sampled in, in widths of the soft surface
+_MASK_WEIGHT = 0.2  # weight of the coverage's cross-entropy against the colour
+_FULL_COVERAGE = 0.98  # from which coverage counts as full: what dropped intervals leave of it
+_REFRESH = 25  # between updates of the occupancy and of the nodes that carry features (steps)
+_SMOOTH_EVERY = 10  # between the proximal steps on the field
+# share of the way towards its neighbours' mean that such a step moves a node at the start; it
+# falls to 0. Early steps are large and noisy, and lumps that stay where the colour decides little
+# are dug further by the colours learnt on them; but smoothing shrinks what is round.
+_SMOOTHING = 0.5
+# share of the way that every such step moves a node there and back, which takes what is rough and
+# leaves what is round (Taubin 1995, "A signal processing approach to fair surface design")
+_FAIRING = 0.25
+# of the distances where gradients agree, at the coarsest level, which has to leave the visual
+# hull (cells a step)
+_FIRST_DISTANCE_RATE = 0.5
+_DISTANCE_RATE = 0.375  # the same at the other levels (cells a step)
+_FEATURE_RATE = 0.3  # Adam's rate of the features
+# Adam's rate of the network: reflections must be learnt before the surface is dug for them
+_NETWORK_RATE = 0.01
+_DECAY_FROM = 0.3  # share of the fit from which all rates fall
+_LAST_RATE = 0.05  # share of the rates that is left at the end
 
 
 class _Optimiser:
@@ -32,23 +59,19 @@ class _Optimiser:
         field: Field of the present level.
         network: Colour network.
         rate: Rate of the distances, cells a step.
-        config: The other rates, and their decays.
     """
 
-    def __init__(
-        self, field: Field, network: ColourNetwork, rate: float, config: FitConfig
-    ) -> None:
-        self._descent = Descent(field.sdf, field.lattice, config.descent)
+    def __init__(self, field: Field, network: ColourNetwork, rate: float) -> None:
+        self._descent = Descent(field.sdf, field.lattice)
         self._reach = rate * field.lattice.cell
-        of_network = config.optimise.network_rate
-        self._rates = (config.optimise.feature_rate, *(of_network for _ in network.parameters()))
-        decays = (config.descent.first_decay, config.descent.second_decay)
+        self._rates = (_FEATURE_RATE, *(_NETWORK_RATE for _ in network.parameters()))
+        decays = (FIRST_DECAY, SECOND_DECAY)
         self._adam = Adam([field.features, *network.parameters()], decays)
 
     def follow(self, field: Field, wanted: Tensor, old_rows: Tensor) -> None:
         """Go on with the nodes that carry features; moments go along."""
         self._descent.follow(wanted)
-        self._adam.replace(_FEATURES, field.features, old_rows)
+        self._adam.replace(_SLOT, field.features, old_rows)
 
     def step(self, loss: Tensor, factor: float) -> None:
         """One step with every learning rate times `factor`."""
@@ -57,21 +80,20 @@ class _Optimiser:
         self._adam.step([factor * rate for rate in self._rates])
 
 
-def smooth(sdf: Tensor, lattice: Lattice, share: float, config: OptimiseConfig) -> None:
+def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
     """The proximal step, in place.
 
     Args:
         sdf: (N,) signed distances.
         lattice: Nodes.
         share: Share of all steps of the fit that are done.
-        config: How far.
     """
-    first = config.smoothing * (1.0 - share) ** 2
-    for amount in (first, config.fairing, -config.fairing):
+    first = _SMOOTHING * (1.0 - share) ** 2
+    for amount in (first, _FAIRING, -_FAIRING):
         laplacian_step(sdf, lattice, amount)
 
 
-def _loss(predicted: tuple[Tensor, Tensor], target: Tensor, config: OptimiseConfig) -> Tensor:
+def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
     """Robust colour loss (Charbonnier) plus cross-entropy of the coverage.
 
     The colour is compared at the photograph's own coverage: a surface that lets a little light
@@ -81,35 +103,34 @@ def _loss(predicted: tuple[Tensor, Tensor], target: Tensor, config: OptimiseConf
     rgb, coverage = predicted
     wanted = target[:, 3]
     colour = ((rgb * wanted[:, None] - target[:, :3]) ** 2 + 1e-4).sqrt().mean()
-    full = config.full_coverage
     mask = torch.nn.functional.binary_cross_entropy(
-        coverage.clamp(1e-3, full), wanted.clamp(max=full)
+        coverage.clamp(1e-3, _FULL_COVERAGE), wanted.clamp(max=_FULL_COVERAGE)
     )
-    return colour + config.mask_weight * mask
+    return colour + _MASK_WEIGHT * mask
 
 
-def _steepness(share: float, longest: float, config: OptimiseConfig) -> float:
+def _steepness(share: float, longest: float) -> float:
     """NeuS steepness at a share of the fit, 1 / unit frame, by the object's longest side."""
-    first, last = config.first_sharpness, config.last_sharpness
-    growth = (last / first) ** min(share / config.sharpest_at, 1.0)
+    first, last = _FIRST_SHARPNESS, _LAST_SHARPNESS
+    growth = (last / first) ** min(share / _SHARPEST_AT, 1.0)
     return first * growth * 2.0 / longest
 
 
-def _rate_factor(share: float, config: OptimiseConfig) -> float:
+def _rate_factor(share: float) -> float:
     """What is left of all rates at a share of the fit."""
-    late = max(0.0, (share - config.decay_from) / (1.0 - config.decay_from))
-    return math.exp(math.log(config.last_rate) * late)
+    late = max(0.0, (share - _DECAY_FROM) / (1.0 - _DECAY_FROM))
+    return math.exp(math.log(_LAST_RATE) * late)
 
 
-def _occupied(field: Field, inv_std: float, config: FitConfig) -> Occupancy:
+def _occupied(field: Field, inv_std: float) -> Occupancy:
     """Where the soft surface of a field may be."""
-    band = config.optimise.band / inv_std + field.lattice.cell
-    return Occupancy.of(field.lattice, field.sdf.detach(), band, config.sampling)
+    band = _BAND / inv_std + field.lattice.cell
+    return Occupancy.of(field.lattice, field.sdf.detach(), band)
 
 
-def _refresh(field: Field, optimiser: _Optimiser, inv_std: float, config: FitConfig) -> Occupancy:
+def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
     """Update the band around the surface and the nodes that carry features."""
-    occupancy = _occupied(field, inv_std, config)
+    occupancy = _occupied(field, inv_std)
     wanted = field.lattice.dilated(occupancy.near, 1)
     optimiser.follow(field, wanted, field.place_features(wanted))
     return occupancy
@@ -154,12 +175,11 @@ def fit(
     """
     lattice, sdf = start
     device = str(sdf.device)
-    rules = config.fit.optimise
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 31, (1,), generator=generator)))
-        network = ColourNetwork(config.features, config.fit.field).to(device)
+        network = ColourNetwork(_FEATURES).to(device)
     total, done = sum(config.level_steps), 0
-    field = Field(lattice, sdf, config.features, config.fit.field.soft_passes)
+    field = Field(lattice, sdf, _FEATURES, _SOFT_PASSES)
     longest = float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell
     for cells, steps in zip(config.level_cells, config.level_steps, strict=True):
         level = Lattice.around(
@@ -168,30 +188,30 @@ def fit(
             cells,
         )
         field = field.refined(level)
-        rate = rules.distance_rate if done else rules.first_distance_rate
-        optimiser = _Optimiser(field, network, rate, config.fit)
+        rate = _DISTANCE_RATE if done else _FIRST_DISTANCE_RATE
+        optimiser = _Optimiser(field, network, rate)
         occupancy: Occupancy | None = None
         for step in range(steps):
             share = done / total
-            inv_std = _steepness(share, longest, rules)
-            if occupancy is None or step % rules.refresh == 0:
-                occupancy = _refresh(field, optimiser, inv_std, config.fit)
+            inv_std = _steepness(share, longest)
+            if occupancy is None or step % _REFRESH == 0:
+                occupancy = _refresh(field, optimiser, inv_std)
                 progress(share, _present(field, network, occupancy, inv_std))
             origins, directions, target = sampler.draw(config.rays)
             jitter = torch.rand(len(origins), generator=generator).to(device)
             intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
             predicted = field.render(intervals, network, (origins, directions), inv_std)
-            loss = _loss(predicted, target, rules)
-            optimiser.step(loss, _rate_factor(share, rules))
+            loss = _loss(predicted, target)
+            optimiser.step(loss, _rate_factor(share))
             done += 1
-            if done % rules.smooth_every == 0:
+            if done % _SMOOTH_EVERY == 0:
                 if not math.isfinite(loss.item()):
                     raise QualityError("The geometry fit diverged: its loss is no longer a number.")
                 with torch.no_grad():
-                    smooth(field.sdf, level, done / total, rules)
+                    smooth(field.sdf, level, done / total)
                     field.soften()
         if settle(field, network):
             return field
-    inv_std = _steepness(1.0, longest, rules)
-    progress(1.0, _present(field, network, _occupied(field, inv_std, config.fit), inv_std))
+    inv_std = _steepness(1.0, longest)
+    progress(1.0, _present(field, network, _occupied(field, inv_std), inv_std))
     return field

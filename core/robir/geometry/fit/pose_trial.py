@@ -22,11 +22,22 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
 from robir.geometry.fit.alignment import Alignment, turned
-from robir.geometry.fit.config import FitConfig
 from robir.geometry.fit.field_preview import Renderer
 from robir.geometry.rays import RaySampler
 
 Array = NDArray[np.float64]
+
+
+_TRIAL_STEP = 75  # step of the fit at which the cameras are tried. Shorter fits try none (steps)
+# after which the fit begins anew with the cameras that were turned until then (steps)
+_LAST_STEP = 150
+_POLISH_EVERY = 100  # between the turns of cameras that stood the test (steps)
+_LAST_POLISH = 500  # last step for one (steps)
+# root mean square of the training views that the first step must move the photographs to count:
+# more than it moves exact cameras (pixels)
+_LEAST_SHIFT = 0.13
+_LEAST_GAIN = 0.02  # share by which the photographs' difference from the rendering must fall
+_MOST_ROUNDS = 3  # how often at most the fit begins anew with turned cameras
 
 
 class CamerasChangedError(Exception):
@@ -40,7 +51,6 @@ class PoseTrial:
         capture: As given, unit frame.
         seed: Of the choice of pixels.
         device: Torch device of the rays.
-        config: When they are tried, and how they are turned.
 
     Attributes:
         capture: With the cameras that the fit shall use.
@@ -48,24 +58,23 @@ class PoseTrial:
             camera's axes, radians; zeros where they are as given.
     """
 
-    def __init__(self, capture: Capture, seed: int, device: str, config: FitConfig) -> None:
+    def __init__(self, capture: Capture, seed: int, device: str) -> None:
         self.capture = capture
         self.turns: Array = np.zeros((len(capture.views), 3))
         self._given = capture
         self._seed = seed
         self._device = device
-        self._config, self._aligning = config.pose_trial, config.alignment
         self._is_trained = np.array([view.split == "train" for view in capture.views])
         self._misfit = np.inf
         self._before = self.turns
         self._rounds = 0
         self._state: Literal["trial", "moving", "polish", "given"] = "trial"
-        self._due: float = self._config.trial_step
+        self._due: float = _TRIAL_STEP
 
     @cached_property
     def _alignment(self) -> Alignment:
         # not at the start: where nothing is tried, no photograph need be reduced and sampled for it
-        return Alignment(self._given.views, self._seed, self._aligning)
+        return Alignment(self._given.views, self._seed)
 
     def look(self, step: int, render: Renderer, sampler: RaySampler) -> None:
         """Try, turn or leave the cameras.
@@ -87,21 +96,21 @@ class PoseTrial:
             return
         cameras = self._alignment.cameras
         sampler.follow([cameras[number] for number in np.flatnonzero(self._is_trained)])
-        if self._state == "moving" and step >= self._config.last_step:
+        if self._state == "moving" and step >= _LAST_STEP:
             self._begin_anew()
         if self._state == "polish":
             self._take(self._alignment.turns)
-            self._due = step + self._config.polish_every
-            if self._due > self._config.last_polish:
+            self._due = step + _POLISH_EVERY
+            if self._due > _LAST_POLISH:
                 self._due = math.inf
 
     def _judge(self, misfit: float) -> None:
         """At the trial's step: whether the present cameras stay, move on or are given up."""
-        if misfit > (1.0 - self._config.least_gain) * self._misfit:
+        if misfit > (1.0 - _LEAST_GAIN) * self._misfit:
             self._give_up()
         shift = self._alignment.shifts(self._alignment.turns - self.turns)[self._is_trained]
-        is_off = np.sqrt((shift**2).mean()) > self._config.least_shift
-        if is_off and self._rounds < self._config.most_rounds:
+        is_off = np.sqrt((shift**2).mean()) > _LEAST_SHIFT
+        if is_off and self._rounds < _MOST_ROUNDS:
             self._state = "moving"
             self._misfit, self._before = misfit, self.turns
         elif self.turns.any():
@@ -113,7 +122,7 @@ class PoseTrial:
         """Let the fit begin anew with the cameras as they were turned, on trial."""
         self._take(self._alignment.turns)
         self._rounds += 1
-        self._state, self._due = "trial", self._config.trial_step
+        self._state, self._due = "trial", _TRIAL_STEP
         raise CamerasChangedError
 
     def _give_up(self) -> None:

@@ -13,9 +13,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d, pad
 
-from robir.geometry.fit.config import SamplingConfig
 from robir.geometry.lattice import Lattice, taken
 from robir.maths.volume import log_survival_between, weights
+
+_BLOCK = 2  # edge of a block of the coarse occupancy (cells)
+_LEAST_STEPS = 3  # fewest steps that a ray takes along such an edge
+# most of them. In between, no step is longer than the width of the soft surface, 1 / inv_std:
+# early on that is soft, and shorter ones find no more.
+_MOST_STEPS = 5
+_LEAST_WEIGHT = 2e-4  # intervals that contribute less than this to their pixel are dropped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,22 +33,20 @@ class Occupancy:
         near: (N,) bool, nodes within the band around the surface.
         blocks: Blocks of cells that hold such a node or touch one that does, flat bool.
         block_shape: Number of blocks along x, y and z.
-        config: Of the steps that rays take in it.
     """
 
     lattice: Lattice
     near: Tensor
     blocks: Tensor
     block_shape: tuple[int, int, int]
-    config: SamplingConfig
 
     @classmethod
-    def of(cls, lattice: Lattice, sdf: Tensor, band: float, config: SamplingConfig) -> Occupancy:
+    def of(cls, lattice: Lattice, sdf: Tensor, band: float) -> Occupancy:
         """Occupancy of the band |sdf| < `band` around the surface."""
         near = sdf.abs() < band
         grid = near.view(lattice.shape).float()[None, None]
-        fill = [(-n) % config.block for n in lattice.shape]
-        blocks = max_pool3d(pad(grid, (0, fill[2], 0, fill[1], 0, fill[0])), config.block)
+        fill = [(-n) % _BLOCK for n in lattice.shape]
+        blocks = max_pool3d(pad(grid, (0, fill[2], 0, fill[1], 0, fill[0])), _BLOCK)
         blocks = max_pool3d(blocks, 3, stride=1, padding=1)[0, 0] > 0
         shape = (int(blocks.shape[0]), int(blocks.shape[1]), int(blocks.shape[2]))
         return cls(
@@ -50,7 +54,6 @@ class Occupancy:
             near=near,
             blocks=blocks.reshape(-1),
             block_shape=shape,
-            config=config,
         )
 
 
@@ -123,9 +126,9 @@ def _occupied_steps(
     Returns:
         Ray (S,), step number on the ray (S,), distance at step 0 (R,), and the length of a step.
     """
-    lattice, config = occupancy.lattice, occupancy.config
-    long_step = config.block * lattice.cell
-    steps = min(max(math.ceil(long_step * inv_std), config.least_steps), config.most_steps)
+    lattice = occupancy.lattice
+    long_step = _BLOCK * lattice.cell
+    steps = min(max(math.ceil(long_step * inv_std), _LEAST_STEPS), _MOST_STEPS)
     step = long_step / steps
     lower, upper = origins.new_tensor(lattice.lower), origins.new_tensor(lattice.upper)
     inverse = 1.0 / torch.where(directions.abs() < 1e-9, 1e-9, directions)
@@ -137,7 +140,7 @@ def _occupied_steps(
     # coordinates in rows, and the few steps of a block in a column: short last axes are slow
     begin = lattice.scaled(origins + enter[:, None] * directions).T.contiguous()
     slope = (directions / lattice.cell).T.contiguous()
-    first, along = (rows[..., None] / config.block for rows in (begin, slope))
+    first, along = (rows[..., None] / _BLOCK for rows in (begin, slope))
     blocks = _flat_index(first, along, middle, occupancy.block_shape, 0.0)
     hit = taken(occupancy.blocks, blocks)
     hit &= middle < (leave - enter)[:, None] + long_step
@@ -204,7 +207,7 @@ def march(
     points = origins.T.contiguous().index_select(1, ray)
     points += distance * directions.T.contiguous().index_select(1, ray)
     log_step = log_survival_between(lattice.trilinear(sdf, points.T), inv_std) * ~late[:-1]
-    keep = weights(log_step, _first_of_runs(ray)[:-1]) > occupancy.config.least_weight
+    keep = weights(log_step, _first_of_runs(ray)[:-1]) > _LEAST_WEIGHT
     ends = torch.zeros_like(ray, dtype=torch.bool)
     ends[:-1] |= keep
     ends[1:] |= keep

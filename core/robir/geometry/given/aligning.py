@@ -19,13 +19,24 @@ from robir.capture.mesh_file import Given
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.fit_picture import show_fit
-from robir.geometry.given.placing import Agreement, Outlines, better_place
+from robir.geometry.given.placing import (
+    COARSE_SIDE,
+    FINE_SIDE,
+    FITS,
+    Agreement,
+    Outlines,
+    better_place,
+)
 from robir.geometry.given.symmetry import best_turned
 from robir.geometry.given.verdict import poor_fit
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
+
+
+# from which cameras are believed to be where they were brought; meshes of other objects reach 0.8
+_ALIGNS = 0.85
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,21 +74,19 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
     from_unit = _from_unit(centre, radius)
     vertices = from_unit.inverse(given.vertices)
     tracer = EmbreeTracer(vertices.astype(np.float32), given.faces)
-    own, placing = config.given, config.given.placing
     if not config.fit_mesh:
-        now = Outlines(capture.train, placing.fine_side, placing).of(tracer, from_unit)
-        if now.share >= placing.fits:
+        now = Outlines(capture.train, FINE_SIDE).of(tracer, from_unit)
+        if now.share >= FITS:
             return Aligned(capture=capture, frame=None, agreement=now, notes=())
-    to_capture = _from_unit(*Outlines(capture.train, placing.coarse_side, placing).sphere())
+    to_capture = _from_unit(*Outlines(capture.train, COARSE_SIDE).sphere())
     views = capture.moved(to_capture.inverse).train
-    sides = placing.coarse_side, placing.fine_side
-    coarse, fine = (Outlines(views, side, placing) for side in sides)
-    place, then = better_place(from_unit.inverse(used), tracer, views, placing, is_lost=True)
-    if then.share < own.verdict.aligns or np.linalg.det(place.turn) < 0:
-        show_fit(tracer, (place,), views, picture, own.fit_picture)
-        raise CaptureError(_why_not(place, then, picture, own.verdict.aligns))
-    standing = best_turned(place, (vertices, given.faces), tracer, (coarse, fine), own)
-    show_fit(tracer, (standing.place,), views, picture, own.fit_picture)
+    coarse, fine = (Outlines(views, side) for side in (COARSE_SIDE, FINE_SIDE))
+    place, then = better_place(from_unit.inverse(used), tracer, views, is_lost=True)
+    if then.share < _ALIGNS or np.linalg.det(place.turn) < 0:
+        show_fit(tracer, (place,), views, picture)
+        raise CaptureError(_why_not(place, then, picture))
+    standing = best_turned(place, (vertices, given.faces), tracer, (coarse, fine))
+    show_fit(tracer, (standing.place,), views, picture)
     frame = to_capture.after(standing.place).after(from_unit.inverse).inverse
     told = (
         "The photographs' cameras were found and brought to the mesh, which stays where it is: its "
@@ -88,7 +97,7 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
         capture=replace(capture.moved(frame), bounds=bounds),
         frame=frame,
         agreement=standing.agreement,
-        notes=(told, *poor_fit(standing.agreement, placing.fits), *standing.notes()),
+        notes=(told, *poor_fit(standing.agreement, FITS), *standing.notes()),
     )
 
 
@@ -97,9 +106,9 @@ def _from_unit(centre: Array, radius: float) -> Similarity:
     return Similarity(turn=np.eye(3), scale=radius, shift=centre)
 
 
-def _why_not(place: Similarity, then: Agreement, picture: Path, aligns: float) -> str:
+def _why_not(place: Similarity, then: Agreement, picture: Path) -> str:
     """Why no cameras could be brought to a mesh, and what to do."""
-    if np.linalg.det(place.turn) < 0 and then.share >= aligns:
+    if np.linalg.det(place.turn) < 0 and then.share >= _ALIGNS:
         return (
             "the mesh is mirrored: no turn makes it fit the photographs, and its mirror image "
             f"shares {then.share:.0%} with the masks; export it without a negative scale; "
@@ -107,8 +116,8 @@ def _why_not(place: Similarity, then: Agreement, picture: Path, aligns: float) -
         )
     return (
         "the photographs' cameras cannot be brought to the mesh: of what its outlines or the masks "
-        f"have, both have {then.share:.0%} at best, of {aligns:.0%} that it takes. {picture} shows "
-        "it. Is it the mesh of this object, whole, and without what it stands on? Are the masks "
-        "right (--masks)? Else give photographs with cameras in the mesh's frame, as the program "
-        "exports them that made it"
+        f"have, both have {then.share:.0%} at best, of {_ALIGNS:.0%} that it takes. {picture} "
+        "shows it. Is it the mesh of this object, whole, and without what it stands on? Are the "
+        "masks right (--masks)? Else give photographs with cameras in the mesh's frame, as the "
+        "program exports them that made it"
     )

@@ -11,12 +11,14 @@ from PIL import Image
 
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
-from robir.geometry.given.config import FitPictureConfig
 from robir.geometry.given.placing import is_met
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.jobs.paths import replacing
 from robir.maths.similarity import Similarity
 from robir.maths.vectors import farthest_points
+
+_PHOTOGRAPHS = 4  # in a row of it
+_SIDE = 240  # longer side of each (pixels)
 
 
 def show_fit(
@@ -24,7 +26,6 @@ def show_fit(
     places: Sequence[Similarity],
     views: Sequence[View],
     picture: Path,
-    config: FitPictureConfig,
 ) -> None:
     """Write photographs with the mesh over them, red.
 
@@ -33,14 +34,12 @@ def show_fit(
         places: Where it is shown, a row of pictures each.
         views: Photographs to choose from.
         picture: The PNG.
-        config: Of this picture.
     """
-    side = config.side
     positions = np.stack([view.camera.position for view in views])
-    chosen = farthest_points(positions, config.photographs)
-    sheet = Image.new("RGB", (side * len(chosen), side * len(places)))
+    chosen = farthest_points(positions, _PHOTOGRAPHS)
+    sheet = Image.new("RGB", (_SIDE * len(chosen), _SIDE * len(places)))
     for column, view in enumerate(views[k] for k in chosen):
-        size = size_within((view.camera.width, view.camera.height), side)
+        size = size_within((view.camera.width, view.camera.height), _SIDE)
         small = view.camera.resized(*size)
         photo = np.array(Image.fromarray(view.image_display).resize(size))
         rays = small.rays(small.pixel_centres())
@@ -48,6 +47,6 @@ def show_fit(
             shown = is_met(tracer, place, rays).reshape(photo.shape[:2])
             over = photo.copy()
             over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
-            sheet.paste(Image.fromarray(over), (side * column, side * row))
+            sheet.paste(Image.fromarray(over), (_SIDE * column, _SIDE * row))
     with replacing(picture) as temporary:
         sheet.save(temporary, format="PNG")

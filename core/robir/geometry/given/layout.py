@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.mesh_file import Given
-from robir.geometry.given.config import LayoutConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tiles import (
     ACROSS,
@@ -34,6 +33,13 @@ RIM = 1e-5
 rounding cannot take it for one of the next tile."""
 
 
+_OUTSIDE = 1e-3  # of a tile's side: as far as texture coordinates may leave it by rounding
+_OVERLAP = 0.03  # share of a tile's layout that may lie on itself: charts' rims do
+_SMALLEST = 1e-3  # share of a tile below which a layout is none
+_ATLAS_SIDE = 1024  # texels along a side by which a layout is judged, each tile by itself
+_MOST_TILES = 100  # beyond which a texture would have too few texels of those that memory holds
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """Texture coordinates for the atlas.
@@ -51,12 +57,11 @@ class Layout:
     notes: tuple[str, ...] = ()
 
 
-def own_layout(given: Given, config: LayoutConfig) -> Layout | str:
+def own_layout(given: Given) -> Layout | str:
     """The mesh's own layout, or why it cannot be used, as the end of a sentence.
 
     Args:
         given: The mesh; it may stand anywhere.
-        config: Of this step.
     """
     uvs = given.uvs.astype(np.float32)
     used = uvs[np.unique(given.faces)]
@@ -65,24 +70,22 @@ def own_layout(given: Given, config: LayoutConfig) -> Layout | str:
         return "it has none"
     if not known.all():
         return f"{(~known).mean():.0%} of its corners have none"
-    if used.min() < -config.outside or used.max() > 1 + config.outside:
-        layout = _tiled(uvs, given.faces, config)
+    if used.min() < -_OUTSIDE or used.max() > 1 + _OUTSIDE:
+        layout = _tiled(uvs, given.faces)
     else:
         layout = Layout(uvs=np.nan_to_num(uvs).clip(0, 1), uv_faces=given.faces)
-    return layout if isinstance(layout, str) else _fault(given, layout, config) or layout
+    return layout if isinstance(layout, str) else _fault(given, layout) or layout
 
 
-def _tiled(
-    uvs: NDArray[np.float32], faces: NDArray[np.int32], config: LayoutConfig
-) -> Layout | str:
+def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
     """A layout over tiles or over another unit square, or why it is neither."""
     corners = uvs[faces].astype(np.float64)
     where = f"its own lie outside 0..1 (from {corners.min():.2f} to {corners.max():.2f})"
     if np.abs(corners).max() > FAR:
         return f"{where}, where no tiles are"
-    tile = _tile_of(corners, config.outside)
+    tile = _tile_of(corners, _OUTSIDE)
     places = corners - tile[:, None]
-    astray = ((places < -config.outside) | (places > 1 + config.outside)).any(axis=(1, 2))
+    astray = ((places < -_OUTSIDE) | (places > 1 + _OUTSIDE)).any(axis=(1, 2))
     if astray.any():
         return f"{where} and {astray.sum()} of its faces reach from one tile into the next"
     found, index = np.unique(tile[:, ::-1], axis=0, return_inverse=True)  # by rows, as the numbers
@@ -93,7 +96,7 @@ def _tiled(
         return f"{where} and below 0 there are no tiles"
     if found[:, 0].max() >= ACROSS or found[:, 1].max() >= ROWS:
         return f"{where} and tiles end at u = {ACROSS} and v = {ROWS}"
-    if len(found) > (most := config.most_tiles):
+    if len(found) > (most := _MOST_TILES):
         return f"{where}, on {len(found)} tiles, and textures are made for {most} at most"
     middle = places.mean(axis=1)
     is_near = (np.minimum(middle, 1 - middle) < RIM).any(axis=1)
@@ -147,29 +150,29 @@ def _shifted(
     return Layout(uvs=moved, uv_faces=faces, notes=(note,))
 
 
-def _fault(given: Given, layout: Layout, config: LayoutConfig) -> str | None:
+def _fault(given: Given, layout: Layout) -> str | None:
     """What is wrong with a layout within its tiles, or None."""
     count = len(layout.tiles)
     a, b, c = (layout.uvs[layout.uv_faces[:, k]].astype(np.float64) for k in range(3))
     (ax, ay), (bx, by) = (b - a).T, (c - a).T
     areas = 0.5 * np.abs(ax * by - ay * bx) * cells_along(count) ** 2
-    if areas.sum() < config.smallest:
+    if areas.sum() < _SMALLEST:
         return "its own cover next to nothing of a texture"
     tile = tile_of_faces(layout.uvs, layout.uv_faces, count)
     mesh = replace(plain_mesh(given.vertices, given.faces), uvs=layout.uvs)
     for index in range(max(1, count)):
         of_tile = tile == index
         area = areas[of_tile].sum()
-        if area < config.smallest:
+        if area < _SMALLEST:
             continue
         uv_faces = layout.uv_faces[of_tile]
         if count:
             corners = layout.uvs[uv_faces].reshape(-1, 2)
             mesh = replace(mesh, uvs=within(corners, np.full(len(corners), index), count))
             uv_faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), config.atlas_side)
+        face, _ = rasterise_atlas(replace(mesh, uv_faces=uv_faces), _ATLAS_SIDE)
         covered = float((face >= 0).mean())
-        if covered < (1 - config.overlap) * area:
+        if covered < (1 - _OVERLAP) * area:
             place = f" in tile {layout.tiles[index]}" if count else ""
             return (
                 f"{1 - covered / area:.0%} of its own overlap{place}, so that places share texels"

@@ -35,12 +35,35 @@ from scipy.ndimage import (
 
 from robir.capture.capture import View
 from robir.capture.images.loading import resize_view
-from robir.geometry.given.config import OccludersConfig
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.tone_curve import linear_from_srgb, srgb_from_linear
 
 Array = NDArray[np.float64]
+
+
+_SIDE = 160  # longer side at which photographs are compared (pixels)
+_POINTS = 30_000  # of the surface, that are compared
+_LEAST_VIEWS = 8  # photographs that see a point, from which their median says what it looks like
+_LEAST_COSINE = 0.35  # to the normal, from which a photograph is believed
+_DARK = 0.03  # added to codes in [0, 1] before their log, so that noise in the dark is none there
+_NOISE = 0.04  # least spread of that log
+_UNLIKE = 5.0  # spreads from the median that are something else
+_ASKED = 3  # photographs that see a point which are asked about it
+_AMONG = 10  # of so many from the nearest directions
+_ABOUT = 30.0  # angle from a photograph's direction up to which these are near (degrees)
+_LIKE = 0.5  # of a photograph's distance from the median: one as near as that shows the same
+_SHARE = 0.5  # of the points about a place that must be something else
+# of a photograph's points; above it this is no thing in front but another light or a wrong
+# camera, or one so large that the photograph's exposure is told by it
+_MOST = 0.5
+_BLUR = 1.5  # width about such a place (pixels)
+_THIN = 0.02  # points a pixel below which a place cannot be told
+_HIDDEN = 4  # distance within which that goes with a patch beside it (pixels)
+# of what a photograph shows of the object; smaller patches are gloss or an error of the mesh
+_LEAST_AREA = 0.008
+_GROWN = 3  # by which a patch grows: its rim is mixed with the object (pixels)
+_LIFT = 1e-3  # distance above the surface at which rays begin (unit frame)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,32 +94,31 @@ class Cleared:
         )
 
 
-def cleared(mesh: Mesh, views: Sequence[View], config: OccludersConfig) -> Cleared:
+def cleared(mesh: Mesh, views: Sequence[View]) -> Cleared:
     """Leave out of the photographs' masks what other photographs contradict.
 
     Args:
         mesh: Of the object, unit frame.
         views: With the outline of the mesh as mask.
-        config: Of this step.
     """
-    position, normal = _points(mesh, config.points)
+    position, normal = _points(mesh, _POINTS)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    small = [resize_view(view, config.side) for view in views]
+    small = [resize_view(view, _SIDE) for view in views]
     code = np.full((len(position), len(views), 3), np.nan, np.float32)
     around = code.copy(), code.copy()
     places = np.zeros((len(position), len(views), 2), np.int16)
     for number, view in enumerate(small):
-        shown, pixel = _seen(tracer, position, normal, view, config)
+        shown, pixel = _seen(tracer, position, normal, view)
         x, y = pixel.T
         picture = view.image_display / 255
         code[shown, number] = picture[y, x]
         for part, bound in zip(around, (minimum_filter, maximum_filter), strict=True):
             part[shown, number] = bound(picture, size=(3, 3, 1))[y, x]
         places[shown, number] = pixel
-    far = _unlike(code, around, _neighbours(views, config), config)
+    far = _unlike(code, around, _neighbours(views))
     out, lost, total = [], {}, 0
     for number, (view, little) in enumerate(zip(views, small, strict=True)):
-        patch = _patch(places[:, number], far[:, number], little, config)
+        patch = _patch(places[:, number], far[:, number], little)
         height, width = view.mask.shape
         rows = np.arange(height) * patch.shape[0] // height
         columns = np.arange(width) * patch.shape[1] // width
@@ -124,30 +146,30 @@ def _points(mesh: Mesh, count: int) -> tuple[Array, Array]:
 
 
 def _seen(
-    tracer: EmbreeTracer, position: Array, normal: Array, view: View, config: OccludersConfig
+    tracer: EmbreeTracer, position: Array, normal: Array, view: View
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of the points that a photograph shows, and their pixels (x, y)."""
     towards = view.camera.position - position
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    shown = np.flatnonzero((towards * normal).sum(1) > config.least_cosine)
+    shown = np.flatnonzero((towards * normal).sum(1) > _LEAST_COSINE)
     pixels, depth = view.camera.project(position[shown])
     inside = view.camera.in_picture(pixels, depth)
     shown, pixel = shown[inside], np.floor(pixels[inside]).astype(np.int64)
     whole = view.mask[pixel[:, 1], pixel[:, 0]] == 255
     shown, pixel = shown[whole], pixel[whole]
-    start = (position[shown] + config.lift * normal[shown]).astype(np.float32)
+    start = (position[shown] + _LIFT * normal[shown]).astype(np.float32)
     free = ~tracer.is_blocked(start, towards[shown].astype(np.float32))
     return shown[free], pixel[free]
 
 
-def _neighbours(views: Sequence[View], config: OccludersConfig) -> list[list[int]]:
+def _neighbours(views: Sequence[View]) -> list[list[int]]:
     """Of each photograph those from nearly the same direction, the nearest first."""
     place = np.array([view.camera.position for view in views])
     towards = place / np.linalg.norm(place, axis=1, keepdims=True)
     cosine = towards @ towards.T
     np.fill_diagonal(cosine, -1.0)
-    near = cosine > np.cos(np.radians(config.about))
-    order = np.argsort(-cosine, axis=1, kind="stable")[:, : config.among]
+    near = cosine > np.cos(np.radians(_ABOUT))
+    order = np.argsort(-cosine, axis=1, kind="stable")[:, :_AMONG]
     return [[other for other in row if near[one, other]] for one, row in enumerate(order.tolist())]
 
 
@@ -155,7 +177,6 @@ def _unlike(
     code: NDArray[np.float32],
     around: tuple[NDArray[np.float32], NDArray[np.float32]],
     neighbours: Sequence[Sequence[int]],
-    config: OccludersConfig,
 ) -> NDArray[np.float32]:
     """How far (N, V), in spreads, a photograph is from the median of a point; NaN where unknown.
 
@@ -163,14 +184,12 @@ def _unlike(
         code: (N, V, 3) in [0, 1], NaN where a photograph does not show a point.
         around: The lowest and the highest code, (N, V, 3) each, within a pixel.
         neighbours: Of each photograph.
-        config: Of this step.
     """
-    dark = config.dark
     far = np.full(code.shape[:2], np.nan, np.float32)
-    many = np.isfinite(code[..., 0]).sum(1) >= config.least_views
+    many = np.isfinite(code[..., 0]).sum(1) >= _LEAST_VIEWS
     if not many.any():
         return far
-    log = np.log(code[many] + dark)
+    log = np.log(code[many] + _DARK)
     gain = np.zeros((1, *log.shape[1:]), np.float32)
     for _ in range(2):  # exposures by medians, and medians without exposures
         median = np.nanmedian(log - gain, axis=1, keepdims=True)
@@ -179,17 +198,17 @@ def _unlike(
     log -= gain
     median = np.nanmedian(log, axis=1, keepdims=True)
     spread = 1.4826 * np.nanmedian(np.abs(log - median), axis=1, keepdims=True)
-    spread = np.hypot(spread, config.noise)
-    low, high = (np.log(part[many] + dark) - gain for part in around)
+    spread = np.hypot(spread, _NOISE)
+    low, high = (np.log(part[many] + _DARK) - gain for part in around)
     # the mirror image of a light adds about as much to every channel, before the tone curve
-    added = (_linear(low, dark) - _linear(median, dark)).min(axis=2, keepdims=True).clip(0)
-    least, most = (_encoded((_linear(part, dark) - added).clip(0), dark) for part in (low, high))
+    added = (_linear(low, _DARK) - _linear(median, _DARK)).min(axis=2, keepdims=True).clip(0)
+    least, most = (_encoded((_linear(part, _DARK) - added).clip(0), _DARK) for part in (low, high))
     result = _apart(median, least, most, spread)
     for view, others in enumerate(neighbours):
-        odd = np.flatnonzero(result[:, view] > config.unlike / 2)
+        odd = np.flatnonzero(result[:, view] > _UNLIKE / 2)
         own = low[odd, view], high[odd, view], spread[odd, 0]
-        beside = _shown_beside(log[odd], own, others, config.asked)
-        shown = beside < config.like * _apart(median[odd, 0], *own)
+        beside = _shown_beside(log[odd], own, others, _ASKED)
+        shown = beside < _LIKE * _apart(median[odd, 0], *own)
         result[odd[shown], view] = 0.0
     far[many] = result
     return far
@@ -237,9 +256,7 @@ def _encoded(light: NDArray[np.float32], dark: float) -> NDArray[np.float32]:
     return np.log(srgb_from_linear(torch.from_numpy(light)).numpy() + dark)
 
 
-def _patch(
-    place: NDArray[np.int16], far: NDArray[np.float32], view: View, config: OccludersConfig
-) -> NDArray[np.bool_]:
+def _patch(place: NDArray[np.int16], far: NDArray[np.float32], view: View) -> NDArray[np.bool_]:
     """Pixels of a small photograph that something in front covers."""
     shape = view.mask.shape
     known = np.isfinite(far)
@@ -247,23 +264,23 @@ def _patch(
     def density(chosen: NDArray[np.bool_]) -> Array:
         row, column = place[chosen, 1].astype(np.int64), place[chosen, 0].astype(np.int64)
         count = np.bincount(row * shape[1] + column, minlength=shape[0] * shape[1])
-        return gaussian_filter(count.reshape(shape).astype(np.float64), config.blur)
+        return gaussian_filter(count.reshape(shape).astype(np.float64), _BLUR)
 
-    odd = known & (far > config.unlike)
-    if not odd.any() or odd.sum() > config.most * known.sum():
+    odd = known & (far > _UNLIKE)
+    if not odd.any() or odd.sum() > _MOST * known.sum():
         return np.zeros(shape, bool)
     inside = view.mask > 127
     all_known = density(known)
-    least = config.share * all_known
+    least = _SHARE * all_known
     core = binary_opening((density(odd) > least) & inside, np.ones((3, 3)))
     parts, number = label(core)
     area = np.bincount(parts.ravel(), minlength=number + 1)
-    large = area >= config.least_area * inside.sum()
+    large = area >= _LEAST_AREA * inside.sum()
     large[0] = False
     core = large[parts]
     if not core.any():
         return core
-    doubtful = (density(known & (far > config.unlike / 2)) > least) & inside
+    doubtful = (density(known & (far > _UNLIKE / 2)) > least) & inside
     found = binary_propagation(core, mask=binary_opening(doubtful, np.ones((3, 3))) | core)
-    about = binary_dilation(found, iterations=config.hidden) & (all_known < config.thin)
-    return binary_fill_holes(binary_dilation(found | about, iterations=config.grown))
+    about = binary_dilation(found, iterations=_HIDDEN) & (all_known < _THIN)
+    return binary_fill_holes(binary_dilation(found | about, iterations=_GROWN))

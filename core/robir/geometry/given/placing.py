@@ -18,12 +18,29 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
-from robir.geometry.given.config import PlacingConfig
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
+
+
+_VIEWS = 12  # photographs that are looked at
+COARSE_SIDE = 28  # pixels along a photograph's longer side that are looked at to search
+FINE_SIDE = 80  # the same to judge (pixels)
+_PAD = 0.5  # of a photograph's sides: how far beyond its cut the mesh is looked for as well
+_TURNS = 500  # turns of all kinds that are tried; 500 are about 25 degrees from each other
+_FOLLOWED = 5  # of them, those that are followed downhill
+_BALANCES = 2  # how often each is scaled and shifted to suit the masks where its size is not known
+_FIRST_TURN = 0.15  # first step of a search downhill, about each axis (radians)
+_FIRST_SCALE = 0.1  # the same of the size, its logarithm
+_FIRST_SHIFT = 0.08  # the same along each axis (unit frame)
+_EVALUATIONS = 250  # places that such a search looks at
+# share of outline and mask that both have from which a mesh stands nearly right, and what is off
+# is followed from there
+_NEARLY = 0.5
+FITS = 0.9  # share from which it stands right; of its own masks a mesh of ours has 0.97
+BETTER = 0.05  # by how much more of that another place has to have to be believed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,15 +66,14 @@ class Outlines:
     Args:
         views: Training views, unit frame.
         side: Pixels along the longer side that are looked at.
-        config: Of this step.
     """
 
-    def __init__(self, views: Sequence[View], side: int, config: PlacingConfig) -> None:
-        chosen = farthest_points(np.stack([view.camera.position for view in views]), config.views)
+    def __init__(self, views: Sequence[View], side: int) -> None:
+        chosen = farthest_points(np.stack([view.camera.position for view in views]), _VIEWS)
         origins, directions, masks, owners = [], [], [], []
         for number, index in enumerate(chosen):
             view = views[index]
-            places, mask = _looked_at(view, side, config.pad)
+            places, mask = _looked_at(view, side, _PAD)
             origin, direction = view.camera.rays(places)
             origins.append(origin)
             directions.append(direction)
@@ -144,7 +160,6 @@ def better_place(
     vertices: Array,
     tracer: EmbreeTracer,
     views: Sequence[View],
-    config: PlacingConfig,
     *,
     is_lost: bool = False,
 ) -> tuple[Similarity, Agreement]:
@@ -154,36 +169,35 @@ def better_place(
         vertices: (N, 3) of the mesh, unit frame.
         tracer: Of the mesh where it is.
         views: Training views, unit frame.
-        config: Of this step.
         is_lost: Whether the unit sphere is only roughly the mesh's own, and the mesh's own place
             tells nothing.
 
     Returns:
         What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
     """
-    coarse = Outlines(views, config.coarse_side, config)
-    fine = Outlines(views, config.fine_side, config)
+    coarse = Outlines(views, COARSE_SIDE)
+    fine = Outlines(views, FINE_SIDE)
     centre, radius = enclosing_sphere(vertices)
     found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
-    if best.share > config.nearly and not is_lost:
+    if best.share > _NEARLY and not is_lost:
         # what is off by a little is not searched for far away
-        found, best = _finished(found, tracer, fine, config)
+        found, best = _finished(found, tracer, fine)
     for handed in (1.0, -1.0):
-        if best.share >= config.fits:
+        if best.share >= FITS:
             break
         tried = [
             Similarity(turn=turn, scale=scale, shift=-scale * turn @ centre)
-            for turn in handed * _turns(config.turns)
+            for turn in handed * _turns(_TURNS)
             for scale in [1 / (MARGIN * radius)]
         ]
-        for _ in range(config.balances if is_lost else 0):
+        for _ in range(_BALANCES if is_lost else 0):
             tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
-        first = np.argsort(-shares)[: config.followed]
-        followed = [downhill(tried[k], tracer, coarse, config) for k in first]
+        first = np.argsort(-shares)[:_FOLLOWED]
+        followed = [downhill(tried[k], tracer, coarse) for k in first]
         start = max(followed, key=lambda pair: pair[1])[0]
-        place, agreement = _finished(start, tracer, fine, config)
-        if agreement.share > best.share + config.better:
+        place, agreement = _finished(start, tracer, fine)
+        if agreement.share > best.share + BETTER:
             found, best = place, agreement
     return found, best
 
@@ -192,7 +206,6 @@ def downhill(
     start: Similarity,
     tracer: EmbreeTracer,
     outlines: Outlines,
-    config: PlacingConfig,
     reach: float = 1.0,
 ) -> tuple[Similarity, float]:
     """The best place near another, and the share there (Nelder and Mead 1965).
@@ -201,7 +214,6 @@ def downhill(
         start: The other.
         tracer: Of the mesh.
         outlines: The masks.
-        config: Of this step.
         reach: Share of the first steps that are made; with less there are fewer steps as well.
     """
 
@@ -214,10 +226,10 @@ def downhill(
             shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
         )
 
-    first = [config.first_turn] * 3 + [config.first_scale] + [config.first_shift] * 3
+    first = [_FIRST_TURN] * 3 + [_FIRST_SCALE] + [_FIRST_SHIFT] * 3
     steps = reach * np.diag(first)
     simplex = np.concatenate([np.zeros((1, 7)), steps])
-    most = int(config.evaluations * reach**0.5)
+    most = int(_EVALUATIONS * reach**0.5)
     found = minimize(
         lambda x: -outlines.of(tracer, moved(x)).share,
         np.zeros(7),
@@ -260,7 +272,7 @@ def _turns(others: int) -> Array:
 
 
 def _finished(
-    start: Similarity, tracer: EmbreeTracer, fine: Outlines, config: PlacingConfig
+    start: Similarity, tracer: EmbreeTracer, fine: Outlines
 ) -> tuple[Similarity, Agreement]:
-    place, _ = downhill(start, tracer, fine, config)
+    place, _ = downhill(start, tracer, fine)
     return place, fine.of(tracer, place)

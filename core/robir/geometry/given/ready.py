@@ -24,6 +24,14 @@ FLAT = np.full((4, 4, 3), (128, 128, 255), np.uint8)
 """Normal map without bumps, for a tile whose materials have none."""
 
 
+# faces of the copy on which light is solved, over the face budget of a surface of our own
+_LIGHT_FACES = 4
+_THINNED = 8  # faces, over those of that copy, to which a mesh of more is thinned quickly first
+# share of the faces whose normals are on the side of their front, in a mesh with a normal map
+_OUTWARD = 0.99
+_NORMAL_SCALE = 0.25  # distance that counts as much as two normals one unit apart (unit frame)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
     """The user's mesh on its way out.
@@ -54,41 +62,39 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
         config: Of the stage.
         warn: Told what is given up while unwrapping.
     """
-    own = config.given.ready
-    budget = own.light_faces * config.face_budget
+    budget = _LIGHT_FACES * config.face_budget
     vertices, faces = welded(given)
     few = plain_mesh(vertices, faces)
     if is_dense := len(faces) > budget:
         whole = compacted(vertices, faces[_have_area(vertices, faces)])
-        few = thinned(whole, own.thinned * budget)
+        few = thinned(whole, _THINNED * budget)
     calm, noise = without_noise(
-        few.vertices.astype(np.float64) if is_dense else vertices, few.faces, config.given.noise
+        few.vertices.astype(np.float64) if is_dense else vertices, few.faces
     )
     notes = (_told(noise),) if noise else ()
     few = plain_mesh(calm, few.faces)
-    layout = own_layout(given, config.given.layout)
-    detail, lost = _detail(given, layout, own.outward)
+    layout = own_layout(given)
+    detail, lost = _detail(given, layout, _OUTWARD)
     notes = (*notes, *lost)
     if is_dense:
-        few = with_creases(decimate(few, budget, config.mesh.simplify), config.mesh.simplify)
+        few = with_creases(decimate(few, budget))
     if isinstance(layout, str):
         note = f"The mesh gets new texture coordinates: {layout}."
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
-        made = unwrap(_rewelded(few), config.unwrap_seconds, warn, config.mesh)
-        made = with_creases(made, config.mesh.simplify)
+        made = unwrap(_rewelded(few), config.unwrap_seconds, warn)
+        made = with_creases(made)
         is_copy = is_dense or len(made.faces) != len(faces)
         mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
     else:
         notes = (*notes, *layout.notes)
-        creased = config.mesh.simplify
-        made = few if is_dense else with_creases(_laid_out(few, layout), creased)
+        made = few if is_dense else with_creases(_laid_out(few, layout))
         if detail:
             mesh = _with_own_normals(given, layout)
         elif is_dense:
             mesh = _laid_out(plain_mesh(vertices, faces), layout)
-            mesh = replace(mesh, normals=_normals_of(made, mesh, own.normal_scale))
+            mesh = replace(mesh, normals=_normals_of(made, mesh, _NORMAL_SCALE))
         else:
             mesh = _moved_back(made, vertices[faces]) if noise else made
     return Ready(

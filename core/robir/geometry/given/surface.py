@@ -20,10 +20,9 @@ from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.aligning import aligned
-from robir.geometry.given.config import PlacingConfig
 from robir.geometry.given.fit_picture import show_fit
 from robir.geometry.given.occluders import cleared
-from robir.geometry.given.placing import Agreement, Outlines, better_place
+from robir.geometry.given.placing import BETTER, FINE_SIDE, FITS, Agreement, Outlines, better_place
 from robir.geometry.given.ready import made_ready, welded
 from robir.geometry.given.sides import inside_out
 from robir.geometry.given.verdict import is_related, poor_fit
@@ -32,6 +31,8 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.remask import cut_about
 from robir.jobs.context import Reporter
 from robir.maths.similarity import AS_IT_IS, Similarity
+
+_LIKELY = 0.75  # that a place has at least which is proposed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +92,7 @@ def hand_in(
     else:
         given, agreement = _placed(_in_unit_frame(given, captures[0]), captures, config, picture)
     capture = captures[1]
-    given = _turned(given, capture, config.given.placing)
+    given = _turned(given, capture)
     reporter.progress(0.4, "making the mesh ready for textures")
     ready = made_ready(given, config, reporter.warn)
     solid = ready.light or ready.mesh
@@ -102,7 +103,7 @@ def hand_in(
         tracer = EmbreeTracer(solid.vertices, solid.faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
         reporter.progress(0.9, "looking for what stands before the object")
-        rest = cleared(solid, views, config.given.occluders)
+        rest = cleared(solid, views)
         views, before = rest.views, rest.notes()
         if MESH_MASKS not in codes:  # else object and background look alike
             views = _without_rims(tracer, views)
@@ -154,27 +155,26 @@ def _placed(
     views = captures[1].train
     vertices, faces = given.vertices, given.faces
     tracer = EmbreeTracer(vertices.astype(np.float32), faces)
-    rules, placing = config.given, config.given.placing
-    now = Outlines(views, placing.fine_side, placing).of(tracer, AS_IT_IS)
+    now = Outlines(views, FINE_SIDE).of(tracer, AS_IT_IS)
     is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
-    if not is_judge or (now.share >= placing.fits and not config.fit_mesh):
+    if not is_judge or (now.share >= FITS and not config.fit_mesh):
         return given, now
-    place, then = better_place(vertices[np.unique(faces)], tracer, views, placing)
+    place, then = better_place(vertices[np.unique(faces)], tracer, views)
     bounds = captures[0].bounds
     own = place.outside(bounds.centre, bounds.radius)
     how = f"its outline and the masks share {now.share:.0%} of what either has"
-    gain = 0.0 if config.fit_mesh else placing.better
-    if then.share < rules.verdict.likely or then.share <= now.share + gain:
-        if is_related(now, rules):
-            return given.noted(*poor_fit(now, placing.fits)), now
-        show_fit(tracer, (AS_IT_IS, place), views, picture, rules.fit_picture)
+    gain = 0.0 if config.fit_mesh else BETTER
+    if then.share < _LIKELY or then.share <= now.share + gain:
+        if is_related(now):
+            return given.noted(*poor_fit(now, FITS)), now
+        show_fit(tracer, (AS_IT_IS, place), views, picture)
         raise CaptureError(
             f"the mesh does not belong to these photographs: {how}, and no turn, scale and shift "
             f"makes it more than {then.share:.0%}; give the mesh of this object, and look at "
             f"{picture} and at the masks"
         )
     if np.linalg.det(place.turn) < 0:
-        show_fit(tracer, (AS_IT_IS, place), views, picture, rules.fit_picture)
+        show_fit(tracer, (AS_IT_IS, place), views, picture)
         raise CaptureError(
             f"the mesh is mirrored: {how}, its mirror image {then.share:.0%}; export it with the "
             f"axes of the capture, without a negative scale; {picture} shows both"
@@ -182,8 +182,8 @@ def _placed(
     if config.fit_mesh:
         normals = None if given.normals is None else given.normals @ place.turn.T
         moved = replace(given, vertices=place(vertices), normals=normals)
-        return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then, placing.fits)), then
-    show_fit(tracer, (AS_IT_IS, place), views, picture, rules.fit_picture)
+        return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then, FITS)), then
+    show_fit(tracer, (AS_IT_IS, place), views, picture)
     raise CaptureError(
         f"the mesh does not fit the photographs: {how}. {own.described().capitalize()} it shares "
         f"{then.share:.0%}; have that done with --fit-mesh and --resume, or export the mesh in the "
@@ -191,10 +191,10 @@ def _placed(
     )
 
 
-def _turned(given: Given, capture: Capture, config: PlacingConfig) -> Given:
+def _turned(given: Given, capture: Capture) -> Given:
     """The mesh with the sides outward that cameras look at."""
     vertices, faces = welded(given)
-    rays = Outlines(capture.train, config.fine_side, config)
+    rays = Outlines(capture.train, FINE_SIDE)
     wrong = inside_out(vertices, faces, (rays.origins, rays.directions))
     if not wrong.any():
         return given

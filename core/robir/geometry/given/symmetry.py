@@ -14,12 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from robir.geometry.given.config import GivenConfig, SymmetryConfig
 from robir.geometry.given.placing import Agreement, Outlines, downhill
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity, turn_about, turn_in_words
 
 Array = NDArray[np.float64]
+
+
+_TURNS = 12  # turns about an axis, the mesh's own among them
+# share of outline and mask that a turn may cost, before it is followed downhill, to be one that
+# masks hardly tell: those that are guessed are wrong by about as much
+_ALIKE = 0.04
+_TOLD = 0.02  # the same after that, from which outlines tell in any case
+# standard errors over the photographs from which outlines tell by less than that as well
+_SURE = 3.0
+_FOLLOWED = 4  # turns that are followed
+# of the first steps of a search downhill; what is followed by fine outlines is nearly right
+_REACH = 0.3
+_APART = 15.0  # angle by which turns differ at least that count as two (degrees)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +84,6 @@ def best_turned(
     surface: tuple[Array, NDArray[np.int32]],
     tracer: EmbreeTracer,
     outlines: tuple[Outlines, Outlines],
-    config: GivenConfig,
 ) -> Standing:
     """The best of a place and its turns that outlines hardly tell from it, and what those are.
 
@@ -81,31 +92,29 @@ def best_turned(
         surface: Vertices (Nv, 3) and faces (Nf, 3) of the mesh.
         tracer: Of the mesh.
         outlines: The masks, coarse and fine.
-        config: Of what is done with the mesh.
     """
     coarse, fine = outlines
-    own, placing = config.symmetry, config.placing
     middle, axes = _axes(*surface)
     share = fine.of(tracer, place).share
-    turns = _turns(axes, own.turns)
+    turns = _turns(axes, _TURNS)
     tried = [place.after(turn_about(turn, middle)) for turn in turns]
     shares = np.array([fine.of(tracer, one).share for one in tried])
-    alike = shares >= share - own.alike
-    per_axis = own.turns - 1
+    alike = shares >= share - _ALIKE
+    per_axis = _TURNS - 1
     about = alike[: 3 * per_axis].reshape(3, -1).all(axis=1)
     order = [k for k in np.argsort(-shares) if alike[k]]
     # about an axis of something round all are the same, and the best of them is enough
     same = [k for k in order if k < 3 * per_axis and about[k // per_axis]]
-    order = [k for k in order if k not in same[1:]][: own.followed]
-    found = [place, *(downhill(tried[k], tracer, coarse, placing)[0] for k in order)]
-    found = [downhill(one, tracer, fine, placing, own.reach)[0] for one in found]
+    order = [k for k in order if k not in same[1:]][:_FOLLOWED]
+    found = [place, *(downhill(tried[k], tracer, coarse)[0] for k in order)]
+    found = [downhill(one, tracer, fine, _REACH)[0] for one in found]
     agreements = [fine.of(tracer, one) for one in found]
     best = max(range(len(found)), key=lambda k: agreements[k].share)
     others: list[tuple[Similarity, float]] = []
     for k in sorted(range(len(found)), key=lambda k: -agreements[k].share):
         near = [found[best], *(one for one, _ in others)]
-        is_new = all(_is_another(found[k], one, axes.T[about], own.apart) for one in near)
-        if is_new and _is_as_good(agreements[k], agreements[best], own):
+        is_new = all(_is_another(found[k], one, axes.T[about], _APART) for one in near)
+        if is_new and _is_as_good(agreements[k], agreements[best]):
             others.append((found[k], agreements[k].share))
     return Standing(
         place=found[best],
@@ -139,11 +148,11 @@ def _turns(axes: Array, count: int) -> Array:
     return np.array([*about, *between])
 
 
-def _is_as_good(one: Agreement, best: Agreement, config: SymmetryConfig) -> bool:
+def _is_as_good(one: Agreement, best: Agreement) -> bool:
     """Whether the best place is not surely better than another, photograph by photograph."""
     lead = best.shares - one.shares
     error = lead.std(ddof=1) / len(lead) ** 0.5 if len(lead) > 1 else np.inf
-    return bool(lead.mean() < min(config.told, config.sure * error + 1e-9))
+    return bool(lead.mean() < min(_TOLD, _SURE * error + 1e-9))
 
 
 def _is_another(one: Similarity, other: Similarity, round_about: Array, apart: float) -> bool:

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-from robir.geometry.given.config import GivenConfig
-from robir.geometry.given.placing import Agreement
+from robir.geometry.given.placing import FITS, Agreement
+
+_UNRELATED = 0.5  # below which a mesh shows something else
+# share of the masks that a mesh within them may lack, or of it that may lie beyond them all
+_MOST_APART = 0.8
 
 
-def is_related(agreement: Agreement, config: GivenConfig) -> bool:
+def is_related(agreement: Agreement) -> bool:
     """Whether a mesh shows the object, or a part of it, or it and more, at the right place."""
     wrong = sorted((agreement.missing, agreement.beyond))
-    is_part = wrong[0] <= 1 - config.placing.fits and wrong[1] < config.verdict.most_apart
-    return agreement.share >= config.verdict.unrelated or is_part
+    is_part = wrong[0] <= 1 - FITS and wrong[1] < _MOST_APART
+    return agreement.share >= _UNRELATED or is_part
 
 
 def poor_fit(agreement: Agreement, fits: float) -> tuple[str, ...]:

@@ -30,10 +30,9 @@ from scipy.stats import norm
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
-from robir.geometry.ground.config import BackdropConfig, GroundConfig
 from robir.geometry.ground.flatten import Ground
-from robir.geometry.ground.photo_consistency import colours_at, hidden, hue_of
-from robir.geometry.ground.pixel_rays import PixelRays, Solid, pixels_of
+from robir.geometry.ground.photo_consistency import SAME_COLOUR, colours_at, hidden, hue_of
+from robir.geometry.ground.pixel_rays import SAMPLE_STEP, PixelRays, Solid, pixels_of
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
@@ -42,75 +41,96 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def ground_palette(colours: NDArray[np.floating], config: BackdropConfig) -> Mask:
+_BINS = 20  # steps of a display channel in the palette of the ground
+# share of the colours of certain ground that one step of the palette must have more of
+_RAREST = 2e-4
+_DARKEST = 0.25  # display value of the ground in deep shadow against that in light
+_SHADES = 16  # shades from there to the light that the palette holds
+# how far a pixel may lie outside the range of the ground's colours about its spot, display
+_SPREAD = 0.05
+_NOISE_WIDTH = 3.0  # how far it may in any case, in standard deviations of the photographs' noise
+# above which a pixel tells of noise, for it shows nothing but what the mask encloses
+_NOISE_COVERAGE = 0.99
+# photographs that must show a spot of ground, and that must see through a freed point
+_LEAST_VIEWS = 3
+# of a spot's photographs that must show ground there; things may hide it from the rest
+_LEAST_SHARE = 0.08
+# share of the pixels that reach a spot and show another colour at which it is no ground
+_DOUBT = 0.25
+# difference of hue from the colours of certain ground beyond which a spot is no shaded ground
+_HUE = 0.08
+# display value against that of certain ground below which hue tells nothing: most light that
+# arrives below a thing comes from it and has its hue
+_DIM = 0.35
+# share of certain ground that must have a hue: single columns may be certain wrongly
+_LEAST_HUE = 0.02
+_VOTE_REACH = 2  # nodes to each side whose photographs decide about a node with its own
+_ROUNDS = 2  # how often the picture of the ground is checked against what was freed with it
+
+
+def ground_palette(colours: NDArray[np.floating]) -> Mask:
     """Display colours the ground may have, those seen and their darker shades.
 
     Args:
         colours: (N, 3) display colours of spots known to be ground.
-        config: Of this step.
 
     Returns:
         (bins, bins, bins) bool, one step wider than the colours on every side.
     """
-    bins = config.bins
-    step = np.clip((colours * bins).astype(int), 0, bins - 1)
-    count = np.zeros((bins,) * 3)
+    step = np.clip((colours * _BINS).astype(int), 0, _BINS - 1)
+    count = np.zeros((_BINS,) * 3)
     np.add.at(count, tuple(step.T), 1)
-    seen = (np.argwhere(count > max(3.0, config.rarest * len(colours))) + 0.5) / bins
-    palette = np.zeros((bins,) * 3, bool)
-    for shade in np.linspace(config.darkest, 1.0, config.shades):
-        palette[tuple((seen * shade * bins).astype(int).T)] = True
+    seen = (np.argwhere(count > max(3.0, _RAREST * len(colours))) + 0.5) / _BINS
+    palette = np.zeros((_BINS,) * 3, bool)
+    for shade in np.linspace(_DARKEST, 1.0, _SHADES):
+        palette[tuple((seen * shade * _BINS).astype(int).T)] = True
     return binary_dilation(palette, np.ones((3, 3, 3), bool))
 
 
-def common_colour(colours: NDArray[np.floating], palette: Mask, config: GroundConfig) -> Array:
+def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
     """The colour that most photographs agree on at each spot, of those the palette holds.
 
     Args:
         colours: (V, K, 3) display colours; NaN where a photograph does not show the spot.
         palette: Result of `ground_palette`.
-        config: Of the ground.
 
     Returns:
         (K, 3), NaN where too few photographs agree.
     """
-    own, same = config.backdrop, config.photo_consistency.same_colour
     shown = np.isfinite(colours[..., 0])
-    step = np.clip((np.nan_to_num(colours) * own.bins).astype(int), 0, own.bins - 1)
+    step = np.clip((np.nan_to_num(colours) * _BINS).astype(int), 0, _BINS - 1)
     likely = shown & palette[step[..., 0], step[..., 1], step[..., 2]]
     values = np.where(likely[..., None], colours, 9.0)
     votes = np.stack(
         [
-            (np.abs(values - one).mean(-1) < same).sum(0) * is_likely
+            (np.abs(values - one).mean(-1) < SAME_COLOUR).sum(0) * is_likely
             for one, is_likely in zip(values, likely, strict=True)
         ]
     )
     best, spots = votes.argmax(0), np.arange(colours.shape[1])
-    near = likely & (np.abs(values - values[best, spots]).mean(-1) < same)
+    near = likely & (np.abs(values - values[best, spots]).mean(-1) < SAME_COLOUR)
     total = np.where(near[..., None], values, 0.0).sum(0)
     common = total / np.maximum(near.sum(0), 1)[:, None]
-    enough = votes[best, spots] >= np.maximum(own.least_views, own.least_share * shown.sum(0))
+    enough = votes[best, spots] >= np.maximum(_LEAST_VIEWS, _LEAST_SHARE * shown.sum(0))
     return np.where(enough[:, None], common, np.nan)
 
 
-def hues_held(colours: Array, certain: Array, config: GroundConfig) -> Mask:
+def hues_held(colours: Array, certain: Array) -> Mask:
     """Whether colours may be those of a ground, lit or shaded: light shade keeps the hue, nearly.
 
     Args:
         colours: (K, 3) display colours, finite.
         certain: (N, 3) display colours of spots known to be ground.
-        config: Of the ground.
 
     Returns:
         (K,); all False without certain ground.
     """
     if not len(certain):
         return np.zeros(len(colours), bool)
-    own, dark = config.backdrop, config.photo_consistency.dark
-    hues, held = hue_of(colours, dark), hue_of(certain, dark)
-    number = int(np.ceil(own.least_hue * len(held)))
-    distance, _ = cKDTree(held).query(hues, k=[number], p=np.inf, distance_upper_bound=own.hue)
-    dim = colours.mean(1) < own.dim * np.median(certain.mean(1))
+    hues, held = hue_of(colours), hue_of(certain)
+    number = int(np.ceil(_LEAST_HUE * len(held)))
+    distance, _ = cKDTree(held).query(hues, k=[number], p=np.inf, distance_upper_bound=_HUE)
+    dim = colours.mean(1) < _DIM * np.median(certain.mean(1))
     return dim | np.isfinite(distance[:, 0])
 
 
@@ -214,7 +234,7 @@ def freed(
     ]
     carver = HullCarver([photo.camera for photo in photos], silhouettes)
     outside = torch.stack(list(carver.by_view(points)))
-    enough = min(ground.config.backdrop.least_views, len(photos))
+    enough = min(_LEAST_VIEWS, len(photos))
     seen_through = outside.topk(enough, dim=0).values[-1]
     room = torch.minimum(seen_through, torch.from_numpy(height).float())
     free = sdf.clone()
@@ -241,31 +261,28 @@ class Backdrop:
     def __init__(self, ground: Ground, photos: list[Photo]) -> None:
         self.ground = ground
         self.photos = photos
-        columns, config = ground.columns, ground.config
-        self._config = own = config.backdrop
-        self.rays = [PixelRays(columns, photo, config.pixel_rays) for photo in photos]
-        noise = pixel_noise(photos, own.noise_coverage)
-        self.spread = max(own.spread, own.noise_width * noise)
+        columns = ground.columns
+        self.rays = [PixelRays(columns, photo) for photo in photos]
+        noise = pixel_noise(photos, _NOISE_COVERAGE)
+        self.spread = max(_SPREAD, _NOISE_WIDTH * noise)
         bare, shape = ground.start, columns.shape
         spots = np.column_stack([columns.feet, np.zeros(len(columns.feet))])
-        colours = colours_at(columns, spots, photos, config.photo_consistency)
+        colours = colours_at(columns, spots, photos)
         certain = np.flatnonzero(bare)
         blocks = np.where(bare | ~np.isfinite(ground.tops), -1.0, ground.tops)
         floor, plain = np.zeros(len(certain)), np.full_like(colours, np.nan)
         for number, photo in enumerate(photos):
-            is_hidden = hidden(
-                columns, blocks, floor, spots[certain], photo, config.photo_consistency
-            )
+            is_hidden = hidden(columns, blocks, floor, spots[certain], photo)
             free = certain[~is_hidden]
             plain[number, free] = colours[number, free]
         known = np.isfinite(plain[..., 0])
-        picture = common_colour(colours, ground_palette(plain[known], own), config)
-        proven = known.sum(0) > own.least_views
+        picture = common_colour(colours, ground_palette(plain[known]))
+        proven = known.sum(0) > _LEAST_VIEWS
         picture[proven] = np.nanmedian(plain[:, proven], axis=0)
         picture[~(columns.inside.ravel() | proven)] = np.nan
         found = np.isfinite(picture[:, 0])
         self.foreign = np.zeros(shape, bool)
-        held = hues_held(picture[found], picture[found & bare.ravel()], config)
+        held = hues_held(picture[found], picture[found & bare.ravel()])
         self.foreign.ravel()[found] = ~held
         self.picture = picture.reshape(*shape, 3)
         self._keep(np.ones(shape, bool))
@@ -296,7 +313,7 @@ class Backdrop:
         """
         near = near_ground(self.ground, lattice, sdf)
         kept = torch.zeros_like(near)
-        for _ in range(self._config.rounds):
+        for _ in range(_ROUNDS):
             masks = self.shown()
             free = self._cut(lattice, sdf, near & ~kept, masks)
             reached, wrong = np.zeros(self.picture.shape[:2]), np.zeros(self.picture.shape[:2])
@@ -311,8 +328,8 @@ class Backdrop:
                 np.add.at(wrong.reshape(-1), rays.column[pixels[~mask.ravel()[pixels]]], 1.0)
             kept |= self._doubted(lattice, (sdf < 0) & (free >= 0), through, masks)
             reached, wrong = 9.0 * uniform_filter(reached, 3), 9.0 * uniform_filter(wrong, 3)
-            believed = wrong <= self._config.doubt * reached
-            believed |= wrong < self._config.least_views - 0.5
+            believed = wrong <= _DOUBT * reached
+            believed |= wrong < _LEAST_VIEWS - 0.5
             self._keep(believed & ~self.foreign)
         return self._cut(lattice, sdf, near & ~kept, self.shown())
 
@@ -338,7 +355,7 @@ class Backdrop:
         good, bad = np.zeros(len(points)), np.zeros(len(points))
         for photo, open_pixels, mask in zip(self.photos, through, masks, strict=True):
             # the nearest of the pixels that were looked at
-            pixel = pixels_of(photo.camera, points, self.ground.config.pixel_rays.step)
+            pixel = pixels_of(photo.camera, points, SAMPLE_STEP)
             is_open = (pixel >= 0) & open_pixels.ravel()[pixel]
             fits = mask.ravel()[pixel]
             good += is_open & fits
@@ -346,6 +363,7 @@ class Backdrop:
         # single pixels err along silhouettes: the nodes about are asked as well
         votes = torch.zeros(2, lattice.count)
         votes[:, freed] = torch.from_numpy(np.stack([good + bad, bad])).float()
-        reach = self._config.vote_reach
-        votes = avg_pool3d(votes.view(2, *lattice.shape), 2 * reach + 1, stride=1, padding=reach)
-        return ((votes[1] > self._config.doubt * votes[0]) & (votes[1] > 0)).reshape(-1)
+        votes = avg_pool3d(
+            votes.view(2, *lattice.shape), 2 * _VOTE_REACH + 1, stride=1, padding=_VOTE_REACH
+        )
+        return ((votes[1] > _DOUBT * votes[0]) & (votes[1] > 0)).reshape(-1)

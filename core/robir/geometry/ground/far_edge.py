@@ -16,10 +16,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.geometry.ground.config import FarEdgeConfig
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
+
+
+# points between which the edge's distance from the middle is linear in the angle about it
+_KNOTS = 36
+_STIFFNESS = 0.3  # weight of the difference between neighbouring knots against one ray
+# upward part of an outline's outward normal; upright things and near edges, below which the
+# ground shows its side, have less
+_LEAST_RISE = 0.3
+_LEAST_FALL = 0.05  # downward part of a ray's direction; flatter ones meet the plane anywhere
+# cosine between an outline's normal, within the plane, and the direction from the middle;
+# outlines of what stands before the edge run across it
+_LEAST_ALONG = 0.9
+_ROUNDS = 10  # linear solutions
+_WIDE_ROUNDS = 3  # how many of them take rays at the full width
+_NARROWING = 0.35  # share of the width at which a ray counts as stray in the others
+_RAYS_A_KNOT = 5  # rays that must agree on the edge, for each knot
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +58,6 @@ def level(
     middle: Array,
     normal: Array,
     width: float,
-    config: FarEdgeConfig,
 ) -> float:
     """How far to raise a plane so that all photographs see the same far edge in it.
 
@@ -56,26 +70,25 @@ def level(
         middle: (3,) point of the plane within the edge, unit frame.
         normal: (3,) unit normal of the plane, towards the cameras.
         width: How far a ray may miss the edge at first, and the plane move, unit frame.
-        config: Of this step.
 
     Returns:
         The rise, unit frame; 0 where too few rays agree on an edge or none is near.
     """
     weight = np.zeros(len(rays.origins))
     weight[touching] = 1.0
-    knots, narrow = config.knots, config.narrowing * width
-    system = _System(rays, middle, normal, config)
+    knots, narrow = _KNOTS, _NARROWING * width
+    system = _System(rays, middle, normal)
     edge = system.solve(weight)
     rise = edge[knots]
-    for number in range(config.rounds):
+    for number in range(_ROUNDS):
         # the unknowns are those of the last height: the edge is the same, the rise is done
         edge[knots] = 0.0
-        system = _System(rays, middle + rise * normal, normal, config)
-        weight = system.weights(edge, width if number < config.wide_rounds else narrow)
+        system = _System(rays, middle + rise * normal, normal)
+        weight = system.weights(edge, width if number < _WIDE_ROUNDS else narrow)
         edge = system.solve(weight)
         rise += edge[knots]
     agreeing = (weight[system.usable] > 0.5).sum()
-    return rise if agreeing > config.rays_a_knot * knots and abs(rise) < width else 0.0
+    return rise if agreeing > _RAYS_A_KNOT * knots and abs(rise) < width else 0.0
 
 
 class _System:
@@ -88,36 +101,32 @@ class _System:
         rays: Outlines P.
         middle: (3,) point of the plane.
         normal: (3,) unit.
-        config: Of this step.
 
     Attributes:
         usable: (P,) bool, rays that may touch a far edge.
     """
 
-    def __init__(
-        self, rays: OutlineRays, middle: Array, normal: Array, config: FarEdgeConfig
-    ) -> None:
-        self._config, knots = config, config.knots
+    def __init__(self, rays: OutlineRays, middle: Array, normal: Array) -> None:
         first, second = tangents(normal)
         rising = rays.outward @ normal
-        falling = np.maximum(-(rays.directions @ normal), 0.5 * config.least_fall)
+        falling = np.maximum(-(rays.directions @ normal), 0.5 * _LEAST_FALL)
         reach = ((rays.origins - middle) @ normal) / falling
         spot = rays.origins + reach[:, None] * rays.directions - middle
         along, aside = spot @ first, spot @ second
         self._radius = np.maximum(np.hypot(along, aside), 1e-9)
         across = (rays.outward * spot).sum(1) / self._radius
-        self.usable = across > config.least_along * np.sqrt(np.maximum(1.0 - rising**2, 0.0))
-        self.usable &= (rising > config.least_rise) & (falling > config.least_fall)
-        turn = (np.arctan2(aside, along) / (2.0 * np.pi)) % 1.0 * knots
-        knot, part, row = turn.astype(int) % knots, turn % 1.0, np.arange(len(turn))
-        self._matrix = np.zeros((len(turn), knots + 2))
+        self.usable = across > _LEAST_ALONG * np.sqrt(np.maximum(1.0 - rising**2, 0.0))
+        self.usable &= (rising > _LEAST_RISE) & (falling > _LEAST_FALL)
+        turn = (np.arctan2(aside, along) / (2.0 * np.pi)) % 1.0 * _KNOTS
+        knot, part, row = turn.astype(int) % _KNOTS, turn % 1.0, np.arange(len(turn))
+        self._matrix = np.zeros((len(turn), _KNOTS + 2))
         self._matrix[row, knot] = 1.0 - part
-        self._matrix[row, (knot + 1) % knots] = part
+        self._matrix[row, (knot + 1) % _KNOTS] = part
         # a higher plane is met earlier
-        self._matrix[:, knots] = (rays.directions * spot).sum(1) / (self._radius * falling)
+        self._matrix[:, _KNOTS] = (rays.directions * spot).sum(1) / (self._radius * falling)
         # a circle's tangent with normal (sin e, cos e) passes its topmost level (1 - cos e) / sin e
         # radii outside its middle
-        self._matrix[:, knots + 1] = (1.0 - rising) / np.maximum(across, 0.05)
+        self._matrix[:, _KNOTS + 1] = (1.0 - rising) / np.maximum(across, 0.05)
 
     def weights(self, edge: Array, width: float) -> Array:
         """Geman-McClure weights (P,) of the rays given the unknowns (K + 2,)."""
@@ -127,10 +136,9 @@ class _System:
     def solve(self, weight: Array) -> Array:
         """Unknowns (K + 2,) by least squares with weights (P,)."""
         root = np.sqrt(weight * self.usable)
-        knots = self._config.knots
-        stiff = np.zeros((knots, knots + 2))
-        stiff[:, :knots] = np.roll(np.eye(knots), 1, axis=1) - np.eye(knots)
-        stiff[:, :knots] *= self._config.stiffness
+        stiff = np.zeros((_KNOTS, _KNOTS + 2))
+        stiff[:, :_KNOTS] = np.roll(np.eye(_KNOTS), 1, axis=1) - np.eye(_KNOTS)
+        stiff[:, :_KNOTS] *= _STIFFNESS
         matrix = np.concatenate([root[:, None] * self._matrix, stiff])
-        wanted = np.concatenate([root * self._radius, np.zeros(knots)])
+        wanted = np.concatenate([root * self._radius, np.zeros(_KNOTS)])
         return np.linalg.lstsq(matrix, wanted, rcond=None)[0]

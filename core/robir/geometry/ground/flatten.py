@@ -10,7 +10,6 @@ from scipy.ndimage import binary_fill_holes, binary_opening, distance_transform_
 from torch import Tensor
 
 from robir.geometry.ground.columns import Columns
-from robir.geometry.ground.config import GroundConfig
 from robir.geometry.ground.photo_consistency import feet_agree
 from robir.geometry.ground.plane import SupportPlane, project_outline, within
 from robir.geometry.hull import HullCarver
@@ -18,6 +17,18 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
+
+
+_HIGHEST = 0.6  # height above the plane up to which columns are searched for a surface (unit frame)
+# height from which columns are objects whatever their foot would look like (unit frame)
+_STANDING = 0.13
+_HIGHEST_LENS = 0.3  # height up to which the hull of bare ground is searched (unit frame)
+_LENS_SLACK = 0.6  # height over that hull up to which masks hold no evidence of anything (cells)
+_FLAT = 0.8  # distance from the plane up to which a column's surface is the plane (cells)
+_SPECK = 9  # columns of the largest doubtful piece that joins the ground enclosing it
+_RIM = 0.93  # size of the part of the outline, towards its middle, that must prove to be ground
+# how far below the plane half of a ground may lie once a level is fitted; more is a plate (cells)
+_DEEPEST = 0.2
 
 
 def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice, highest: float) -> Array:
@@ -46,10 +57,8 @@ class Ground:
         photos: Photographs.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
-        config: Of the ground.
 
     Attributes:
-        config: Of the ground.
         columns: Columns over the plane.
         tops: Height of the hull over each column, -inf where it has none.
         start: Columns that are bare ground for certain.
@@ -61,15 +70,13 @@ class Ground:
         photos: list[Photo],
         lattice: Lattice,
         hull: Tensor,
-        config: GroundConfig,
     ) -> None:
-        self.config, own = config, config.flatten
         self.columns = Columns(plane, lattice.cell)
         self._photos = photos
-        lens = lens_heights(self.columns, photos, lattice, own.highest_lens)
+        lens = lens_heights(self.columns, photos, lattice, _HIGHEST_LENS)
         self.tops = top = self.heights(lattice, hull)
-        self._bare = self.columns.inside & (top <= lens + own.lens_slack * lattice.cell)
-        inner = within(plane.outline * own.rim, self.columns.feet).reshape(self.columns.shape)
+        self._bare = self.columns.inside & (top <= lens + _LENS_SLACK * lattice.cell)
+        inner = within(plane.outline * _RIM, self.columns.feet).reshape(self.columns.shape)
         self._rim = self._bare & ~inner
         tops = np.where(self._bare, 0.0, top)
         agree = self._feet_agree(self._bare, tops)
@@ -80,13 +87,13 @@ class Ground:
         return self.columns.plane.local(points)[:, 2]
 
     def _feet_agree(self, wanted: NDArray[np.bool_], tops: Array) -> NDArray[np.bool_]:
-        return feet_agree(self.columns, wanted, tops, self._photos, self.config.photo_consistency)
+        return feet_agree(self.columns, wanted, tops, self._photos)
 
     def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Ground that spreads from the rim over passable columns, specks it encloses included."""
         ground = self.joined(passable)
         rest, _ = label(~ground)
-        is_speck = np.bincount(rest.ravel())[rest] <= self.config.flatten.speck
+        is_speck = np.bincount(rest.ravel())[rest] <= _SPECK
         return ground | (self.columns.inside & is_speck)
 
     def joined(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -97,7 +104,7 @@ class Ground:
 
     def heights(self, lattice: Lattice, sdf: Tensor) -> Array:
         """Height of a surface (N,) over each column, -inf where it has none."""
-        return self.columns.tops(lattice, sdf, self.config.flatten.highest)
+        return self.columns.tops(lattice, sdf, _HIGHEST)
 
     def settled(self, top: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Columns that are ground given the present surface.
@@ -110,8 +117,8 @@ class Ground:
         Returns:
             The columns' shape.
         """
-        low = self.columns.inside & (top < self.config.flatten.standing)
-        flat = low & (np.abs(top) < self.config.flatten.flat * self.columns.spacing)
+        low = self.columns.inside & (top < _STANDING)
+        flat = low & (np.abs(top) < _FLAT * self.columns.spacing)
         agree = self._feet_agree(low & ~flat & known, top)
         return self._spread((self.start & known & low) | flat | agree)
 
@@ -136,7 +143,7 @@ class Ground:
             top: Height of the surface over each column.
             settled: Result of `settled` for it.
         """
-        return bool(np.median(top[settled]) > -self.config.flatten.deepest * cell)
+        return bool(np.median(top[settled]) > -_DEEPEST * cell)
 
     def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
         """Cut away what stands above the ground over its columns, and fill pits below it.
@@ -161,7 +168,7 @@ class Ground:
         )
         height = self.above(nodes)
         before = sdf.detach().cpu().numpy()
-        searched = np.minimum(height, self.config.flatten.highest - height)
+        searched = np.minimum(height, _HIGHEST - height)
         cut = np.maximum(before, np.minimum(searched, reach))
         # pits are filled, but the rim itself is left to the masks
         inner = columns.spacing * 2.0 - below

@@ -8,20 +8,32 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from robir.geometry.ground.columns import Columns
-from robir.geometry.ground.config import PhotoConsistencyConfig
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
 
 
-def hue_of(colours: Array, dark: float) -> Array:
+_LEAST_VIEWS = 4  # photographs that must see a spot before it is judged
+SAME_COLOUR = 0.06  # mean difference of display colours up to which they count as the same
+# by how much less photographs must differ, display, about a surface than about the foot below it
+# for the surface to be believed: a plate's rim is, what is left before bare ground not
+_LEAD = 0.01
+# by how much what hides a spot must be higher than the surface over the spot's own column, in
+# steps between columns. A plate's rim hides the ground beside it, and a lump left beside the rim
+# must not be asked by photographs that see the rim; but lumps do not speak for each other.
+_TALLER = 2.0
+_LINE_STEPS = 40  # steps of the line from a spot to a camera that may be hidden
+_LEAST_COVERAGE = 0.9  # above which a mask holds a spot
+_DARK = 0.02  # added to display colours before their hue is taken, which is noise in the dark
+
+
+def hue_of(colours: Array) -> Array:
     """Logarithms of the channels of display colours (..., 3) against their mean.
 
     Args:
         colours: Display.
-        dark: Added to them, for their hue is noise in the dark.
     """
-    light = colours + dark
+    light = colours + _DARK
     return np.log(light / light.mean(-1, keepdims=True))
 
 
@@ -30,7 +42,6 @@ def feet_agree(
     wanted: NDArray[np.bool_],
     tops: Array,
     photos: list[Photo],
-    config: PhotoConsistencyConfig,
 ) -> NDArray[np.bool_]:
     """Whether the photographs agree on the colour at the feet of columns.
 
@@ -43,19 +54,18 @@ def feet_agree(
         wanted: Columns to judge, the columns' shape.
         tops: Height of the present surface over each column.
         photos: Photographs.
-        config: Of this step.
 
     Returns:
         The columns' shape; False where not wanted.
     """
-    foot = deviations(columns, wanted, np.zeros(columns.shape), tops, photos, config)
-    agree = foot < config.same_colour
+    foot = deviations(columns, wanted, np.zeros(columns.shape), tops, photos)
+    agree = foot < SAME_COLOUR
     # a surface at the foot, or none at all, has nothing over it
     raised = agree & np.isfinite(tops) & (tops != 0)
     if not raised.any():
         return agree
-    surface = deviations(columns, raised, tops, tops, photos, config)
-    return agree & ~(foot > surface + config.lead)
+    surface = deviations(columns, raised, tops, tops, photos)
+    return agree & ~(foot > surface + _LEAD)
 
 
 def deviations(
@@ -64,7 +74,6 @@ def deviations(
     heights: Array,
     tops: Array,
     photos: list[Photo],
-    config: PhotoConsistencyConfig,
 ) -> Array:
     """How much the photographs differ on the colour of spots over columns.
 
@@ -74,7 +83,6 @@ def deviations(
         heights: Height of each column's spot above the plane, finite where wanted.
         tops: Height of the present surface over each column; what stands hides spots.
         photos: Photographs.
-        config: Of this step.
 
     Returns:
         Mean difference from the median display colour, the columns' shape; NaN where not wanted or
@@ -82,27 +90,24 @@ def deviations(
     """
     chosen = np.flatnonzero(wanted)
     spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])
-    over = tops.ravel()[chosen] + config.taller * columns.spacing
-    colours = colours_at(columns, spots, photos, config)
+    over = tops.ravel()[chosen] + _TALLER * columns.spacing
+    colours = colours_at(columns, spots, photos)
     for number, photo in enumerate(photos):
-        colours[number, hidden(columns, tops, over, spots, photo, config)] = np.nan
-    judged = np.isfinite(colours[..., 0]).sum(axis=0) >= config.least_views
+        colours[number, hidden(columns, tops, over, spots, photo)] = np.nan
+    judged = np.isfinite(colours[..., 0]).sum(axis=0) >= _LEAST_VIEWS
     found = colours[:, judged]
     result = np.full(wanted.size, np.nan)
     result[chosen[judged]] = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
     return result.reshape(wanted.shape)
 
 
-def colours_at(
-    columns: Columns, spots: Array, photos: list[Photo], config: PhotoConsistencyConfig
-) -> NDArray[np.float32]:
+def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[np.float32]:
     """Display colours at spots near the plane, as if nothing stood before them.
 
     Args:
         columns: Columns over the support plane.
         spots: (K, 3) in the plane's frame.
         photos: V photographs.
-        config: Of this step.
 
     Returns:
         (V, K, 3), NaN where a photograph does not hold the spot.
@@ -117,7 +122,7 @@ def colours_at(
             map_coordinates(photo.premultiplied_display[..., k], at, order=1, mode="nearest")
             for k in range(3)
         ]
-        shown = (depth > 0) & (covered > config.least_coverage)
+        shown = (depth > 0) & (covered > _LEAST_COVERAGE)
         colours[number, shown] = np.stack(values, axis=1)[shown]
     return colours
 
@@ -128,7 +133,6 @@ def hidden(
     over: Array,
     spots: Array,
     photo: Photo,
-    config: PhotoConsistencyConfig,
 ) -> NDArray[np.bool_]:
     """Whether the lines from spots to a camera pass below the height field of what stands.
 
@@ -138,7 +142,6 @@ def hidden(
         over: (K,) height above which a column must reach to hide a spot.
         spots: (K, 3) in the plane's frame.
         photo: Photograph.
-        config: Of this step.
 
     Returns:
         (K,).
@@ -149,7 +152,7 @@ def hidden(
         return np.zeros(len(spots), bool)
     across = eye - spots
     rise = np.maximum(highest - spots[:, 2], 0.0) / across[:, 2]
-    share = np.linspace(0.0, 1.0, config.line_steps)[:, None]
+    share = np.linspace(0.0, 1.0, _LINE_STEPS)[:, None]
     at = spots.T[:, None] + (share * rise) * across.T[:, None]
     column = (at[:2] - columns.low[:, None, None]) / columns.spacing
     last = np.array(columns.shape)[:, None, None] - 1.0

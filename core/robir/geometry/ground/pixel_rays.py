@@ -10,9 +10,11 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.geometry.ground.columns import Columns
-from robir.geometry.ground.config import PixelRaysConfig
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
+
+SAMPLE_STEP = 2  # every so many pixels are looked at where a sample will do, along rows and columns
+_LEAST_COVERAGE = 0.95  # above which a pixel may show ground
 
 
 def pixels_of(camera: Camera, points: NDArray[np.float64], step: int = 1) -> NDArray[np.int64]:
@@ -73,7 +75,6 @@ class PixelRays:
     Args:
         columns: Columns over the ground's plane.
         photo: The photograph.
-        config: Of this step.
 
     Attributes:
         column: (H W,) flat index of the column at whose foot a pixel's ray ends.
@@ -81,7 +82,7 @@ class PixelRays:
         sample: Flat indices of those covered pixels that are looked at where a sample will do.
     """
 
-    def __init__(self, columns: Columns, photo: Photo, config: PixelRaysConfig) -> None:
+    def __init__(self, columns: Columns, photo: Photo) -> None:
         origins, directions = photo.camera.rays(photo.camera.pixel_centres())
         self._origins = np.broadcast_to(origins, directions.shape).reshape(-1, 3)
         self._directions = directions.reshape(-1, 3)
@@ -94,10 +95,10 @@ class PixelRays:
         on_grid = ((node >= 0) & (node < columns.shape)).all(1)
         node = np.where(on_grid[:, None], node, 0).astype(int)
         self.column = node[:, 0] * columns.shape[1] + node[:, 1]
-        covered = photo.coverage.ravel() > config.least_coverage
+        covered = photo.coverage.ravel() > _LEAST_COVERAGE
         self.meets = covered & falls & on_grid
         chosen = np.zeros(photo.coverage.shape, bool)
-        chosen[:: config.step, :: config.step] = True
+        chosen[::SAMPLE_STEP, ::SAMPLE_STEP] = True
         self.sample = np.flatnonzero(covered & chosen.ravel())
 
     def unblocked(self, solid: Solid, pixels: NDArray[np.int64]) -> NDArray[np.int64]:

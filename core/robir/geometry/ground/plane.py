@@ -22,13 +22,36 @@ from skimage.measure import find_contours
 from torch import Tensor
 
 from robir.capture.camera import Camera
-from robir.geometry.ground.config import GroundConfig, PlaneConfig
 from robir.geometry.ground.far_edge import OutlineRays, level
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
+
+
+_CONTOUR_POINTS = 120  # outline points used of a photograph
+_RAY_STEPS = 240  # steps along an outline point's ray through the bounding sphere
+# how much deeper than the deepest point of such a ray another may lie to belong to the stretch
+# that touches (cells)
+_NEAR_HULL = 0.6
+# length of that stretch up to which its middle is a touching point (unit frame)
+_LONGEST_STRETCH = 0.12
+_LEAST_TOUCHING = 100  # touching points that a plane is looked for among
+_LEAST_AGREEING = 60  # points that must lie in a plane, and on its upper edge to be fitted to that
+_TRIALS = 600  # planes through three points that are tried
+_TOLERANCE = 0.5  # distance from a plane up to which points speak for it (cells)
+_LEAST_IN_FRONT = 0.9  # share of the cameras that must be on the plane's one side
+# part of an outline's normal along the plane's, above which the outline is that of the upper edge
+_LEAST_UPWARD = 0.5
+_FIT_WIDTH = 0.4  # distance from the upper edge at which a point counts as stray (cells)
+_FIT_ROUNDS = 10  # solutions, each with the weights by the one before
+_RIM_WIDTH = 1.2  # distance from the plane up to which points belong to its outline (cells)
+_WIDEST_GAP = 60.0  # angle about the middle that the rim may leave open (degrees)
+# of the hull that must stand on the outline, and of the outline's pictures that the masks must
+# hold
+_LEAST_SHARE = 0.97
+_OUTLINE_GROWTH = 1.04  # size, against the outline, of what the hull must stand on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +77,7 @@ class SupportPlane:
         return local @ self.axes + self.origin
 
 
-def _outline_rays(photo: Photo, config: PlaneConfig) -> OutlineRays:
+def _outline_rays(photo: Photo) -> OutlineRays:
     """Rays through a mask's outline, unit frame."""
     padded = np.pad(photo.coverage, 1)
     curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
@@ -69,7 +92,7 @@ def _outline_rays(photo: Photo, config: PlaneConfig) -> OutlineRays:
     height, width = photo.coverage.shape
     border = (image < 1.5).any(1) | (image > [width - 1.5, height - 1.5]).any(1)
     image, tangent = image[~border], tangent[~border]
-    every = max(1, len(image) // config.contour_points)
+    every = max(1, len(image) // _CONTOUR_POINTS)
     image, tangent = image[::every], tangent[::every]
     # outwards is across the tangent, to the side where the coverage falls
     across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
@@ -84,9 +107,9 @@ def _outline_rays(photo: Photo, config: PlaneConfig) -> OutlineRays:
     return OutlineRays(np.broadcast_to(origins, directions.shape), directions, outward)
 
 
-def outlines(photos: list[Photo], config: PlaneConfig) -> OutlineRays:
+def outlines(photos: list[Photo]) -> OutlineRays:
     """Rays through the outlines of all masks, unit frame."""
-    rays = [_outline_rays(photo, config) for photo in photos]
+    rays = [_outline_rays(photo) for photo in photos]
     return OutlineRays(
         np.concatenate([r.origins for r in rays]),
         np.concatenate([r.directions for r in rays]),
@@ -95,7 +118,7 @@ def outlines(photos: list[Photo], config: PlaneConfig) -> OutlineRays:
 
 
 def touching_points(
-    rays: OutlineRays, lattice: Lattice, hull: Tensor, config: PlaneConfig
+    rays: OutlineRays, lattice: Lattice, hull: Tensor
 ) -> tuple[Array, NDArray[np.int64]]:
     """Surface points that the outlines of the masks pin down.
 
@@ -103,7 +126,6 @@ def touching_points(
         rays: Rays through the outlines.
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
-        config: Of this step.
 
     Returns:
         Points (P, 3), unit frame, and the rays (P,) that they lie on.
@@ -112,19 +134,19 @@ def touching_points(
     if len(origins) == 0:
         return origins, np.zeros(0, np.int64)
     middle = -(origins * directions).sum(1)
-    steps = np.linspace(-1.1, 1.1, config.ray_steps)
+    steps = np.linspace(-1.1, 1.1, _RAY_STEPS)
     distance = middle[:, None] + steps
     points = origins[:, None] + distance[..., None] * directions[:, None]
     flat = torch.from_numpy(points.reshape(-1, 3)).float()
     value = lattice.trilinear(hull, flat).numpy()
-    value = value.reshape(len(origins), config.ray_steps)
+    value = value.reshape(len(origins), _RAY_STEPS)
     best = value.argmin(axis=1)
     lowest = value[np.arange(len(best)), best]
-    near = value < np.maximum(lowest, 0.0)[:, None] + config.near_hull * lattice.cell
+    near = value < np.maximum(lowest, 0.0)[:, None] + _NEAR_HULL * lattice.cell
     length = near.sum(axis=1) * (steps[1] - steps[0])
     weight = near / np.maximum(near.sum(axis=1, keepdims=True), 1)
     centre = (weight * distance).sum(axis=1)
-    sharp = (length < config.longest_stretch) & (lowest < lattice.cell)
+    sharp = (length < _LONGEST_STRETCH) & (lowest < lattice.cell)
     found = origins + centre[:, None] * directions
     return found[sharp], np.flatnonzero(sharp)
 
@@ -134,7 +156,6 @@ def detect(
     lattice: Lattice,
     hull: Tensor,
     generator: torch.Generator,
-    config: GroundConfig,
 ) -> SupportPlane | None:
     """Find the flat ground under the object, if the capture shows one.
 
@@ -143,46 +164,45 @@ def detect(
         lattice: Lattice of the hull.
         hull: (N,) signed distance of the visual hull.
         generator: Source of the random triples, on the CPU.
-        config: Of the ground.
 
     Returns:
         The plane, or None where the masks show no flat ground.
     """
-    own, cell = config.plane, lattice.cell
-    rays = outlines(photos, own)
-    points, of_ray = touching_points(rays, lattice, hull, own)
-    if len(points) < own.least_touching:
+    cell = lattice.cell
+    rays = outlines(photos)
+    points, of_ray = touching_points(rays, lattice, hull)
+    if len(points) < _LEAST_TOUCHING:
         return None
     eyes = np.stack([photo.camera.position for photo in photos])
-    found = _consensus(points, eyes, cell, generator, own)
+    found = _consensus(points, eyes, cell, generator)
     if found is None:
         return None
     normal, offset = found
     # the upper edge is what bears things: outline points whose surface faces up
     height = points @ normal - offset
     upper = np.abs(height) < 2.0 * cell
-    upper &= rays.outward[of_ray] @ normal > own.least_upward
-    if upper.sum() >= own.least_agreeing:
-        width = own.fit_width * cell
-        normal, offset = _refit(points[upper], normal, width, own.fit_rounds)
+    upper &= rays.outward[of_ray] @ normal > _LEAST_UPWARD
+    if upper.sum() >= _LEAST_AGREEING:
+        width = _FIT_WIDTH * cell
+        normal, offset = _refit(points[upper], normal, width, _FIT_ROUNDS)
         middle = np.median(points[upper], axis=0)
         middle += (offset - middle @ normal) * normal
-        offset += level(rays, of_ray[upper], middle, normal, width, config.far_edge)
+        offset += level(rays, of_ray[upper], middle, normal, width)
     height = points @ normal - offset
-    rim = points[np.abs(height) < own.rim_width * cell]
+    rim = points[np.abs(height) < _RIM_WIDTH * cell]
     plane = _outlined(rim, normal, offset)
-    if plane is None or not _is_ground(plane, rim, photos, Sampled(lattice, hull), own):
+    if plane is None or not _is_ground(plane, rim, photos, Sampled(lattice, hull)):
         return None
     return plane
 
 
 def _consensus(
-    points: Array, eyes: Array, cell: float, generator: torch.Generator, config: PlaneConfig
+    points: Array, eyes: Array, cell: float, generator: torch.Generator
 ) -> tuple[Array, float] | None:
     """Plane with most points near it and the cameras on one side (Fischler and Bolles 1981)."""
     best, best_count = None, 0
-    tolerance = config.tolerance * cell
-    triples = torch.randint(len(points), (config.trials, 3), generator=generator).numpy()
+    tolerance = _TOLERANCE * cell
+    triples = torch.randint(len(points), (_TRIALS, 3), generator=generator).numpy()
     for triple in points[triples]:
         normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
         length = np.linalg.norm(normal)
@@ -193,15 +213,15 @@ def _consensus(
         side = eyes @ normal - offset
         if side.mean() < 0:
             normal, offset, side = -normal, -offset, -side
-        if (side > 0).mean() < config.least_in_front:
+        if (side > 0).mean() < _LEAST_IN_FRONT:
             continue
         count = int((np.abs(points @ normal - offset) < tolerance).sum())
         if count > best_count:
             best, best_count = (normal, offset), count
-    if best is None or best_count < config.least_agreeing:
+    if best is None or best_count < _LEAST_AGREEING:
         return None
     near = np.abs(points @ best[0] - best[1]) < 2.0 * tolerance
-    return _refit(points[near], best[0], tolerance, config.fit_rounds)
+    return _refit(points[near], best[0], tolerance, _FIT_ROUNDS)
 
 
 def _refit(points: Array, normal: Array, width: float, rounds: int) -> tuple[Array, float]:
@@ -231,23 +251,20 @@ def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
     return SupportPlane(origin=origin, axes=axes, outline=outline - middle)
 
 
-def _is_ground(
-    plane: SupportPlane, rim: Array, photos: list[Photo], hull: Sampled, config: PlaneConfig
-) -> bool:
+def _is_ground(plane: SupportPlane, rim: Array, photos: list[Photo], hull: Sampled) -> bool:
     """Whether a plane is ground: its rim runs all round, it carries all, and masks contain it."""
     local = plane.local(rim)[:, :2]
     turn = np.sort(np.arctan2(local[:, 1], local[:, 0]))
     gap = np.diff(np.append(turn, turn[0] + 2.0 * np.pi)).max()
     inside = hull.lattice.nodes()[hull.values < 0].numpy().astype(np.float64)
     spot = plane.local(inside)
-    carried = within(plane.outline * config.outline_growth, spot[:, :2]).mean()
+    carried = within(plane.outline * _OUTLINE_GROWTH, spot[:, :2]).mean()
     shares = []
     for photo in photos:
         area = project_outline(plane, photo.camera)
         shares.append((photo.coverage[area] > 0.5).mean() if area.any() else 0.0)
-    least = config.least_share
-    is_round = gap < np.radians(config.widest_gap)
-    return bool(is_round and carried > least and np.mean(shares) > least)
+    is_round = gap < np.radians(_WIDEST_GAP)
+    return bool(is_round and carried > _LEAST_SHARE and np.mean(shares) > _LEAST_SHARE)
 
 
 def project_outline(plane: SupportPlane, camera: Camera) -> NDArray[np.bool_]:

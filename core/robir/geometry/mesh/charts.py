@@ -10,18 +10,21 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.geometry.mesh.config import ChartsConfig
+from robir.constants import changed
+
+ATLAS_SIZE = 1024  # of the atlas the charts are packed for; sets the gutter between them (pixels)
+GUTTER = 3  # between charts in that atlas (pixels)
+_MOST_COST = 8.0  # of a chart, as xatlas counts it: more makes larger charts of more distortion
 
 
 def xatlas_charts(
-    vertices: NDArray[np.float32], faces: NDArray[np.int32], config: ChartsConfig
+    vertices: NDArray[np.float32], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Charts by xatlas; runs as long as it takes.
 
     Args:
         vertices: (Nv, 3).
         faces: (Nf, 3).
-        config: Of the atlas.
 
     Returns:
         Texture coordinates (Nu, 2) in [0, 1], v upwards, and their indices (Nf, 3).
@@ -32,10 +35,10 @@ def xatlas_charts(
     atlas.add_mesh(vertices, faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
     charts.max_iterations = 1
-    charts.max_cost = config.most_cost
+    charts.max_cost = _MOST_COST
     packing = xatlas.PackOptions()
-    packing.resolution = config.atlas_size
-    packing.padding = config.gutter
+    packing.resolution = ATLAS_SIZE
+    packing.padding = GUTTER
     packing.bilinear = True
     packing.bruteForce = False
     atlas.generate(chart_options=charts, pack_options=packing)
@@ -43,7 +46,7 @@ def xatlas_charts(
     return uvs.astype(np.float32), uv_faces.astype(np.int32)
 
 
-def main(source: str, target: str, seconds: str, settings: str) -> None:
+def main(source: str, target: str, seconds: str, constants: str) -> None:
     """Entry of the child process: read vertices and faces, write texture coordinates.
 
     On a busy machine a second of the clock says nothing, so the system ends the process by its
@@ -54,7 +57,6 @@ def main(source: str, target: str, seconds: str, settings: str) -> None:
 
         limit = math.ceil(float(seconds))
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-    with np.load(source, allow_pickle=False) as arrays:
-        config = ChartsConfig(**json.loads(settings))
-        uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"], config)
+    with np.load(source, allow_pickle=False) as arrays, changed(json.loads(constants)):
+        uvs, uv_faces = xatlas_charts(arrays["vertices"], arrays["faces"])
     np.savez(target, uvs=uvs, uv_faces=uv_faces)

@@ -18,13 +18,38 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from robir.geometry.mesh.config import FacetsConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.smoothing import face_geometry, neighbour_mean
 from robir.geometry.mesh.triangles import Mesh
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+_NEAR = 0.75  # largest distance of a facet's own vertices from its plane (cells)
+_TILT = 20.0  # largest angle between their normals and the plane's (degrees)
+_LEAST_SIDE = 12.0  # a facet is at least as large as a square of this side (cells)
+_LEAST_PIECE = 0.25  # least area of a connected piece of a facet, in such squares
+_MOST_FACETS = 30  # facets that are looked for
+_MOST_FAILURES = 30  # candidates that may fail before the search ends
+_SEEDS = 150  # vertices that propose a plane
+_VOTERS = 5000  # vertices that vote on each
+_NORMAL_PASSES = 6  # how often normals are averaged with the neighbours' for the search
+_FITS = 4  # how often a plane is fitted to its members
+_ROUGH = 0.33  # largest root mean square distance of the facet's vertices from the plane (cells)
+_BOWED = 0.12  # largest root mean square height of a paraboloid fitted to these distances (cells)
+# most area, against the facet's, of what leaves its plane nearby while its normal is still near
+# the plane's: more of that means a curved surface
+_ESCAPE = 0.5
+_ESCAPE_RINGS = 6  # rings of neighbours that are looked at for it
+_ESCAPE_TILT = 45.0  # largest angle between its normals and the plane's (degrees)
+# distance from the plane within which vertices are moved onto it: the cut-off edges (cells)
+_REACH = 1.7
+_REACH_RINGS = 3  # rings of neighbours of the facet within which they lie
+_REACH_TILT = 60.0  # largest angle between their normals and the plane's (degrees)
+_REACH_PASSES = 2  # how often these normals are averaged with the neighbours'
+_LIMIT = 2.0  # vertices that would move further than this stay (cells)
+_SAME_SIDE = 0.5  # of planes whose normals have a larger cosine, only the nearest claims a vertex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,12 +77,11 @@ class _Skin:
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from.
-        config: What is looked for.
     """
 
-    def __init__(self, mesh: Mesh, cell: float, config: FacetsConfig) -> None:
-        self.cell, self.config = cell, config
-        self.tilt = np.cos(np.radians(config.tilt))
+    def __init__(self, mesh: Mesh, cell: float) -> None:
+        self.cell = cell
+        self.tilt = np.cos(np.radians(_TILT))
         self.vertices = mesh.vertices.astype(np.float64)
         self._mean = neighbour_mean(mesh.faces, len(mesh.vertices))
         self._own_normals = mesh.normals.astype(np.float64)
@@ -66,8 +90,8 @@ class _Skin:
             mesh.faces.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=len(mesh.vertices)
         )
         self._edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
-        self.least = (config.least_side * cell) ** 2
-        self.normals = self.smooth_normals(config.normal_passes)
+        self.least = (_LEAST_SIDE * cell) ** 2
+        self.normals = self.smooth_normals(_NORMAL_PASSES)
 
     def smooth_normals(self, passes: int) -> Array:
         """Unit vertex normals (Nv, 3), averaged with the neighbours' so many times."""
@@ -91,33 +115,32 @@ class _Skin:
 
     def near(self, free: Mask, normal: Array, offset: float) -> Mask:
         """The free vertices that belong to a plane, without its small pieces."""
-        inside = free & (np.abs(self.vertices @ normal - offset) < self.config.near * self.cell)
+        inside = free & (np.abs(self.vertices @ normal - offset) < _NEAR * self.cell)
         inside &= self.normals @ normal > self.tilt
         links = self._edges[inside[self._edges].all(axis=1)]
         count = len(self.vertices)
         graph = scipy.sparse.coo_matrix((np.ones(len(links)), links.T), shape=(count, count))
         pieces, piece = connected_components(graph, directed=False)
         size = np.bincount(piece, weights=self.areas * inside, minlength=pieces)
-        return inside & (size[piece] >= self.config.least_piece * self.least)
+        return inside & (size[piece] >= _LEAST_PIECE * self.least)
 
 
-def find_facets(mesh: Mesh, cell: float, config: FacetsConfig) -> list[Facet]:
+def find_facets(mesh: Mesh, cell: float) -> list[Facet]:
     """The large flat parts of a mesh, largest support first.
 
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from, the scale of its noise.
-        config: What counts as one.
 
     Returns:
         The facets; their members do not overlap.
     """
-    return _search(_Skin(mesh, cell, config))
+    return _search(_Skin(mesh, cell))
 
 
 def _search(skin: _Skin) -> list[Facet]:
     """See `find_facets`."""
-    most, failures = skin.config.most_facets, 0
+    most, failures = _MOST_FACETS, 0
     free = np.ones(len(skin.vertices), bool)
     found: list[Facet] = []
     while len(found) < most and skin.areas[free].sum() >= skin.least:
@@ -129,18 +152,18 @@ def _search(skin: _Skin) -> list[Facet]:
         else:
             free[seed] = False
             failures += 1
-            if failures == skin.config.most_failures:
+            if failures == _MOST_FAILURES:
                 break
     return found
 
 
 def _best_seed(skin: _Skin, free: Mask) -> int:
     """The free vertex whose tangent plane most of the free surface lies near to."""
-    voters = skin.spread(free, skin.config.voters)
-    seeds = skin.spread(free, skin.config.seeds)
+    voters = skin.spread(free, _VOTERS)
+    seeds = skin.spread(free, _SEEDS)
     normals, points = skin.normals[seeds], skin.vertices[seeds]
     height = skin.vertices[voters] @ normals.T - (points * normals).sum(axis=1)
-    agrees = np.abs(height) < skin.config.near * skin.cell
+    agrees = np.abs(height) < _NEAR * skin.cell
     agrees &= skin.normals[voters] @ normals.T > skin.tilt
     return int(seeds[agrees.sum(axis=0).argmax()])
 
@@ -150,7 +173,7 @@ def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
     normal = skin.normals[seed]
     offset = float(skin.vertices[seed] @ normal)
     members = skin.near(free, normal, offset)
-    for _ in range(skin.config.fits):
+    for _ in range(_FITS):
         if skin.areas[members].sum() < skin.least:
             break
         weight = skin.areas[members, None]
@@ -167,11 +190,10 @@ def _settled(skin: _Skin, free: Mask, seed: int) -> Facet:
 
 def _is_flat(skin: _Skin, facet: Facet) -> bool:
     """Whether a facet is flat up to noise and ends at edges: not a piece of something curved."""
-    config = skin.config
     weight = skin.areas[facet.members]
     height = facet.height(skin.vertices[facet.members])
     variance = (weight * height**2).sum() / weight.sum()
-    if np.sqrt(variance) > config.rough * skin.cell:
+    if np.sqrt(variance) > _ROUGH * skin.cell:
         return False
     apart = skin.vertices[facet.members] - skin.vertices[facet.members].mean(axis=0)
     _, _, axes = np.linalg.svd(facet.normal[None])
@@ -180,44 +202,43 @@ def _is_flat(skin: _Skin, facet: Facet) -> bool:
     root = np.sqrt(weight)
     bow, *_ = np.linalg.lstsq(terms * root[:, None], height * root, rcond=None)
     bowed = (weight * (terms @ bow) ** 2).sum() / weight.sum()
-    if np.sqrt(bowed) > config.bowed * skin.cell:
+    if np.sqrt(bowed) > _BOWED * skin.cell:
         return False
-    about = skin.grown(facet.members, config.escape_rings) & ~facet.members
-    about &= np.abs(facet.height(skin.vertices)) > config.near * skin.cell
-    about &= skin.normals @ facet.normal > np.cos(np.radians(config.escape_tilt))
-    return bool(skin.areas[about].sum() < config.escape * weight.sum())
+    about = skin.grown(facet.members, _ESCAPE_RINGS) & ~facet.members
+    about &= np.abs(facet.height(skin.vertices)) > _NEAR * skin.cell
+    about &= skin.normals @ facet.normal > np.cos(np.radians(_ESCAPE_TILT))
+    return bool(skin.areas[about].sum() < _ESCAPE * weight.sum())
 
 
-def flattened(mesh: Mesh, cell: float, config: FacetsConfig) -> Mesh:
+def flattened(mesh: Mesh, cell: float) -> Mesh:
     """The mesh with its facets made flat, and sharp where two of them meet.
 
     Args:
         mesh: Dense mesh without texture coordinates.
         cell: Edge of a cell of the field it was extracted from.
-        config: What counts as a facet, and what is moved.
 
     Returns:
         A mesh with the same faces.
     """
-    skin = _Skin(mesh, cell, config)
+    skin = _Skin(mesh, cell)
     facets = _search(skin)
     if not facets:
         return mesh
-    normals = skin.smooth_normals(config.reach_passes)
+    normals = skin.smooth_normals(_REACH_PASSES)
     distance = np.abs(np.stack([facet.height(skin.vertices) for facet in facets]))
-    near = np.stack([skin.grown(f.members, config.reach_rings) for f in facets])
-    near &= distance < config.reach * cell
-    tilt = np.cos(np.radians(config.reach_tilt))
+    near = np.stack([skin.grown(f.members, _REACH_RINGS) for f in facets])
+    near &= distance < _REACH * cell
+    tilt = np.cos(np.radians(_REACH_TILT))
     near &= np.stack([normals @ facet.normal > tilt for facet in facets])
     claims = near.copy()
     for one, facet in enumerate(facets):
         for two, other in enumerate(facets):
-            if one != two and facet.normal @ other.normal > config.same_side:
+            if one != two and facet.normal @ other.normal > _SAME_SIDE:
                 claims[one] &= ~(near[two] & (distance[two] < distance[one]))
     placed = skin.vertices.copy()
     for _ in range(12):  # alternating projections end on the planes' intersection
         for facet, claimed in zip(facets, claims, strict=True):
             placed[claimed] -= facet.height(placed[claimed])[:, None] * facet.normal
-    far = np.linalg.norm(placed - skin.vertices, axis=1) > config.limit * cell
+    far = np.linalg.norm(placed - skin.vertices, axis=1) > _LIMIT * cell
     placed[far] = skin.vertices[far]
     return plain_mesh(placed, mesh.faces)

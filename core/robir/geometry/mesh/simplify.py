@@ -9,13 +9,17 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from robir.geometry.mesh.config import SimplifyConfig
 from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.smoothing import face_geometry
 from robir.geometry.mesh.triangles import Mesh
 
+_CREASE = 40.0  # faces that meet at a sharper angle do not share a normal (degrees)
+_SHARE_LEFT = 0.5  # share of the faces that one pass of decimation leaves
+# how steeply the library raises its threshold; low keeps edges, and stalls far from the aim
+_AGGRESSION = 3.0
 
-def decimate(mesh: Mesh, face_budget: int, config: SimplifyConfig) -> Mesh:
+
+def decimate(mesh: Mesh, face_budget: int) -> Mesh:
     """Collapse edges by quadric error until the face budget is met.
 
     Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The library
@@ -26,15 +30,14 @@ def decimate(mesh: Mesh, face_budget: int, config: SimplifyConfig) -> Mesh:
     Args:
         mesh: Mesh without texture coordinates.
         face_budget: Most triangles of the result.
-        config: Of its passes.
 
     Returns:
         The mesh without degenerate triangles and unused vertices.
     """
     while len(mesh.faces) > face_budget:
-        target = max(face_budget, int(config.share_left * len(mesh.faces)))
+        target = max(face_budget, int(_SHARE_LEFT * len(mesh.faces)))
         vertices, faces = fast_simplification.simplify(
-            mesh.vertices, mesh.faces, target_count=target, agg=config.aggression
+            mesh.vertices, mesh.faces, target_count=target, agg=_AGGRESSION
         )
         corners = vertices[faces]
         area = np.linalg.norm(
@@ -62,7 +65,7 @@ def thinned(mesh: Mesh, face_budget: int) -> Mesh:
     )
 
 
-def with_creases(mesh: Mesh, config: SimplifyConfig) -> Mesh:
+def with_creases(mesh: Mesh) -> Mesh:
     """Split vertices where faces meet at a crease, so that each side has its own normal.
 
     Faces round a vertex belong together if a chain of faces leads from one to the other over
@@ -71,7 +74,6 @@ def with_creases(mesh: Mesh, config: SimplifyConfig) -> Mesh:
 
     Args:
         mesh: Mesh whose vertices are shared by neighbouring faces.
-        config: Largest angle between faces that share a normal.
 
     Returns:
         The mesh with more vertices, the same faces and the same surface.
@@ -79,7 +81,7 @@ def with_creases(mesh: Mesh, config: SimplifyConfig) -> Mesh:
     faces = mesh.faces
     normals, areas, _ = face_geometry(mesh.vertices.astype(np.float64), faces)
     one, two, shared = _edge_neighbours(faces)
-    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(config.crease))
+    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(_CREASE))
     one, two, shared = one[smooth], two[smooth], shared[smooth]
     # corner c of face f is node 3 f + c of a graph; corners at one vertex are joined over edges
     links_one, links_two = [], []

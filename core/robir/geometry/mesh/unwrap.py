@@ -9,21 +9,22 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.constants import applied
 from robir.errors import StorageError
-from robir.geometry.mesh.config import ChartsConfig, MeshConfig
+from robir.geometry.mesh.charts import ATLAS_SIZE, GUTTER
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.triangles import Mesh
 
+_CLOCK_FACTOR = 8  # seconds of the clock that a second of processor time may take on a busy machine
 
-def _in_child(
-    mesh: Mesh, seconds: float, config: MeshConfig
-) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
+
+def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
     """Charts made in a child process, or None if it takes too long or fails."""
     with tempfile.TemporaryDirectory(prefix="robir-unwrap-") as folder:
         source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
@@ -36,11 +37,11 @@ def _in_child(
             str(source),
             str(target),
             str(seconds),
-            json.dumps(asdict(config.charts)),
+            json.dumps(applied),
             *[entry for entry in sys.path if entry],
         ]
         try:
-            patience = seconds * config.unwrap.clock_factor
+            patience = seconds * _CLOCK_FACTOR
             ended = subprocess.run(command, timeout=patience, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return None
@@ -52,14 +53,11 @@ def _in_child(
     return (uvs, uv_faces) if usable else None
 
 
-def triangle_charts(
-    count: int, config: ChartsConfig
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """An atlas without charts: two triangles share each square of a regular grid.
 
     Args:
         count: Number of triangles.
-        config: Of the atlas.
 
     Returns:
         Texture coordinates (3 count, 2) in [0, 1] and their indices (count, 3).
@@ -68,7 +66,7 @@ def triangle_charts(
     face = np.arange(count)
     square, second = face // 2, face % 2
     corner = np.stack([square % squares, square // squares], axis=1)
-    gap = min(0.2, config.gutter * squares / config.atlas_size / 2)
+    gap = min(0.2, GUTTER * squares / ATLAS_SIZE / 2)
     low = np.array([[gap, gap], [1.0 - 3 * gap, gap], [gap, 1.0 - 3 * gap]])
     shape = np.where(second[:, None, None] == 0, low, 1.0 - low)
     uvs = (corner[:, None, :] + shape) / squares
@@ -76,19 +74,18 @@ def triangle_charts(
     return uvs.reshape(-1, 2).astype(np.float32), indices
 
 
-def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None], config: MeshConfig) -> Mesh:
+def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
     """Give a mesh texture coordinates, whatever it takes.
 
     Args:
         mesh: Mesh without texture coordinates.
         seconds: Longest processor time of one attempt.
         warn: Told what was given up.
-        config: Of the atlas, and of a mesh with fewer faces.
 
     Returns:
         The unwrapped mesh; decimated further if the first attempts took too long.
     """
-    charts = _in_child(mesh, seconds, config)
+    charts = _in_child(mesh, seconds)
     for _ in range(2):
         if charts is not None:
             break
@@ -97,14 +94,14 @@ def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None], config: Mesh
             f"Unwrapping {len(mesh.faces)} faces did not end within {seconds:g} s; "
             f"trying again with {budget} faces."
         )
-        mesh = decimate(mesh, budget, config.simplify)
-        charts = _in_child(mesh, seconds, config)
+        mesh = decimate(mesh, budget)
+        charts = _in_child(mesh, seconds)
     if charts is None:
         warn(
             "Unwrapping failed three times; every triangle got its own place in the texture. "
             "The asset renders as usual, but its texture is hard to paint on."
         )
-        charts = triangle_charts(len(mesh.faces), config.charts)
+        charts = triangle_charts(len(mesh.faces))
     return replace(mesh, uvs=charts[0], uv_faces=charts[1])
 
 

@@ -20,7 +20,6 @@ from torch.nn.functional import grid_sample
 from robir.capture.camera import Camera
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.refine.config import CorrelationConfig, RefineConfig
 from robir.geometry.stereo.sweep import Picture
 from robir.maths.vectors import orthonormal_frame
 
@@ -28,6 +27,16 @@ Floats = NDArray[np.float32]
 
 CHUNK = 2048
 """Vertices that are judged at a time: their patches then take 100 MB."""
+
+
+_LEAST_COSINE = 0.25  # between normal and view, from which a photograph judges it
+_BORDER = 3.0  # distance from a picture's border below which it judges nothing (pixels)
+_VIEWS = 8  # most photographs that judge a vertex
+_WINDOW = 3  # half side of the patches that are compared, pixels
+_NOISE = 0.012  # standard deviation of display values that no texture explains
+# share of a vertex' photographs that must agree; the rest may be hidden by what the mesh lacks or
+# hold a highlight
+_AGREEING = 0.6
 
 
 def projection(camera: Camera) -> Tensor:
@@ -45,7 +54,6 @@ def seen_by(
     tracer: EmbreeTracer,
     pictures: list[Picture],
     offset: float,
-    config: CorrelationConfig,
 ) -> Floats:
     """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
 
@@ -54,7 +62,6 @@ def seen_by(
         tracer: Tracer of it.
         pictures: Photographs.
         offset: Distance that rays start above the surface.
-        config: Which photographs judge.
     """
     table = np.zeros((len(mesh.vertices), len(pictures)), np.float32)
     for index, picture in enumerate(pictures):
@@ -62,11 +69,11 @@ def seen_by(
         towards = camera.position - mesh.vertices
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         cosine = np.einsum("nd,nd->n", towards, mesh.normals)
-        rows = np.flatnonzero(cosine > config.least_cosine)
+        rows = np.flatnonzero(cosine > _LEAST_COSINE)
         places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
         size = np.array([camera.width, camera.height])
-        held = (depth > 0) & (places > config.border).all(1)
-        held &= (places < size - config.border).all(1)
+        held = (depth > 0) & (places > _BORDER).all(1)
+        held &= (places < size - _BORDER).all(1)
         rows, pixel = rows[held], places[held].astype(int)
         rows = rows[picture.whole[pixel[:, 1], pixel[:, 0]]]
         start = mesh.vertices[rows] + offset * mesh.normals[rows]
@@ -150,9 +157,7 @@ class Patches:
         return values / (values.square().sum(-1, keepdim=True) + right.shape[2] * noise**2).sqrt()
 
 
-def correlations(
-    mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats, config: RefineConfig
-) -> Floats:
+def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats) -> Floats:
     """Agreement of the photographs about every vertex at every shift.
 
     Args:
@@ -160,16 +165,15 @@ def correlations(
         pictures: Photographs.
         cosine: (Nv, V) from `seen_by`.
         shifts: (D,) along the normals, unit frame.
-        config: Patches and views.
 
     Returns:
         (Nv, D), 0 where fewer than two photographs judge.
     """
-    patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), config.window)
-    count = min(config.views, len(pictures))
+    patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), _WINDOW)
+    count = min(_VIEWS, len(pictures))
     order = np.argsort(-cosine, axis=1, kind="stable")[:, :count]
     judged = np.take_along_axis(cosine, order, axis=1) > 0
-    tried, points = torch.from_numpy(shifts), (2 * config.window + 1) ** 2
+    tried, points = torch.from_numpy(shifts), (2 * _WINDOW + 1) ** 2
     result = np.zeros((len(cosine), len(shifts)), np.float32)
     for begin in range(0, len(cosine), CHUNK):
         chosen, valid = order[begin : begin + CHUNK], judged[begin : begin + CHUNK]
@@ -177,9 +181,9 @@ def correlations(
         for view in np.unique(chosen[valid]):
             row, slot = np.nonzero((chosen == view) & valid)
             rows = torch.from_numpy(row + begin)
-            held[row, slot] = patches.read(pictures[view], rows, tried, config.noise)
+            held[row, slot] = patches.read(pictures[view], rows, tried, _NOISE)
         told = torch.from_numpy(valid.astype(np.float32))
-        result[begin : begin + CHUNK] = agreement(held, told, config.agreeing).numpy()
+        result[begin : begin + CHUNK] = agreement(held, told, _AGREEING).numpy()
     return result
 
 

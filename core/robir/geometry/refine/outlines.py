@@ -10,11 +10,15 @@ from robir.geometry.hull import mask_distance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-from robir.geometry.refine.config import OutlinesConfig
+
+_GRAZING = 0.2  # cosine between normal and view below which a vertex does
+_NEAR = 3.0  # distance of an outline in the picture up to which it is the vertex' own (pixels)
+# height above the surface at which rays along the view must be free on both sides (pixels)
+_CLEARANCE = 2.5
 
 
 def outline_shifts(
-    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float, config: OutlinesConfig
+    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shifts along the normals that put vertices on the outlines they form.
 
@@ -23,7 +27,6 @@ def outline_shifts(
         tracer: Tracer of it.
         photos: Photographs with their masks.
         pixel: Width of a pixel there, unit frame.
-        config: Which vertices lie on an outline.
 
     Returns:
         Mean shift (Nv,), and the number of photographs (Nv,) in whose outline a vertex lies.
@@ -34,15 +37,15 @@ def outline_shifts(
         towards = camera.position - mesh.vertices
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         cosine = np.abs(np.einsum("nd,nd->n", towards, mesh.normals))
-        rows = np.flatnonzero(cosine < config.grazing)
+        rows = np.flatnonzero(cosine < _GRAZING)
         places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
         size = np.array([camera.width, camera.height])
         held = (depth > 0) & (places > 1).all(1) & (places < size - 1).all(1)
         rows, depth, pixels = rows[held], depth[held], places[held].astype(int)
         away = -mask_distance(photo.coverage)[pixels[:, 1], pixels[:, 0]]
-        near = np.abs(away) < config.near
+        near = np.abs(away) < _NEAR
         rows, depth, away = rows[near], depth[near], away[near]
-        above = config.clearance * pixel * mesh.normals[rows]
+        above = _CLEARANCE * pixel * mesh.normals[rows]
         start = (mesh.vertices[rows] + above).astype(np.float32)
         ray = towards[rows].astype(np.float32)
         alone = ~tracer.is_blocked(start, ray) & ~tracer.is_blocked(start, -ray)

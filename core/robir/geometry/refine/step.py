@@ -17,19 +17,34 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from robir.capture.capture import View
-from robir.geometry.config import GeometryConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.smoothing import neighbour_mean, taubin
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
-from robir.geometry.refine.config import RefineConfig
 from robir.geometry.refine.correlation import correlations, pixel_size, seen_by
 from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.stereo.semiglobal import refined_minimum
 from robir.geometry.stereo.sweep import Picture
 
 Array = NDArray[np.float64]
+
+
+# rounds of Taubin smoothing before normals are taken: patches must be tilted as the surface is
+_FAIR_ROUNDS = 10
+_MOST_EDGE = 2.0  # length of the mesh's edges above which it is subdivided (pixels)
+# how far from the smooth surface a vertex may look at first: the weight of its distance, in
+# reaches squared, is one over twice this, and doubles every round
+_LOOSE = 0.5
+_MOST_ITERATIONS = 80  # of conjugate gradients a round; each begins where the last one ended
+_REACH = 5.0  # largest shift of a vertex, pixels of the level
+_OFFSETS = 21  # shifts that are tried, evenly over the reach on both sides
+_SMOOTHNESS = 10.0  # weight of the thin plate's bending against correlation
+_CREASE = 0.3  # bend between neighbouring vertices at which a crease begins, pixels
+_ANCHOR = 0.01  # weight of the mesh as it was, at a shift of the whole reach
+_OUTLINE = 0.2  # weight of the masks' outlines, likewise, each time one runs along a vertex
+_ROUNDS = 4  # rounds of search and smoothing
+_MOST_VERTICES = 120_000  # vertices up to which the mesh is subdivided
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,32 +62,31 @@ class Evidence:
     outline: tuple[Array, Array]
 
 
-def refine(mesh: Mesh, views: tuple[View, ...], settings: GeometryConfig) -> Mesh:
+def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
     """Move a mesh to where photographs agree.
 
     Args:
         mesh: Without texture coordinates, unit frame.
         views: Training photographs.
-        settings: Of the stage: levels and weights.
+        sides: Longer side of the photographs at each level, pixels.
 
     Returns:
         The mesh, finer where the photographs are.
     """
-    config, step = settings.refine, settings.refine.step
-    reduced = {s: [reduce_view(view, s) for view in views] for s in set(config.image_sides)}
-    for side in config.image_sides:
+    reduced = {s: [reduce_view(view, s) for view in views] for s in set(sides)}
+    for side in sides:
         photos = reduced[side]
-        pictures = [Picture.of(photo, settings.stereo.sweep) for photo in photos]
+        pictures = [Picture.of(photo) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
-        fine = _subdivided(mesh, step.most_edge * pixel, config.most_vertices)
-        mesh = taubin(fine, step.fair_rounds)
+        fine = _subdivided(mesh, _MOST_EDGE * pixel, _MOST_VERTICES)
+        mesh = taubin(fine, _FAIR_ROUNDS)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        shifts = np.linspace(-config.reach, config.reach, config.offsets) * pixel
-        cosine = seen_by(mesh, tracer, pictures, pixel, config.correlation)
-        agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32), config)
-        outline = outline_shifts(mesh, tracer, photos, pixel, config.outlines)
+        shifts = np.linspace(-_REACH, _REACH, _OFFSETS) * pixel
+        cosine = seen_by(mesh, tracer, pictures, pixel)
+        agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32))
+        outline = outline_shifts(mesh, tracer, photos, pixel)
         evidence = Evidence(shifts=shifts, cost=1 - agreed, outline=outline)
-        mesh = plain_mesh(best_vertices(mesh, evidence, pixel, config), mesh.faces)
+        mesh = plain_mesh(best_vertices(mesh, evidence, pixel), mesh.faces)
     return mesh
 
 
@@ -90,25 +104,24 @@ def _subdivided(mesh: Mesh, edge: float, most: int) -> Mesh:
     return mesh
 
 
-def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float, config: RefineConfig) -> Array:
+def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
     """Vertices (Nv, 3) with the least sum of cost and bending.
 
     Args:
         mesh: Fair mesh with normals.
         evidence: What photographs and outlines say of shifts along its normals.
         pixel: Width of a pixel, unit frame.
-        config: Weights.
     """
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
     shifts, cost = evidence.shifts, evidence.cost
     reach, step = shifts[-1], shifts[1] - shifts[0]
-    plate = ThinPlate(mesh, config.crease * pixel, config.step.most_iterations)
+    plate = ThinPlate(mesh, _CREASE * pixel, _MOST_ITERATIONS)
     sure = np.clip(cost.max(1) - cost.min(1), 0, 1)
     outline, times = evidence.outline
-    at_outline = config.outline * times / reach**2
+    at_outline = _OUTLINE * times / reach**2
     moved = np.zeros_like(start)
-    for turn in range(config.rounds):
-        hold = 2.0**turn / config.step.loose
+    for turn in range(_ROUNDS):
+        hold = 2.0**turn / _LOOSE
         shift = np.einsum("nd,nd->n", moved, normals)
         total = cost + 0.5 * hold * ((shifts - shift[:, None]) / reach) ** 2
         exact = refined_minimum(total[:, None].astype(np.float32))[1][:, 0]
@@ -118,9 +131,9 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float, config: RefineCo
         moved = plate.solve(
             (start, moved),
             (at_best + at_outline, normals, pull),
-            config.anchor / reach**2,
-            config.smoothness / reach**2,
-            has_creases=2 * turn >= config.rounds,
+            _ANCHOR / reach**2,
+            _SMOOTHNESS / reach**2,
+            has_creases=2 * turn >= _ROUNDS,
         )
     return start + moved
 

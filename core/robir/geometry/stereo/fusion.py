@@ -19,10 +19,18 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-from robir.geometry.stereo.config import StereoConfig
 from robir.geometry.stereo.sources import angles_between, choose_sources
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
 from robir.maths.vectors import farthest_points
+
+# angle at the object up to which another photograph's depths can confirm or deny one (degrees)
+_WITNESS = 40.0
+_VIEWS = 48  # most photographs that get a depth map
+_LEAST_AGREEING = 3  # other depth maps that must agree with a depth
+_LEAST_CORRELATION = 0.4  # correlation that a depth must reach
+# difference of depth that counts as agreement, and the half width of the band in which distances
+# are fused, cells of the fused lattice each
+TOLERANCE = (0.75, 4.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,29 +48,28 @@ class Fused:
     band: float
 
 
-def depth_maps(photos: list[Photo], hull: Mesh, config: StereoConfig) -> list[DepthMap]:
+def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
     """Depth maps of at most `config.views` photographs that lie far from each other.
 
     Args:
         photos: Training photographs.
         hull: Surface of the visual hull, unit frame.
-        config: Sizes and windows.
 
     Returns:
         Maps of those that have at least two photographs at a good angle.
     """
-    pictures = [Picture.of(photo, config.sweep) for photo in photos]
+    pictures = [Picture.of(photo) for photo in photos]
     positions = np.stack([photo.camera.position for photo in photos])
-    sources = choose_sources(positions, config)
+    sources = choose_sources(positions)
     tracer = EmbreeTracer(hull.vertices, hull.faces)
     maps = []
-    for own in farthest_points(positions, config.views):
+    for own in farthest_points(positions, _VIEWS):
         picture, camera = pictures[own], pictures[own].camera
         entry = entry_depth(tracer, camera)
         if len(sources[own]) < 2 or not (picture.whole & np.isfinite(entry)).any():
             continue
         far = float(((hull.vertices - camera.position) @ camera.forward).max())
-        maps.append(sweep(picture, [pictures[k] for k in sources[own]], entry, far, config))
+        maps.append(sweep(picture, [pictures[k] for k in sources[own]], entry, far))
     return maps
 
 
@@ -74,27 +81,26 @@ def entry_depth(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
     return depth.reshape(camera.height, camera.width).astype(np.float32)
 
 
-def confirmed(maps: list[DepthMap], tolerance: float, config: StereoConfig) -> list[DepthMap]:
+def confirmed(maps: list[DepthMap], tolerance: float) -> list[DepthMap]:
     """The maps without depths that too few others have, or that photographs hardly agree on.
 
     Args:
         maps: Depth maps.
         tolerance: Difference of depth that counts as agreement, unit frame.
-        config: How many must agree, and how well.
     """
     if not maps:
         return []
     angle = angles_between(np.stack([one.camera.position for one in maps]))
     kept = []
     for own, one in enumerate(maps):
-        rows, columns = np.nonzero(one.correlation > config.least_correlation)
+        rows, columns = np.nonzero(one.correlation > _LEAST_CORRELATION)
         points = points_at(one, rows, columns)
         votes = np.zeros(len(points), int)
-        for other in np.flatnonzero((angle[own] < config.fusion.witness) & (angle[own] > 0)):
+        for other in np.flatnonzero((angle[own] < _WITNESS) & (angle[own] > 0)):
             depth, seen = _looked_up(maps[other], points)
             votes += np.abs(depth - seen) < tolerance
         depth = np.full_like(one.depth, np.nan)
-        good = votes >= config.least_agreeing
+        good = votes >= _LEAST_AGREEING
         depth[rows[good], columns[good]] = one.depth[rows[good], columns[good]]
         kept.append(replace(one, depth=depth))
     return kept
@@ -125,16 +131,15 @@ def _looked_up(
     return depth, seen
 
 
-def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor, config: StereoConfig) -> Fused:
+def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor) -> Fused:
     """Mean signed distance of the nodes inside the visual hull, by all maps.
 
     Args:
         maps: Confirmed depth maps.
         lattice: Nodes.
         hull: (N,) signed distance of the hull there.
-        config: Band.
     """
-    band = config.tolerance[1] * lattice.cell
+    band = TOLERANCE[1] * lattice.cell
     rows = (hull < lattice.cell).nonzero()[:, 0].numpy()
     points = lattice.nodes()[rows].double().numpy()
     total, weight = np.zeros(len(rows)), np.zeros(len(rows))

@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool3d, interpolate, pad
 
-from robir.geometry.stereo.config import SmoothestConfig
+_COARSEST = 12  # nodes along a side below which a grid is not halved any more
+# of conjugate gradients on each grid; each begins with the solution on half of its nodes
+_ITERATIONS = 60
 
 
 def laplacian(grid: Tensor) -> Tensor:
@@ -24,29 +26,26 @@ def laplacian(grid: Tensor) -> Tensor:
     return total
 
 
-def smoothest(
-    measured: Tensor, weight: Tensor, smoothness: float, config: SmoothestConfig
-) -> Tensor:
+def smoothest(measured: Tensor, weight: Tensor, smoothness: float) -> Tensor:
     """Grid with the least sum of weight (f - measured)^2 + smoothness (laplacian f)^2.
 
     Args:
         measured: (X, Y, Z).
         weight: (X, Y, Z), above 0.
         smoothness: Of the squared Laplacian, per cell.
-        config: Grids and iterations.
     """
-    if min(measured.shape) <= config.coarsest:
-        return _solved((measured, weight), measured, smoothness, config.iterations)
+    if min(measured.shape) <= _COARSEST:
+        return _solved((measured, weight), measured, smoothness, _ITERATIONS)
     # a cell of half the grid holds eight nodes, and twice the step is a sixteenth of the bending
     total = _halved(weight)
     mean = _halved(weight * measured) / total
-    coarse = smoothest(mean, 8 * total, 8 / 16 * smoothness, config)
+    coarse = smoothest(mean, 8 * total, 8 / 16 * smoothness)
     finer = interpolate(coarse[None, None], scale_factor=2, mode="trilinear", align_corners=False)[
         0, 0
     ]
     width, height, depth = measured.shape
     start = finer[:width, :height, :depth]
-    return _solved((measured, weight), start, smoothness, config.iterations)
+    return _solved((measured, weight), start, smoothness, _ITERATIONS)
 
 
 def _halved(grid: Tensor) -> Tensor:

@@ -6,7 +6,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.geometry.stereo.config import StereoConfig
+_NARROW = 1 / 3  # spread of angles below the wanted one that will do, as a share of it
+_WIDE = 5 / 6  # the same above it
+_APART = 0.5  # angle between two sources at which they count as two, as a share of the wanted one
+_LEAST_SCORE = 0.02  # sources that fit less are left out
+_SOURCES = 4  # photographs that each is compared with
+# angle at the object between a photograph and those it is compared with: less says little about
+# depth, more changes what is seen
+_BASELINE_DEGREES = 14.0
 
 
 def angles_between(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -15,27 +22,25 @@ def angles_between(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.degrees(np.arccos(np.clip(towards @ towards.T, -1.0, 1.0)))
 
 
-def choose_sources(positions: NDArray[np.float64], config: StereoConfig) -> list[NDArray[np.int64]]:
+def choose_sources(positions: NDArray[np.float64]) -> list[NDArray[np.int64]]:
     """For each photograph, others at a good angle from it that lie on different sides of it.
 
     Args:
         positions: (V, 3) camera centres, unit frame.
-        config: How many, and the best angle.
 
     Returns:
         Indices, at most `config.sources` for each photograph, the best first.
     """
-    wanted, rule = config.baseline_degrees, config.source_choice
     angle = angles_between(positions)
-    spread = np.where(angle < wanted, rule.narrow, rule.wide) * wanted
-    fits = np.exp(-(((angle - wanted) / spread) ** 2))
+    spread = np.where(angle < _BASELINE_DEGREES, _NARROW, _WIDE) * _BASELINE_DEGREES
+    fits = np.exp(-(((angle - _BASELINE_DEGREES) / spread) ** 2))
     np.fill_diagonal(fits, 0.0)
     chosen = []
     for own in fits:
         score, picked = own.copy(), []
-        while len(picked) < config.sources and score.max() > rule.least_score:
+        while len(picked) < _SOURCES and score.max() > _LEAST_SCORE:
             best = int(score.argmax())
             picked.append(best)
-            score *= 1.0 - np.exp(-((angle[best] / (rule.apart * wanted)) ** 2))
+            score *= 1.0 - np.exp(-((angle[best] / (_APART * _BASELINE_DEGREES)) ** 2))
         chosen.append(np.array(picked, np.int64))
     return chosen

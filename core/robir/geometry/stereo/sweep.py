@@ -19,10 +19,22 @@ from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
 from robir.geometry.rays import Photo
-from robir.geometry.stereo.config import StereoConfig, SweepConfig
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 
 Floats = NDArray[np.float32]
+
+
+_FEWEST_PLANES = 16  # planes of a sweep at least
+_MOST_PLANES = 128  # and at most
+_EARLY = 1.5  # matching cost of a depth before the visual hull: more than of any that disagrees
+_WHOLE = 0.95  # coverage from which a pixel is object, for the refinement too
+_WINDOW = 3  # half side of the windows that are compared, pixels
+# standard deviation of display values that no texture explains; windows with less contrast than
+# that agree with nothing
+_NOISE = 0.01
+# what a step of one depth, and of more, between neighbouring pixels costs, in correlation
+_PENALTIES = (0.06, 0.25)
+_TEMPERATURE = 0.05  # difference of that cost that chance makes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,11 +52,11 @@ class Picture:
     whole: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, photo: Photo, config: SweepConfig) -> Picture:
+    def of(cls, photo: Photo) -> Picture:
         """A photograph without what lies around the object."""
         grey = photo.premultiplied_display.mean(axis=2) / np.maximum(photo.coverage, 0.05)
         kept = np.where(photo.coverage > 0.05, grey, 0.0).astype(np.float32)
-        whole = photo.coverage > config.whole
+        whole = photo.coverage > _WHOLE
         return cls(camera=photo.camera, grey=torch.from_numpy(kept), whole=whole)
 
 
@@ -123,9 +135,7 @@ def seen_through_planes(
     return torch.stack([column, row], dim=-1), inside
 
 
-def plane_depths(
-    near: float, far: float, baseline: float, focal: float, config: SweepConfig
-) -> NDArray[np.float64]:
+def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDArray[np.float64]:
     """Depths of a sweep's planes, even in inverse depth, about a pixel of parallax apart.
 
     Args:
@@ -133,16 +143,13 @@ def plane_depths(
         far: Greatest depth.
         baseline: Distance to the other cameras.
         focal: Focal length, pixels.
-        config: How many there may be.
     """
     parallax = np.ceil((1 / near - 1 / far) * baseline * focal)
-    count = int(np.clip(parallax, config.fewest_planes, config.most_planes))
+    count = int(np.clip(parallax, _FEWEST_PLANES, _MOST_PLANES))
     return 1 / np.linspace(1 / near, 1 / far, count)
 
 
-def sweep(
-    own: Picture, others: list[Picture], entry: Floats, far: float, config: StereoConfig
-) -> DepthMap:
+def sweep(own: Picture, others: list[Picture], entry: Floats, far: float) -> DepthMap:
     """Depths at which a photograph agrees with others.
 
     Args:
@@ -150,7 +157,6 @@ def sweep(
         others: At least two beside it.
         entry: (H, W) depth at which its rays enter the visual hull, infinite where they miss it.
         far: Depth behind which nothing lies.
-        config: Windows, noise, penalties.
 
     Returns:
         Depths of the pixels that are wholly object and meet the hull.
@@ -160,7 +166,7 @@ def sweep(
     apart = np.linalg.norm([o.camera.position - camera.position for o in others], axis=1)
     start = float(entry[inside].min())
     baseline, far = float(np.median(apart)), max(far, 1.01 * start)
-    depths = plane_depths(start, far, baseline, camera.fx, config.sweep)
+    depths = plane_depths(start, far, baseline, camera.fx)
     agreed, grey = [], own.grey.numpy()[None]
     for other in others:
         places, is_seen = seen_through_planes(camera, other.camera, depths)
@@ -171,17 +177,17 @@ def sweep(
             padding_mode="border",
             align_corners=False,
         ).view(shape)
-        alike = correlation(grey, warped.numpy(), config.window, config.noise)
+        alike = correlation(grey, warped.numpy(), _WINDOW, _NOISE)
         agreed.append(alike * is_seen.view(shape).numpy())
     # the better half: what lies in front of the others hides the point from some
     kept = (len(others) + 1) // 2
     best = torch.from_numpy(np.stack(agreed)).topk(kept, dim=0).values.mean(0).numpy()
     cost = np.ascontiguousarray(1 - best.transpose(1, 2, 0))
     step = (depths[1:] - depths[:-1]).max()
-    cost[depths < entry[..., None] - step] = config.sweep.early
-    paths = aggregate(cost, config.penalties)
+    cost[depths < entry[..., None] - step] = _EARLY
+    paths = aggregate(cost, _PENALTIES)
     label, exact = refined_minimum(paths)
-    spread = label_spread(paths, config.temperature)
+    spread = label_spread(paths, _TEMPERATURE)
     inverse = np.interp(exact, np.arange(len(depths)), 1 / depths)
     alike = 1 - np.take_along_axis(cost, label[..., None], axis=2)[..., 0]
     alike = np.where(inside, alike.clip(0, 1), 0).astype(np.float32)

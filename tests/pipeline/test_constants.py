@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Constants of modules that are changed by name, for the length of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from robir import constants
+from robir.config import RunConfig, resolve
+from robir.constants import changed, of_setting
+from robir.errors import ConfigError
+from robir.geometry.fit import descent, optimise
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.unwrap import unwrap
+from robir.geometry.stereo.sources import choose_sources
+from robir.pipeline.ledger import stage_fingerprints
+from robir_bench.plan import BenchRun, with_constants
+
+REVISIONS = dict.fromkeys(("capture", "geometry", "transport", "appearance", "export"), 1)
+
+
+def test_a_changed_constant_changes_what_a_function_finds_until_the_end_of_the_block():
+    angle = np.radians(np.arange(0, 360, 10))
+    eyes = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    with changed(["geometry.stereo.sources._SOURCES=2"]):
+        assert len(choose_sources(eyes)[0]) == 2
+        assert constants.applied == ["geometry.stereo.sources._SOURCES=2"]
+    assert len(choose_sources(eyes)[0]) == 4
+    assert constants.applied == []
+
+
+def test_a_shared_constant_changes_wherever_it_was_imported():
+    with changed(["geometry.fit.descent.FIRST_DECAY=0.5"]):
+        assert descent.FIRST_DECAY == optimise.FIRST_DECAY == 0.5
+    assert descent.FIRST_DECAY == optimise.FIRST_DECAY == 0.9
+
+
+def test_a_constant_reaches_the_process_that_makes_charts():
+    box = trimesh.creation.box()
+    mesh = plain_mesh(np.asarray(box.vertices), np.asarray(box.faces))
+    usual = unwrap(mesh, 60.0, pytest.fail)
+    with changed(["geometry.mesh.charts.GUTTER=40"]):
+        wide = unwrap(mesh, 60.0, pytest.fail)
+    sides = [np.abs(np.diff(one.uvs[one.uv_faces], axis=1)).mean() for one in (wide, usual)]
+    assert sides[0] < 0.95 * sides[1], "more gutter leaves less room for charts"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("geometry.ground.plane._TRIAL=3", "no '_TRIAL'; did you mean _TRIALS"),
+        ("geometry.grund.plane._TRIALS=3", "no module .* did you mean geometry.ground.plane"),
+        ("geometry.ground.plane._TRIALS=3.5", "the constant is 600; Expected `int`"),
+        ("geometry.stereo.sweep._PENALTIES=[1, true]", "Expected `float`"),
+        ("geometry.ground.plane._TRIALS=many", "'many' is no value of TOML"),
+        ("_TRIALS", "no module ''"),
+    ],
+)
+def test_what_is_no_constant_is_refused(change, words):
+    with pytest.raises(ConfigError, match=words), changed([change]):
+        pass
+
+
+def test_what_was_changed_before_a_refusal_is_as_it_was():
+    with pytest.raises(ConfigError), changed(["geometry.fit.descent._DOUBT=1", "nothing.X=1"]):
+        pass
+    assert descent._DOUBT == 3.0
+
+
+def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
+    usual = stage_fingerprints(RunConfig(), REVISIONS, "capture")
+    config = resolve(RunConfig(), None, ['constants=["geometry.fit.descent._DOUBT=1"]'])
+    found = stage_fingerprints(config, REVISIONS, "capture")
+    assert [stage for stage in usual if usual[stage] == found[stage]] == ["capture"]
+    config = resolve(RunConfig(), None, ['constants=["maths.vectors.X=1"]'])
+    found = stage_fingerprints(config, REVISIONS, "capture")
+    assert not [stage for stage in usual if usual[stage] == found[stage]]
+
+
+def test_the_bench_hands_constants_to_its_runs(tmp_path):
+    run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=("seed=1",))
+    (swept,) = with_constants([run], ["geometry.fit.descent._DOUBT=1"])
+    assert resolve(RunConfig(), None, swept.settings).constants == (
+        "geometry.fit.descent._DOUBT=1",
+    )
+    assert with_constants([run], []) == [run]
+
+
+@pytest.mark.parametrize(
+    ("setting", "constant"),
+    [
+        ("geometry.ground.plane.trials", "geometry.ground.plane._TRIALS"),
+        ("geometry.refine.noise", "geometry.refine.correlation._NOISE"),
+        ("geometry.stereo.noise", "geometry.stereo.sweep._NOISE"),
+        ("transport.ray_offset", "transport.baked.RAY_OFFSET"),
+        ("geometry.nothing", None),
+    ],
+)
+def test_a_setting_of_before_is_found_among_the_constants(setting, constant):
+    assert of_setting(setting) == constant
+
+
+@pytest.mark.parametrize(
+    ("assignment", "words"),
+    [
+        ("geometry.ground.plane.trials=9", "is no setting any more.*--constant geometry.ground.pl"),
+        ("geometry.stereo.image_side=90", "is called geometry.stereo_side now"),
+    ],
+)
+def test_settings_of_before_are_refused_by_name(assignment, words):
+    with pytest.raises(ConfigError, match=words):
+        resolve(RunConfig(), None, [assignment])
