@@ -20,7 +20,6 @@ from msgspec import Meta
 
 from robir.capture.frames import (
     MAX_NUMBER,
-    OPENGL_FROM_OPENCV,
     Array,
     Distortion,
     Frame,
@@ -31,6 +30,7 @@ from robir.capture.frames import (
 )
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
+from robir.capture.readers.shots import opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
 
@@ -269,19 +269,7 @@ def _read_points(path: Path) -> Array:
 
 def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
     """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
-    with np.errstate(all="ignore"):
-        w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        pose = np.eye(4)
-        pose[:3, :3] = rotation.T
-        pose[:3, 3] = -rotation.T @ np.array(translation)
-        return pose @ OPENGL_FROM_OPENCV
+    return opencv_view(turned_by(quaternion), translation)
 
 
 def _is_for_pycolmap(name: str, count: int) -> bool:

@@ -9,6 +9,8 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree  # nosec B405
+from xml.etree.ElementTree import Element  # nosec B405
 
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.regular import regular
@@ -60,6 +62,27 @@ def load_json(path: Path) -> Any:
             "Write the file again.",
             path.name,
         ) from None
+
+
+def load_xml(path: Path, cure: str) -> Element:
+    """Root of an XML file.
+
+    Raises:
+        CaptureError: If it cannot be read as XML.
+    """
+    try:
+        return ElementTree.fromstring(_undefined(read_text(path)))  # nosec B314
+    except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
+        raise refuse(
+            "bad-xml", f"{path} is not readable as XML ({fault})", cure, path.name
+        ) from None
+
+
+def _undefined(text: str) -> str:
+    """XML without definitions, which could make it grow or read files; no export has any."""
+    if "<!DOCTYPE" in text:
+        raise ValueError("it defines a document type")
+    return text
 
 
 def _bounded(text: str) -> str:

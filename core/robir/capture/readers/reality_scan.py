@@ -12,7 +12,8 @@ XMP beside a CSV row, Epic forum topic 710449). f is the focal length for a fram
 the principal point's offset from the middle in lengths of the longer side: pixels are f L / 36 and
 px L with L = max(width, height) (Epic, "RealityCapture XMP Camera Math": "coordinates x and y
 are always in range -0.5, 0.5", FocalLength35mm, PrincipalPointU). k and t are Brown's polynomial
-and tangential part at focal length one, t1 and t2 being OpenCV's p1 and p2.
+and tangential part at focal length one, t1 being OpenCV's p2 and t2 its p1 (AliceVision,
+main_importKnownPoses.cpp, swaps them).
 
 The file names neither the image size, which is taken from the photographs as stored, nor the
 distortion model: the export must have been made with a Brown model, as it is by default.
@@ -26,17 +27,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from robir.capture.frames import (
-    Array,
-    Distortion,
-    Frame,
-    FrameSet,
-    Lens,
-    checked_lens,
-    unique_names,
-)
+from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
 from robir.capture.readers.files import head, locate_photographs, read_text
+from robir.capture.readers.shots import Shot, frame_set
 from robir.capture.readers.values import checked
 from robir.capture.refusal import refuse
 
@@ -69,11 +63,8 @@ def read(path: Path) -> FrameSet:
     """
     rows = _rows(path)
     root, relatives = locate_photographs(path, [row["name"] for row in rows])
-    frames = tuple(
-        _frame(path, row, name, root, relative)
-        for row, name, relative in zip(rows, unique_names(relatives), relatives, strict=True)
-    )
-    return FrameSet(root=root, format=FORMAT, frames=frames)
+    places = [root / relative for relative in relatives]
+    return frame_set(path, FORMAT, [_shot(path, r, p) for r, p in zip(rows, places, strict=True)])
 
 
 def _columns(line: str) -> list[str]:
@@ -134,23 +125,15 @@ class _Row(msgspec.Struct):
     t2: float = 0.0
 
 
-def _frame(path: Path, texts: dict[str, str], name: str, root: Path, relative: str) -> Frame:
+def _shot(path: Path, texts: dict[str, str], photograph: Path) -> Shot:
     where = f"the row of {texts['name'][:80]}"
     row: _Row = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
     pose = np.eye(4)
     pose[:3, :3] = rotation(row.heading, row.pitch, row.roll)
     pose[:3, 3] = row.x, row.y, row.alt
-    return Frame(
-        name=name,
-        image=root / relative,
-        relative=relative,
-        lens=checked_lens(_lens(row, _size(root / relative)), path, where),
-        camera_to_world=pose,
-    )
-
-
-def _size(path: Path) -> tuple[int, int] | None:
-    return stored_size(path) if path.is_file() else None
+    bent = Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t2, row.t1))
+    lens = film_lens(photograph, row.f, (row.px, row.py), bent)
+    return Shot(name=texts["name"], lens=lens, pose=pose)
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Array:
@@ -164,16 +147,26 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
     return about_z @ about_x @ about_y
 
 
-def _lens(row: _Row, size: tuple[int, int] | None) -> Lens:
-    """Intrinsics in pixels; of a photograph that cannot be opened, any will do."""
+def film_lens(
+    photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
+) -> Lens:
+    """Intrinsics in pixels; of a photograph that cannot be opened, any will do.
+
+    Args:
+        photograph: As stored.
+        focal: Focal length for a frame 36 wide.
+        middle: Offset of the principal point in lengths of the longer side.
+        distortion: Lens distortion.
+    """
+    size = stored_size(photograph) if photograph.is_file() else None
     if size is None:
         return Lens(angle_x=1.0)
     longer = max(size)
     return Lens(
         width=size[0],
         height=size[1],
-        fx=row.f * longer / _FILM,
-        cx=0.5 * size[0] + row.px * longer,
-        cy=0.5 * size[1] + row.py * longer,
-        distortion=Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t1, row.t2)),
+        fx=focal * longer / _FILM,
+        cx=0.5 * size[0] + middle[0] * longer,
+        cy=0.5 * size[1] + middle[1] * longer,
+        distortion=distortion,
     )
