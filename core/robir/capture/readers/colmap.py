@@ -3,6 +3,7 @@
 
 A pose there is the rotation (unit quaternion, w first) and translation from world to camera, with
 OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.rst of COLMAP.
+Where rigs and frames are stated, they and not the images say where a camera was.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from robir.capture.frames import (
 )
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
+from robir.capture.readers.programs import colmap_rigs
 from robir.capture.readers.shots import opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
@@ -166,14 +168,18 @@ def _lens_of(model: _Model, number: int, relative: str) -> Lens:
 
 def _read_model(folder: Path) -> _Model:
     suffix = _suffix(folder) or ""
-    cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    cameras, listed = folder / f"cameras{suffix}", folder / f"images{suffix}"
     try:
         if suffix == ".bin":
             lenses = dict(_binary_cameras(cameras))
-            posed = list(_binary_images(images))
+            posed = list(_binary_images(listed))
         else:
             lenses = dict(_text_cameras(cameras))
-            posed = list(_text_images(images))
+            posed = list(_text_images(listed))
+        rigs = [folder / f"{name}{suffix}" for name in ("rigs", "frames")]
+        own = {}
+        if all(path.is_file() for path in rigs):
+            own = colmap_rigs.poses(*map(_bytes, rigs), is_text=suffix == ".txt")
     except CaptureRefusedError:
         raise
     except (OSError, ValueError, OverflowError, struct.error) as fault:
@@ -182,9 +188,10 @@ def _read_model(folder: Path) -> _Model:
             f"The COLMAP model in {folder} is truncated or damaged ({fault})",
             _CURE,
             cameras.name,
-            images.name,
+            listed.name,
         ) from None
-    return _Model(folder, suffix, lenses, sorted(posed, key=lambda entry: entry[0]))
+    images = [(name, camera, own.get(number, pose)) for number, name, camera, pose in posed]
+    return _Model(folder, suffix, lenses, sorted(images, key=lambda entry: entry[0]))
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -197,7 +204,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             yield number, _lens(path, name, width, height, values)
 
 
-def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+def _binary_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
     content = _bytes(path)
     (count,) = struct.unpack_from("<Q", content, 0)
     at = 8
@@ -210,7 +217,7 @@ def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
         at = end + 9 + 24 * observations
         if at > len(content):
             raise ValueError(f"{path.name} ends within {name}")
-        yield name, numbers[8], _pose(numbers[1:5], numbers[5:8])
+        yield numbers[0], name, numbers[8], _pose(numbers[1:5], numbers[5:8])
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -222,16 +229,20 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             yield int(number), _lens(path, name, sides[0], sides[1], tuple(values))
 
 
-def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
-    lines = _lines(path)
-    for line in lines:
-        if not line:
+def _text_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
+    for line in _lines(path):
+        # between the images stand their observations, three numbers each, or an empty line; some
+        # programs leave that line away
+        if not line or _is_observations(line):
             continue
-        _, qw, qx, qy, qz, tx, ty, tz, number, name = line.split(maxsplit=9)
-        next(lines, None)  # the observations, which may be an empty line
-        values = [qw, qx, qy, qz, tx, ty, tz]
+        number, *values, camera, name = line.split(maxsplit=9)
         numbers = checked(path, values, list[float], _CURE, where=name[:80], is_text=True)
-        yield name, int(number), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+        yield int(number), name, int(camera), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+
+
+def _is_observations(line: str) -> bool:
+    words = line.split()
+    return len(words) % 3 == 0 and words[-1].lstrip("-").isdigit()
 
 
 def _lines(path: Path) -> Iterator[str]:

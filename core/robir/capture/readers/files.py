@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,8 +24,10 @@ IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
 MAX_VALUES_BYTES = 1 << 30
 """Memory that the values of a JSON file may come to."""
 
-_NO_PHOTOGRAPHS = ("mask", "matte", "alpha", "depth", "normal", "thumb", "confidence", "seg")
-"""How folders begin that hold other pictures of the same names."""
+_OTHER_PICTURES = re.compile(
+    r"mask|matte|alpha|segment|truth|depth|normal|thumb|confidence|albedo|roughness", re.IGNORECASE
+)
+"""What folders of other pictures are called, and what such pictures are called at the end."""
 
 _DEPTH = 3
 """Folders below the capture's own that are searched for photographs."""
@@ -106,6 +109,17 @@ def head(path: Path, length: int = 65536) -> str:
         return ""
 
 
+def is_other(path: Path) -> bool:
+    """Whether a folder's name says that it holds masks, depth or the like, no photographs."""
+    return _OTHER_PICTURES.search(path.name) is not None
+
+
+def without_others(pictures: Sequence[Path]) -> list[Path]:
+    """Pictures whose names do not end as those of masks, depth or the like do; all if all do."""
+    kept = [p for p in pictures if not _OTHER_PICTURES.search(re.split("[_.-]", p.stem)[-1])]
+    return kept or list(pictures)
+
+
 def children(folder: Path) -> list[Path]:
     """What lies in a folder, sorted by name; nothing where it cannot be read.
 
@@ -167,7 +181,7 @@ def _pictures(root: Path, below: str, depth: int) -> Iterator[str]:
         lower = child.name.lower()
         if child.suffix.lower() in IMAGE_SUFFIXES:
             yield relative
-        elif depth > 0 and not lower.startswith((*_NO_PHOTOGRAPHS, ".")) and child.is_dir():
+        elif depth > 0 and not (lower.startswith(".") or is_other(child)) and child.is_dir():
             yield from _pictures(root, f"{relative}/", depth - 1)
 
 
