@@ -108,7 +108,7 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.
-    if not beside or frames.format in ("nerf-synthetic", "photos"):
+    if not beside or frames.format in ("nerf-synthetic", "nerfactor", "photos"):
         return []
     return [
         warning(

@@ -115,8 +115,10 @@ def is_other(path: Path) -> bool:
 
 
 def without_others(pictures: Sequence[Path]) -> list[Path]:
-    """Pictures whose names do not end as those of masks, depth or the like do; all if all do."""
-    kept = [p for p in pictures if not _OTHER_PICTURES.search(re.split("[_.-]", p.stem)[-1])]
+    """Pictures whose names do not begin or end as those of masks or depth do; all if all do."""
+    parts = [re.split("[_.-]", path.stem) for path in pictures]
+    ends = [f"{words[0]} {words[-1]}" for words in parts]
+    kept = [p for p, e in zip(pictures, ends, strict=True) if not _OTHER_PICTURES.search(e)]
     return kept or list(pictures)
 
 
