@@ -242,8 +242,6 @@ def colmap_rig(root: Path, shots: Shots, binary: bool = False) -> Path:
 
     The images file holds other poses, as after an edit of the rig.
     """
-    import pycolmap
-
     names = _pictures(root, shots, "images", "c{:02d}.png")
     lens, folder = shots[0].camera, root / "sparse/0"
     folder.mkdir(parents=True)
@@ -265,6 +263,8 @@ def colmap_rig(root: Path, shots: Shots, binary: bool = False) -> Path:
     (folder / "images.txt").write_text("".join(images))
     (folder / "points3D.txt").write_text("")
     if binary:
+        import pycolmap
+
         model = pycolmap.Reconstruction(folder)
         for file in folder.iterdir():
             file.unlink()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from robir.capture.frames import FrameSet
 from robir.capture.readers import transforms
-from robir.capture.readers.shots import frame_set
+from robir.capture.readers.shots import frame_set, is_file
 from robir.capture.refusal import note
 
 FORMAT = "nerf-synthetic"
@@ -35,8 +35,8 @@ def read(root: Path) -> FrameSet:
     tests = [root / name for name in ("transforms_test.json", "transforms_val.json")]
     for test in [path for path in tests if path.is_file()][:1]:
         held, about = transforms.shots(test, transforms.load(test))
-        has_photographs = any(image.is_file() for image in transforms.images(root, held))
-        if has_photographs or not any(im.is_file() for im in transforms.images(root, shots)):
+        has_photographs = any(map(is_file, transforms.images(root, held)))
+        if has_photographs or not any(map(is_file, transforms.images(root, shots))):
             shots += [replace(shot, split="test") for shot in held]
             findings += about
         else:

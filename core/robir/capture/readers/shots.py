@@ -85,10 +85,13 @@ def frame_set(
     found = list(findings)
     stated = [shot.name for shot in shots]
     root, relatives = path.parent, stated
-    if images is None or not any(image.is_file() for image in images):
+    if images is None or not any(map(is_file, images)):
         root, relatives = locate_photographs(path, stated)
-        placed = [Path(name) if _is_there(name) else None for name in stated]
-        if images is not None and any((root / relative).is_file() for relative in relatives):
+        placed = [
+            Path(name) if Path(name).is_absolute() and is_file(Path(name)) else None
+            for name in stated
+        ]
+        if images is not None and any(is_file(root / relative) for relative in relatives):
             message = f"No photograph lies where {path.name} says; they were found by their names"
             found.append(note("found-by-name", message, *relatives))
         images = [there or root / found for there, found in zip(placed, relatives, strict=True)]
@@ -110,15 +113,20 @@ def frame_set(
     return FrameSet(root=root, format=form, frames=frames, points=cloud, findings=tuple(found))
 
 
-def _is_there(name: str) -> bool:
-    return Path(name).is_absolute() and Path(name).is_file()
+def is_file(path: Path) -> bool:
+    """Whether a file is there; a name that no file can have is not."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _mask(root: Path, stated: str) -> Path:
     """A mask where it is stated to be, or in the folder of that name here."""
     parts = stated.replace("\\", "/").split("/")
     here = root.joinpath(*parts[-2:])
-    return here if not (root / stated).is_file() and here.is_file() else root / stated
+    is_moved = not is_file(root / stated) and is_file(here)
+    return here if is_moved else root / stated
 
 
 def rolling_shutter(path: Path) -> Finding:
