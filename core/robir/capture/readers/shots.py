@@ -94,7 +94,7 @@ def frame_set(
         if images is not None and any(is_file(root / relative) for relative in relatives):
             message = f"No photograph lies where {path.name} says; they were found by their names"
             found.append(note("found-by-name", message, *relatives))
-        images = [there or root / found for there, found in zip(placed, relatives, strict=True)]
+        images = [there or root / below for there, below in zip(placed, relatives, strict=True)]
     frames = tuple(
         Frame(
             name=name,
