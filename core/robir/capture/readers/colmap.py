@@ -23,16 +23,14 @@ from robir.capture.frames import (
     MAX_NUMBER,
     Array,
     Distortion,
-    Frame,
     FrameSet,
     Lens,
     checked_lens,
-    unique_names,
 )
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
 from robir.capture.readers.programs import colmap_rigs
-from robir.capture.readers.shots import opencv_view, turned_by
+from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
 
@@ -112,19 +110,11 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
     """
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
-    names = [name for name, _, _ in model.images]
-    shorts = unique_names(names)
-    images = images or _image_folder(source, model.folder, names)
-    frames = tuple(
-        Frame(
-            name=short,
-            image=images / relative,
-            relative=relative,
-            lens=_lens_of(model, number, relative),
-            camera_to_world=pose,
-        )
-        for short, (relative, number, pose) in zip(shorts, model.images, strict=True)
-    )
+    images = images or _image_folder(source, model.folder, [name for name, _, _ in model.images])
+    shots = [
+        Shot(name=name, lens=_lens_of(model, number, name), pose=pose)
+        for name, number, pose in model.images
+    ]
     findings = []
     if len(models) > 1:
         counts = ", ".join(f"{m.folder.name} ({len(m.images)} photographs)" for m in models)
@@ -132,13 +122,10 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
             note("several-models", f"Of the sparse models {counts}, {model.folder.name} is used")
         )
     points = _read_points(model.folder / f"points3D{model.suffix}")
-    return FrameSet(
-        root=images if images.name == "." else images.parent,
-        format=FORMAT,
-        frames=frames,
-        points=points,
-        findings=tuple(findings),
-    )
+    root = images if images.name == "." else images.parent
+    places = [images / shot.name for shot in shots]
+    listed = root / f"images{model.suffix}"
+    return frame_set(listed, FORMAT, shots, images=places, points=points, findings=findings)
 
 
 def _suffix(folder: Path) -> str | None:

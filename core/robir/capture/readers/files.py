@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -81,6 +82,20 @@ def load_xml(path: Path, cure: str) -> Element:
         ) from None
 
 
+def load_table(path: Path, cure: str) -> list[list[str]]:
+    """Rows of a CSV file, blank ones left out, spaces around values too.
+
+    Raises:
+        CaptureError: If it cannot be read.
+    """
+    try:
+        rows = csv.reader(read_text(path).splitlines())
+        return [[word.strip() for word in row] for row in rows if row]
+    except (OSError, ValueError, csv.Error) as fault:
+        message = f"{path} is no readable table of cameras ({fault})"
+        raise refuse("bad-table", message, cure, path.name) from None
+
+
 def _undefined(text: str) -> str:
     """XML without definitions, which could make it grow or read files; no export has any."""
     if "<!DOCTYPE" in text:
@@ -138,6 +153,12 @@ def children(folder: Path) -> list[Path]:
     except OSError:
         return []
     return [folder / name for name in found]
+
+
+def photographs_in(folder: Path, root: Path) -> list[str]:
+    """Paths below `root` of the pictures in a folder, sorted by name."""
+    pictures = [path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
+    return [path.relative_to(root).as_posix() for path in pictures]
 
 
 def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:

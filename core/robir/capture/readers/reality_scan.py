@@ -21,7 +21,6 @@ distortion model: the export must have been made with a Brown model, as it is by
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import msgspec
@@ -29,7 +28,7 @@ import numpy as np
 
 from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
-from robir.capture.readers.files import head, locate_photographs, read_text
+from robir.capture.readers.files import head, load_table, locate_photographs
 from robir.capture.readers.shots import Shot, frame_set
 from robir.capture.readers.values import checked
 from robir.capture.refusal import refuse
@@ -45,8 +44,7 @@ _CURE = 'Export "Internal/External camera parameters" (CSV) again.'
 
 def looks_like(path: Path) -> bool:
     """Whether a file is a table of names and headings."""
-    lines = head(path).splitlines()
-    return _header_line(lines) is not None
+    return _header([line.split(",") for line in head(path).splitlines()[:3]]) is not None
 
 
 def read(path: Path) -> FrameSet:
@@ -67,42 +65,30 @@ def read(path: Path) -> FrameSet:
     return frame_set(path, FORMAT, [_shot(path, r, p) for r, p in zip(rows, places, strict=True)])
 
 
-def _columns(line: str) -> list[str]:
-    return [column.strip().lstrip("#").strip().lower() for column in line.split(",")]
+def _columns(words: list[str]) -> list[str]:
+    return [word.strip().lstrip("#").strip().lower() for word in words]
 
 
-def _header_line(lines: list[str]) -> int | None:
-    """Which of the first lines names the columns; a count of the cameras may come before."""
-    for index, line in enumerate(lines[:3]):
-        if set(_columns(line)) >= _SIGNATURE:
-            return index
-    return None
+def _header(rows: list[list[str]]) -> int | None:
+    """Which of the first rows names the columns; a count of the cameras may come before."""
+    found = (i for i, row in enumerate(rows[:3]) if set(_columns(row)) >= _SIGNATURE)
+    return next(found, None)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    try:
-        lines = read_text(path).splitlines()
-        start = _header_line(lines) or 0
-        columns = _columns(lines[start])
-        table = [row for row in csv.reader(lines[start + 1 :]) if row]
-    except (OSError, ValueError, IndexError, csv.Error) as fault:
-        raise refuse(
-            "bad-table", f"{path} is no readable table of cameras ({fault})", _CURE, path.name
-        ) from None
-    if len(columns) > _MAX_COLUMNS:
-        raise refuse("bad-table", f"{path} has {len(columns)} columns", _CURE, path.name)
+    table = load_table(path, _CURE)
+    start = _header(table) or 0
+    columns = _columns(table[start]) if table else []
     absent = [column for column in _POSE if column not in columns]
     if absent:
         raise refuse("missing-key", f"{path} has no column {', '.join(absent)}", _CURE, path.name)
-    for number, row in enumerate(table):
-        if len(row) < len(columns):
-            raise refuse(
-                "bad-table",
-                f"{path}: row {number + 1} has {len(row)} of {len(columns)} values",
-                _CURE,
-                path.name,
-            )
-    return [dict(zip(columns, map(str.strip, row), strict=False)) for row in table]
+    rows = table[start + 1 :]
+    short = next((i for i, row in enumerate(rows, start=1) if len(row) < len(columns)), None)
+    if short is not None or len(columns) > _MAX_COLUMNS:
+        fault = f"row {short} has {len(rows[short - 1])} of " if short else "its header has "
+        message = f"{path}: {fault}{len(columns)} values"
+        raise refuse("bad-table", message, _CURE, path.name)
+    return [dict(zip(columns, row, strict=False)) for row in rows]
 
 
 class _Row(msgspec.Struct):

@@ -8,7 +8,7 @@ comes: such a pose is named with its photograph later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,6 +26,7 @@ from robir.capture.frames import (
     checked_lens,
     unique_names,
 )
+from robir.capture.masks.given import from_folder
 from robir.capture.readers.files import locate_photographs
 from robir.capture.refusal import note, refuse, warning
 
@@ -111,6 +112,12 @@ def frame_set(
     )
     cloud = np.zeros((0, 3)) if points is None else points
     return FrameSet(root=root, format=form, frames=frames, points=cloud, findings=tuple(found))
+
+
+def with_masks(folder: Path, frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    """Frames with the masks that a folder holds for them."""
+    masks = from_folder(folder, frames)
+    return tuple(replace(frame, mask=masks[frame.name]) for frame in frames)
 
 
 def is_file(path: Path) -> bool:

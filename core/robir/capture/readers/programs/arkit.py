@@ -38,17 +38,7 @@ def find(source: Path) -> bool:
 
 
 def read(source: Path) -> FrameSet:
-    """Read poses and intrinsics of the frames that have a photograph.
-
-    Args:
-        source: Folder of the frames.
-
-    Returns:
-        Frames in ARKit's world, metres.
-
-    Raises:
-        CaptureError: If a frame is damaged.
-    """
+    """Read poses and intrinsics of the frames that have a photograph."""
     files = children(source)
     pictures = {path.stem: path for path in files if path.suffix.lower() in IMAGE_SUFFIXES}
     posed = [path for path in files if path.match("frame_*.json") and path.stem in pictures]

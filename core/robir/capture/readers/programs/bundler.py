@@ -34,17 +34,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read placed cameras and sparse points.
-
-    Args:
-        path: The file of cameras.
-
-    Returns:
-        Frames in the frame of the file.
-
-    Raises:
-        CaptureError: If the file or the list of photographs is damaged or missing.
-    """
+    """Read placed cameras and sparse points."""
     names = _names(path)
     try:
         lines = [line for line in read_text(path).splitlines() if line.strip()[:1] not in ("#", "")]

@@ -24,16 +24,7 @@ _POSE = "7d"
 
 
 def poses(rigs: bytes, frames: bytes, is_text: bool) -> dict[int, Array]:
-    """Camera-to-world of images by number, OpenGL axes; only of cameras whose place is known.
-
-    Args:
-        rigs: Content of the file of rigs.
-        frames: Content of the file of frames.
-        is_text: Whether these are text.
-
-    Raises:
-        ValueError, struct.error: If a file is damaged.
-    """
+    """Camera-to-world of images by number, OpenGL axes; only of cameras whose place is known."""
     places: dict[tuple[int, int, int], Array] = {}
     for take in _entries(rigs, is_text):
         rig, count = take("II")

@@ -43,17 +43,7 @@ def find(source: Path) -> bool:
 
 
 def read(source: Path) -> FrameSet:
-    """Read views to learn from; those to test with where they have photographs, else to validate.
-
-    Args:
-        source: Folder of the views' folders.
-
-    Returns:
-        Frames in the files' own frame.
-
-    Raises:
-        CaptureError: If a view is damaged.
-    """
+    """Read views to learn from, and those to test with, or to validate, that have photographs."""
     folders = {
         split: [c for c in children(source) if c.name.startswith(split) and (c / _NAME).is_file()]
         for split in ("train_", "test_", "val_")

@@ -34,19 +34,11 @@ class _View(msgspec.Struct):
     local_path: str = ""
 
 
-class _Projection(msgspec.Struct):
+class _Intrinsic(msgspec.Struct):
     width: Side
     height: Side
     focal_length: Positive
     principal_point: Annotated[list[Number], Meta(min_length=2, max_length=2)]
-
-
-class _Intrinsic(msgspec.Struct):
-    value0: _Projection | None = None
-    width: Side | None = None
-    height: Side | None = None
-    focal_length: Positive | None = None
-    principal_point: Annotated[list[Number], Meta(min_length=2, max_length=2)] | None = None
     disto_k1: _Terms = []
     disto_k3: _Terms = []
     disto_t2: _Terms = []
@@ -58,24 +50,10 @@ class _Pose(msgspec.Struct):
     center: Vector
 
 
-class _Data(msgspec.Struct):
-    data: Any
-
-
-class _Pointer(msgspec.Struct):
-    ptr_wrapper: _Data
-    polymorphic_name: str = ""
-
-
-class _Entry(msgspec.Struct):
-    key: int
-    value: Any
-
-
 class _File(msgspec.Struct):
-    views: list[_Entry]
-    intrinsics: list[_Entry]
-    extrinsics: list[_Entry]
+    views: list[dict[str, Any]]
+    intrinsics: list[dict[str, Any]]
+    extrinsics: list[dict[str, Any]]
     structure: Any = None
 
 
@@ -85,67 +63,63 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read views that have a pose, and the sparse points.
-
-    Args:
-        path: sfm_data.json.
-
-    Returns:
-        Frames in the frame of the file.
-
-    Raises:
-        CaptureError: If the file is damaged, holds no poses or a camera is not supported.
-    """
+    """Read views that have a pose, and the sparse points."""
     content: _File = checked(path, load_json(path), _File, _CURE)
-    poses = {entry.key: checked(path, entry.value, _Pose, _CURE) for entry in content.extrinsics}
-    lenses = {entry.key: _lens(path, entry.value) for entry in content.intrinsics}
+    poses = {key: checked(path, value, _Pose, _CURE) for key, value in _pairs(content.extrinsics)}
+    lenses = {key: _lens(path, value) for key, value in _pairs(content.intrinsics)}
     shots, without = [], []
-    for entry in content.views:
-        pointer: _Pointer = checked(path, entry.value, _Pointer, _CURE)
-        view: _View = checked(path, pointer.ptr_wrapper.data, _View, _CURE)
+    for _, value in _pairs(content.views):
+        view: _View = checked(path, _pointed(value), _View, _CURE)
         name = f"{view.local_path}/{view.filename}".lstrip("/")
-        pose = poses.get(view.id_pose)
+        pose = poses.get(str(view.id_pose))
         if pose is None:
             without.append(name)
-        elif view.id_intrinsic not in lenses:
+        elif str(view.id_intrinsic) not in lenses:
             raise refuse("bad-value", f"{path}: {name} has no intrinsics", _CURE, path.name)
         else:
             turn = [list(column) for column in zip(*pose.rotation, strict=True)]
             place = opencv_pose(turn, pose.center)
-            shots.append(Shot(name=name, lens=lenses[view.id_intrinsic], pose=place))
+            shots.append(Shot(name=name, lens=lenses[str(view.id_intrinsic)], pose=place))
     findings = []
     if without and shots:
         message = f"{len(without)} of {len(content.views)} views of {path.name} have no pose"
         findings.append(note("unposed-views", message, *without))
-    plain = content.structure if isinstance(content.structure, list) else []
-    values = [entry.get("value") if isinstance(entry, dict) else None for entry in plain]
-    points = sane_points([v.get("X") if isinstance(v, dict) else None for v in values])
+    points = sane_points([_at(value, "X") for _, value in _pairs(content.structure)])
     return frame_set(path, FORMAT, shots, points=points, findings=findings)
 
 
+def _pairs(entries: Any) -> list[tuple[Any, Any]]:
+    """Keys and values of one of cereal's maps."""
+    entries = entries if isinstance(entries, list) else []
+    return [(str(_at(entry, "key")), _at(entry, "value")) for entry in entries]
+
+
+def _pointed(value: Any) -> Any:
+    """What one of cereal's pointers points to."""
+    return _at(_at(value, "ptr_wrapper"), "data")
+
+
+def _at(table: Any, key: str) -> Any:
+    return table.get(key) if isinstance(table, dict) else None
+
+
 def _lens(path: Path, value: Any) -> Lens:
-    pointer: _Pointer = checked(path, value, _Pointer, _CURE)
-    camera: _Intrinsic = checked(path, pointer.ptr_wrapper.data, _Intrinsic, _CURE)
-    base = camera.value0 or camera
-    is_whole = None not in (base.width, base.height, base.focal_length, base.principal_point)
-    if not is_whole or pointer.polymorphic_name.startswith("spherical"):
+    kind, plain = str(_at(value, "polymorphic_name")), _pointed(value)
+    if kind.startswith("spherical"):
         raise refuse(
             "camera-model",
-            f"{path}: the camera model {pointer.polymorphic_name or 'of a view'} is not supported",
+            f"{path}: the camera model {kind} is not supported",
             "Undistort the photographs with openMVG_main_ExportUndistortedImages.",
             path.name,
         )
-    assert base.principal_point is not None
+    base = _at(plain, "value0")  # some lenses hold their pinhole in it
+    plain = {**base, **plain} if isinstance(base, dict) else plain
+    camera: _Intrinsic = checked(path, plain, _Intrinsic, _CURE)
     terms = camera.disto_t2[:3] or camera.disto_k3 or camera.disto_k1 or camera.fisheye
     k1, k2, k3, k4 = (*terms, 0.0, 0.0, 0.0, 0.0)[:4]
     t1, t2 = (*camera.disto_t2[3:], 0.0, 0.0)[:2]
-    return Lens(
-        width=base.width,
-        height=base.height,
-        fx=base.focal_length,
-        cx=base.principal_point[0] + 0.5,
-        cy=base.principal_point[1] + 0.5,
-        distortion=Distortion(
-            radial=(k1, k2, k3, k4), tangential=(t1, t2), is_fisheye=bool(camera.fisheye)
-        ),
-    )
+    is_fisheye = bool(camera.fisheye)
+    bent = Distortion(radial=(k1, k2, k3, k4), tangential=(t1, t2), is_fisheye=is_fisheye)
+    cx, cy = (value + 0.5 for value in camera.principal_point)
+    size = {"width": camera.width, "height": camera.height}
+    return Lens(**size, fx=camera.focal_length, cx=cx, cy=cy, distortion=bent)

@@ -73,17 +73,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read the largest reconstruction.
-
-    Args:
-        path: reconstruction.json.
-
-    Returns:
-        Frames and sparse points in the frame of the file.
-
-    Raises:
-        CaptureError: If the file is damaged, or a camera is neither a pinhole nor a fisheye.
-    """
+    """Read the largest reconstruction."""
     parts: list[_Reconstruction] = checked(path, load_json(path), list[_Reconstruction], _CURE)
     largest = max(parts, key=lambda part: len(part.shots), default=_Reconstruction({}, {}))
     findings = []

@@ -42,17 +42,7 @@ def find(source: Path) -> Path | None:
 
 
 def read(folder: Path) -> FrameSet:
-    """Read poses and intrinsics.
-
-    Args:
-        folder: Folder of the photographs and their XMP files.
-
-    Returns:
-        Frames in the coordinate system of the project.
-
-    Raises:
-        CaptureError: If a file is damaged or a lens is not of Brown's model.
-    """
+    """Read poses and intrinsics."""
     files = [path for path in children(folder) if path.suffix.lower() == ".xmp"]
     pictures = {
         path.stem: path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES

@@ -49,17 +49,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses and intrinsics.
-
-    Args:
-        path: The file of poses.
-
-    Returns:
-        Frames in ARKit's world, metres.
-
-    Raises:
-        CaptureError: If the file is damaged or a key is missing.
-    """
+    """Read poses and intrinsics."""
     content: _File = checked(path, load_json(path), _File, _CURE)
     folder = next((name for name in ("rgb", "rgbd") if (path.parent / name).is_dir()), "rgb")
     suffixes = {p.stem: p.suffix for p in children(path.parent / folder) if p.suffix != ".depth"}

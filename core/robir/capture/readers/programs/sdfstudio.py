@@ -50,17 +50,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses, intrinsics and masks.
-
-    Args:
-        path: meta_data.json.
-
-    Returns:
-        Frames in the file's own frame.
-
-    Raises:
-        CaptureError: If the file is damaged or a key is missing.
-    """
+    """Read poses, intrinsics and masks."""
     content: _File = checked(path, load_json(path), _File, _CURE)
     shots = [_shot(path, content, frame) for frame in content.frames]
     images = [path.parent / shot.name for shot in shots]

@@ -41,30 +41,15 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses and focal lengths.
-
-    Args:
-        path: cameras.json, with the photographs beside it or in a folder there.
-
-    Returns:
-        Frames in the frame of the training.
-
-    Raises:
-        CaptureError: If the file is damaged or a key is missing.
-    """
+    """Read poses and focal lengths."""
     cameras: list[_Camera] = checked(path, load_json(path), list[_Camera], _CURE)
     shots = [
-        Shot(
-            name=camera.img_name,
-            lens=Lens(
-                width=camera.width,
-                height=camera.height,
-                fx=camera.fx,
-                fy=camera.fy,
-                is_scalable=True,
-            ),
-            pose=opencv_pose(camera.rotation, camera.position),
-        )
-        for camera in cameras
+        Shot(name=c.img_name, lens=_lens(c), pose=opencv_pose(c.rotation, c.position))
+        for c in cameras
     ]
     return frame_set(path, FORMAT, shots)
+
+
+def _lens(camera: _Camera) -> Lens:
+    size = {"width": camera.width, "height": camera.height}
+    return Lens(**size, fx=camera.fx, fy=camera.fy, is_scalable=True)

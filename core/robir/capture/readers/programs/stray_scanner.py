@@ -8,13 +8,12 @@ must have been taken out of the video, under their numbers.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import msgspec
 
 from robir.capture.frames import IMAGE_SUFFIXES, FrameSet, Lens
-from robir.capture.readers.files import IMAGE_FOLDERS, children, head, read_text
+from robir.capture.readers.files import IMAGE_FOLDERS, children, head, load_table
 from robir.capture.readers.shots import Shot, frame_set, opencv_pose, turned_by
 from robir.capture.readers.values import Number, checked
 from robir.capture.refusal import note, refuse
@@ -48,17 +47,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read the poses of the frames that were taken out of the video.
-
-    Args:
-        path: odometry.csv.
-
-    Returns:
-        Frames in ARKit's world, metres.
-
-    Raises:
-        CaptureError: If a file is damaged, or the frames are still in the video.
-    """
+    """Read the poses of the frames that were taken out of the video."""
     root = path.parent
     places = [root / name for name in IMAGE_FOLDERS]
     pictures = {
@@ -67,11 +56,11 @@ def read(path: Path) -> FrameSet:
         for file in children(place)
         if file.suffix.lower() in IMAGE_SUFFIXES
     }
-    lines = _table(path)
-    heads = [word.strip() for word in lines[0]] if lines else []
+    lines = load_table(path, _CURE)
+    heads = lines[0] if lines else []
     shots, images = [], []
     for line in lines[1:]:
-        plain = dict(zip(heads, (word.strip() for word in line), strict=False))
+        plain = dict(zip(heads, line, strict=False))
         where = f"frame {plain.get('frame', '')[:80]}"
         row: _Row = checked(path, plain, _Row, _CURE, where=where, is_text=True)
         if row.frame in pictures:
@@ -98,15 +87,7 @@ def read(path: Path) -> FrameSet:
 
 def _matrix(path: Path) -> list[float]:
     """Focal lengths and principal point of the camera matrix."""
-    table = checked(path, _table(path), list[list[Number]], _CURE, is_text=True)
+    table = checked(path, load_table(path, _CURE), list[list[Number]], _CURE, is_text=True)
     if len(table) < 2 or any(len(row) < 3 for row in table[:2]):
         raise refuse("bad-table", f"{path} is no matrix of 3x3 numbers", _CURE, path.name)
     return [table[0][0], table[1][1], table[0][2], table[1][2]]
-
-
-def _table(path: Path) -> list[list[str]]:
-    try:
-        return [row for row in csv.reader(read_text(path).splitlines()) if row]
-    except (OSError, ValueError, csv.Error) as fault:
-        message = f"{path} is no readable table ({fault})"
-        raise refuse("bad-table", message, _CURE, path.name) from None
