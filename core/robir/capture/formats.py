@@ -94,7 +94,8 @@ def reader_of(source: Path) -> Reader | None:
     (chosen, reader), *others = found
     if not others:
         return reader
-    left = ", ".join(name for name, _ in others)
+    left = ", ".join(name for name, _ in others[:3])
+    left += f" and {len(others) - 3} more" if len(others) > 3 else ""
     message = f"Poses are taken from {chosen}, which says most; {left} is left aside"
     return lambda: _with(reader(), note("several-poses", message))
 
@@ -140,7 +141,8 @@ def _files(source: Path) -> list[Path]:
     suffixes = {suffix for _, some in _FILES for suffix in some if suffix} | {".npz"}
     own = [path for path in children(source) if path.suffix.lower() in suffixes][:_MOST]
     below = [source / "opensfm" / opensfm.NAME, record3d.find(source)]
-    return [path for path in (*own, *below) if path is not None and path.is_file()]
+    found = [path for path in (*own, *below) if path is not None and path.is_file()]
+    return list(dict.fromkeys(found))
 
 
 def file_reader(path: Path) -> Reader | None:

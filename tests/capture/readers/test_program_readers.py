@@ -235,6 +235,15 @@ def test_a_recording_of_stray_scanner_without_frames(shots, tmp_path):
     refused(tmp_path, "still in its video", "ffmpeg -i rgb.mp4")
 
 
+@pytest.mark.parametrize("name", ["metadata", "metadata.json"])
+def test_a_recording_of_record3d_as_it_was_unpacked(name, odd_shots, tmp_path):
+    program_writers.record3d(tmp_path, odd_shots)
+    (tmp_path / "EXR_RGBD/metadata.json").rename(tmp_path / name)
+    (tmp_path / "EXR_RGBD/rgb").rename(tmp_path / "rgbd")
+    read_back(lambda root, shots: root, tmp_path, odd_shots)
+    assert said(tmp_path) == {}
+
+
 @pytest.mark.parametrize(
     ("write", "name", "old", "new", "words"),
     [

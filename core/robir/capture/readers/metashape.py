@@ -148,7 +148,8 @@ def _in_one_frame(
     largest, count = counts.most_common(1)[0]
     rest = [seen.camera.get("label", "") for seen in aligned if seen.frame != largest]
     cure = "Align and merge the chunks, or the components, in Metashape and export again."
-    message += f", each in a frame of its own; the one of {count} is read"
+    why = "some photographs in several" if joined else "each in a frame of its own"
+    message += f", {why}; the one of {count} is read"
     return [s for s in aligned if s.frame == largest], [
         warning("several-parts", message, cure, *rest)
     ]

@@ -9,6 +9,7 @@ src/openMVG/cameras: k1 to k3, and T1 and T2 of Brown's model are OpenCV's p1 an
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -121,5 +122,5 @@ def _lens(path: Path, value: Any) -> Lens:
     is_fisheye = bool(camera.fisheye)
     bent = Distortion(radial=(k1, k2, k3, k4), tangential=(t1, t2), is_fisheye=is_fisheye)
     cx, cy = (value + 0.5 for value in camera.principal_point)
-    size = {"width": camera.width, "height": camera.height}
-    return Lens(**size, fx=camera.focal_length, cx=cx, cy=cy, distortion=bent)
+    lens = Lens(width=camera.width, height=camera.height, fx=camera.focal_length)
+    return replace(lens, cx=cx, cy=cy, distortion=bent)

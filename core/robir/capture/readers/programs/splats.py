@@ -43,13 +43,8 @@ def looks_like(path: Path) -> bool:
 def read(path: Path) -> FrameSet:
     """Read poses and focal lengths."""
     cameras: list[_Camera] = checked(path, load_json(path), list[_Camera], _CURE)
-    shots = [
-        Shot(name=c.img_name, lens=_lens(c), pose=opencv_pose(c.rotation, c.position))
-        for c in cameras
-    ]
+    shots = []
+    for c in cameras:
+        lens = Lens(width=c.width, height=c.height, fx=c.fx, fy=c.fy, is_scalable=True)
+        shots.append(Shot(name=c.img_name, lens=lens, pose=opencv_pose(c.rotation, c.position)))
     return frame_set(path, FORMAT, shots)
-
-
-def _lens(camera: _Camera) -> Lens:
-    size = {"width": camera.width, "height": camera.height}
-    return Lens(**size, fx=camera.fx, fy=camera.fy, is_scalable=True)
