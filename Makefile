@@ -24,9 +24,10 @@ KILLS ?= 40
 FORGED ?= 300
 RUNS ?= 100
 TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
-  colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
-  worker_log run manifest capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply \
-  mesh_stl
+  colmap_text_cameras colmap_rigs colmap_frames neus llff polycam reality_scan reality_xmp \
+  metashape meshroom opensfm openmvg bundler bundler_list sdfstudio nerfactor record3d \
+  stray_scanner stray_matrix arkit splats image status worker worker_log run manifest \
+  capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply mesh_stl
 
 SHIPPED := core robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py

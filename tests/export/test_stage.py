@@ -72,14 +72,12 @@ def test_the_result_folder_is_complete(exported):
     paths, recorder, metrics = exported
     present = {p.relative_to(paths.root).as_posix() for p in paths.export.rglob("*") if p.is_file()}
     assert present == {
-        "export/asset.glb",
-        "export/cameras.json",
+        *(f"export/{name}" for name in ("asset.glb", "cameras.json", "transforms.json")),
+        *(f"export/colmap/sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")),
         "export/environment.exr",
         "export/environment_without_sun.exr",
         "export/light.json",
-        "export/tone_curve.cube",
-        "export/tone_curve.json",
-        "export/tone_curve.png",
+        *(f"export/tone_curve.{kind}" for kind in ("cube", "json", "png")),
         "export/textures/albedo.exr",
         "export/textures/albedo.png",
         "export/textures/coverage.png",

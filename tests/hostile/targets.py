@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from capture import app_writers, writers
+from capture import app_writers, program_writers, writers
 from capture.scene import cameras, shoot
 from evaluation import sphere_run
 from PIL import Image
@@ -52,6 +52,20 @@ _POSES = {
     "reality_scan": (app_writers.reality_scan, "cameras.csv"),
     "metashape": (app_writers.metashape, "cameras.xml"),
     "meshroom": (partial(app_writers.meshroom, version=(1, 2, 6)), "cameras.sfm"),
+    "opensfm": (program_writers.opensfm, "opensfm/reconstruction.json"),
+    "openmvg": (program_writers.openmvg, "sfm_data.json"),
+    "bundler": (program_writers.bundler, "bundle.out"),
+    "bundler_list": (program_writers.bundler, "list.txt"),
+    "reality_xmp": (program_writers.reality_xmp, "images/R000.xmp"),
+    "sdfstudio": (program_writers.sdfstudio, "meta_data.json"),
+    "nerfactor": (program_writers.nerfactor, "train_000/metadata.json"),
+    "record3d": (program_writers.record3d, "EXR_RGBD/metadata.json"),
+    "stray_scanner": (program_writers.stray_scanner, "odometry.csv"),
+    "stray_matrix": (program_writers.stray_scanner, "camera_matrix.csv"),
+    "arkit": (program_writers.arkit, "frame_00000.json"),
+    "splats": (program_writers.splats, "cameras.json"),
+    "colmap_rigs": (program_writers.colmap_rig, "sparse/0/rigs.txt"),
+    "colmap_frames": (program_writers.colmap_rig, "sparse/0/frames.txt"),
 }
 MESHES = {f"mesh_{suffix[1:]}": suffix for suffix in SUFFIXES}
 """Targets that are meshes, with the suffix of each."""

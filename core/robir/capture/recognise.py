@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,26 +20,16 @@ from robir.capture.checks.sharpness import check_sharpness
 from robir.capture.checks.turns import prepared
 from robir.capture.checks.uneven_exposure import check_settings
 from robir.capture.config import CaptureConfig
+from robir.capture.formats import KNOWN, reader_of, unread_poses
 from robir.capture.frames import Frame, FrameSet, PosedRefusedError
 from robir.capture.images.decode import may_hold_alpha
 from robir.capture.masks import given as mask_files
 from robir.capture.poses import solve
 from robir.capture.poses.photos import find_photographs
 from robir.capture.poses.register import is_video, register
-from robir.capture.readers import (
-    colmap,
-    llff,
-    meshroom,
-    metashape,
-    nerf_synthetic,
-    nerfstudio,
-    neus,
-    polycam,
-    reality_scan,
-    transforms,
-)
 from robir.capture.readers.files import children
 from robir.capture.readers.left_out import without_left_out
+from robir.capture.readers.nerf_synthetic import FORMAT as SYNTHETIC
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
@@ -57,11 +46,8 @@ SURVEY_SIDE = 800
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
 """What is looked at once the object's place is known."""
 
-_POSES = (".json", ".sfm", ".npz", ".csv", ".txt", ".xml")
-"""Kinds of files that poses come in, besides those of fixed names."""
-
 _MOST = 200
-"""Files, or folders, of one folder that are looked into for poses."""
+"""Folders of one folder that are looked into for captures."""
 
 _REGISTERING = 0.9
 """Share of the progress that finding poses takes where there are none."""
@@ -98,10 +84,10 @@ def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> 
     if not source.is_dir() and not source.is_file():
         what = "is neither a folder nor a file" if os.path.lexists(source) else "does not exist"
         raise refuse("no-capture", f"{source} {what}", "Give the folder of a capture.")
-    reader = _reader(source)
+    reader = reader_of(source)
     if reader is None and source.is_file():
         source = source.parent
-        reader = _reader(source)
+        reader = reader_of(source)
     if reader is None:
         raise _not_recognised(source)
     frames = reader()
@@ -144,54 +130,14 @@ def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
         )
 
 
-def _reader(source: Path) -> Callable[[], FrameSet] | None:
-    """What reads a folder or a file of poses, or None; the first of these that fits."""
-    if source.is_file():
-        return _file_reader(source)
-    keyframes = polycam.find(source)
-    if keyframes is not None:
-        return partial(polycam.read, keyframes)
-    if (source / nerf_synthetic.TRAIN).is_file():
-        return partial(nerf_synthetic.read, source)
-    if (source / nerfstudio.NAME).is_file():
-        return partial(nerfstudio.read, source / nerfstudio.NAME)
-    archive = neus.find(source)
-    if archive is not None:
-        return partial(neus.read, archive)
-    if (source / llff.NAME).is_file():
-        return partial(llff.read, source / llff.NAME)
-    if colmap.find_models(source):
-        return partial(colmap.read, source)
-    candidates = [path for path in children(source) if path.suffix.lower() in _POSES]
-    readers = (_file_reader(path) for path in candidates[:_MOST] if path.is_file())
-    return next((reader for reader in readers if reader is not None), None)
-
-
 def _folders(source: Path) -> list[Path]:
     """Folders in which a capture may lie instead."""
     return [child for child in children(source) if child.is_dir()][:_MOST]
 
 
-def _file_reader(path: Path) -> Callable[[], FrameSet] | None:
-    """What reads a file of poses, told by what the file holds."""
-    match path.suffix.lower():
-        case ".json" | ".sfm" if meshroom.looks_like(path):
-            return partial(meshroom.read, path)
-        case ".json" if path.name != nerf_synthetic.TRAIN and transforms.looks_like(path):
-            return partial(nerfstudio.read, path)
-        case ".npz" if neus.is_camera_file(path):
-            return partial(neus.read, path)
-        case ".csv" | ".txt" if reality_scan.looks_like(path):
-            return partial(reality_scan.read, path)
-        case ".xml" if metashape.looks_like(path):
-            return partial(metashape.read, path)
-        case _:
-            return None
-
-
 def _not_recognised(source: Path) -> CaptureRefusedError:
     """Why a folder is no capture, and where the capture may be."""
-    captures = [child.name for child in _folders(source) if _reader(child) is not None]
+    captures = [child.name for child in _folders(source) if reader_of(child) is not None]
     if captures:
         return refuse(
             "no-capture",
@@ -204,17 +150,10 @@ def _not_recognised(source: Path) -> CaptureRefusedError:
         return refuse(
             "no-capture",
             f"{source} holds no capture: there are neither photographs nor camera poses",
-            f"Give the folder that holds photographs, or {_KNOWN}.",
+            f"Give the folder that holds photographs, or {KNOWN}.",
         )
-    return _no_poses(f"{source} holds {len(photographs)} photographs", *photographs)
-
-
-_KNOWN = (
-    "transforms_train.json, transforms.json, a COLMAP model (sparse/0), "
-    "cameras_sphere.npz, poses_bounds.npy, Polycam's keyframes, RealityScan's "
-    "internal/external camera parameters (CSV), Metashape's cameras (XML) "
-    "or Meshroom's cameras.sfm"
-)
+    refusal = _no_poses(f"{source} holds {len(photographs)} photographs", *photographs)
+    return CaptureRefusedError([*unread_poses(source), *refusal.findings])
 
 
 def _no_poses(what: str, *photographs: str) -> CaptureRefusedError:
@@ -222,7 +161,7 @@ def _no_poses(what: str, *photographs: str) -> CaptureRefusedError:
         "no-poses",
         f"{what} but no camera poses",
         "Install what finds them: pip install 'robir[photos]'; or estimate them, for example with "
-        f"COLMAP, and give the folder that holds {_KNOWN}. Masks will be needed as well "
+        f"COLMAP, and give the folder that holds {KNOWN}. Masks will be needed as well "
         "(--masks DIR).",
         *photographs,
     )
@@ -232,9 +171,11 @@ def _lacks_poses(source: Path) -> bool:
     """Whether this is a video or a folder of photographs and nothing else."""
     if is_video(source):
         return True
-    if not source.is_dir() or _reader(source) is not None:
+    if not source.is_dir() or reader_of(source) is not None:
         return False
-    return not any(_reader(child) for child in _folders(source)) and bool(find_photographs(source))
+    return not any(reader_of(child) for child in _folders(source)) and bool(
+        find_photographs(source)
+    )
 
 
 def read_capture(
@@ -272,6 +213,7 @@ def read_capture(
             _refuse_outside(photographs, (source,))
         first = _part_of(progress, 0.0, _REGISTERING)
         frames = register(source, workshop.folder, workshop.seed, first)
+        frames = replace(frames, findings=(*frames.findings, *unread_poses(source)))
         progress = _part_of(progress, _REGISTERING, 1.0)
     else:
         frames = read_frames(source, config.outside)
@@ -345,7 +287,7 @@ def _load_masked(
 ) -> tuple[Loaded, list[Finding]]:
     """The photographs with their masks, guessed if none has any, and findings."""
     config = how[0]
-    has_masks = bool(drawn) or frames.format == nerf_synthetic.FORMAT
+    has_masks = bool(drawn) or frames.format == SYNTHETIC
     has_masks = has_masks or any(frame.mask for frame, _ in chosen)
     first = _READING if has_masks else _FIRST_READING
     # where nothing can be a mask, a small copy of each photograph is enough for a guess
@@ -376,7 +318,7 @@ def _part_of(progress: Progress, begin: float, end: float) -> Progress:
 
 def _folder_of_masks(frames: FrameSet) -> Path | None:
     """A folder of masks beside the photographs, for formats that only have it by custom."""
-    if frames.format == nerf_synthetic.FORMAT or any(frame.mask for frame in frames.frames):
+    if frames.format == SYNTHETIC or any(frame.mask for frame in frames.frames):
         return None
     folders = (frames.root / name for name in ("masks", "mask"))
     return next((folder for folder in folders if folder.is_dir()), None)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from dataclasses import dataclass
@@ -11,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_settled, plain_view, view_path
+from robir.capture.store import load_settled
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.evaluation.layers import load_textures, result_mesh, stored_exposure, stored_facts
 from robir.export.blender import Outcome, run_headless
+from robir.export.cameras import export_cameras
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
 from robir.export.gltf import write_glb
@@ -23,11 +23,10 @@ from robir.export.tiles import parts_of, tile_textures, write_tiles
 from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
-from robir.jobs.paths import JobPaths, write_json
-from robir.jobs.records import NUMBERS
+from robir.jobs.paths import JobPaths
 from robir.transport.observe import spread_views
 
-REVISION = 12
+REVISION = 13
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -40,7 +39,6 @@ _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
 _LIGHTS = "light_"
 _ASSET_SHARE = 0.2
 _RENDER_SHARE = 0.95
-_GROUND = {"normal": NUMBERS, "offset": float}
 _CHOICES = [{
     "choice": str, "chosen": (str, float), "alternatives": [(str, float)], "why": str,
     "held_out_error": (None, float), "cost_seconds": (None, float),
@@ -73,7 +71,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     report.progress(0.12, "writing light, tone curve and cameras")
     light = export_light(paths)
     tone_curve = export_tone_curve(paths)
-    export_cameras(paths, capture)
+    export_cameras(paths, capture, mesh.vertices)
     own = {"cpu": time.process_time() - cpu, "wall": time.monotonic() - wall}
     rendering = _render(context, judged, tone_curve)
     cpu, wall = time.process_time(), time.monotonic()
@@ -124,25 +122,6 @@ def _last_word(paths: JobPaths) -> dict[str, Any] | None:
 def asset_name(capture: Capture) -> str:
     """Name of the object: the capture's folder, reduced to letters, digits, dot, dash and _."""
     return re.sub(r"[^\w.-]+", "_", capture.source.name, flags=re.ASCII).strip("_") or "asset"
-
-
-def export_cameras(paths: JobPaths, capture: Capture) -> None:
-    """Write cameras.json, capture frame: every view with its photograph, bounds and ground."""
-    folder = paths.stage("capture")
-    views = []
-    for view in capture.views:
-        photo = os.path.relpath(view_path(folder, view.name), paths.cameras.parent)
-        views.append({**plain_view(view), "image": Path(photo).as_posix()})
-    centre, radius = capture.bounds.centre, capture.bounds.radius
-    table: dict[str, Any] = {
-        "views": views,
-        "bounds": {"centre": centre.tolist(), "radius": radius},
-    }
-    if paths.ground.is_file():
-        plane = stored_facts(paths.ground, _GROUND)
-        away = sum(n * c for n, c in zip(plane["normal"], centre.tolist(), strict=True))
-        table["ground"] = plane | {"offset": radius * plane["offset"] + away}
-    write_json(paths.cameras, table)
 
 
 def _render(

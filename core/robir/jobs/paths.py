@@ -209,6 +209,16 @@ class JobPaths:
         return self.export / "cameras.json"
 
     @property
+    def transforms(self) -> Path:
+        """The same as nerfstudio and instant-ngp read them."""
+        return self.export / "transforms.json"
+
+    @property
+    def colmap(self) -> Path:
+        """The same as a folder with a COLMAP model, sparse/0."""
+        return self.export / "colmap"
+
+    @property
     def scene(self) -> Path:
         """Blender scene with the asset, its light and the capture cameras."""
         return self.export / "scene.blend"

@@ -90,7 +90,7 @@ def test_reality_scan_angles_match_a_real_export():
 def test_reality_scan_lens(wide_shots, tmp_path):
     app_writers.reality_scan(tmp_path, wide_shots, extra="0.1,-0.2,0.03,-0.004,0.005,-0.006")
     lenses = [frame.lens for frame in read_frames(tmp_path).frames]
-    bent = Distortion(radial=(0.1, -0.2, 0.03, -0.004), tangential=(0.005, -0.006))
+    bent = Distortion(radial=(0.1, -0.2, 0.03, -0.004), tangential=(-0.006, 0.005))
     assert {lens.distortion for lens in lenses} == {bent}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from robir.capture.capture import Finding
 from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.masks.given import IGNORE
-from robir.capture.readers.files import children
+from robir.capture.readers.files import children, without_others
 from robir.capture.refusal import error, note, warning
 
 MIN_VIEWS = 3
@@ -101,14 +101,14 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
     beside = [
         path.name
         for folder in sorted({path.parent for path in images})
-        for path in children(folder)
+        for path in without_others(children(folder))
         if path.suffix.lower() in suffixes
         and os.path.normpath(path) not in used
         and not path.name.startswith(IGNORE)
     ]
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.
-    if not beside or frames.format in ("nerf-synthetic", "photos"):
+    if not beside or frames.format in ("nerf-synthetic", "nerfactor", "photos"):
         return []
     return [
         warning(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from PIL import ExifTags
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.masks.given import IGNORE, natural_order
-from robir.capture.readers.files import children
+from robir.capture.readers.files import children, is_other, without_others
 from robir.capture.refusal import note, refuse
 from robir.jobs.names import UnsafeNameError, checked_name
 
@@ -22,7 +21,6 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".3gp")
 """Kinds of videos that frames are taken from."""
 
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
-_MASK_FOLDER = re.compile(r"mask|matte|alpha|segment|truth|depth|normal", re.IGNORECASE)
 
 _RENAME = "Rename it with letters and digits, or take it away."
 
@@ -63,7 +61,7 @@ def find_photographs(source: Path) -> list[Path]:
     folders = [path for path in children(source) if path.is_dir()]
     folders = [path for path in folders if not path.name.startswith(".")]
     usual = [path for path in folders if path.name.lower() in _PHOTO_FOLDERS]
-    usual = usual or [path for path in folders if not _MASK_FOLDER.search(path.name)]
+    usual = usual or [path for path in folders if not is_other(path)]
     return [photo for folder in usual for photo in _photographs_in(folder)]
 
 
@@ -128,7 +126,7 @@ def _photographs_in(folder: Path) -> list[Path]:
             raise refuse(
                 "bad-name", f"A file in {folder} cannot be named: {fault}", _RENAME
             ) from None
-    return sorted(found, key=lambda path: natural_order(path.name))
+    return sorted(without_others(found), key=lambda path: natural_order(path.name))
 
 
 def _number(value: object) -> float:

@@ -3,6 +3,7 @@
 
 A pose there is the rotation (unit quaternion, w first) and translation from world to camera, with
 OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.rst of COLMAP.
+Where rigs and frames are stated, they and not the images say where a camera was.
 """
 
 from __future__ import annotations
@@ -20,17 +21,16 @@ from msgspec import Meta
 
 from robir.capture.frames import (
     MAX_NUMBER,
-    OPENGL_FROM_OPENCV,
     Array,
     Distortion,
-    Frame,
     FrameSet,
     Lens,
     checked_lens,
-    unique_names,
 )
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
+from robir.capture.readers.programs import colmap_rigs
+from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
 
@@ -67,6 +67,9 @@ _MAX_BYTES = 1 << 29
 
 _MAX_POINTS = 1_000_000
 """Sparse points that are read; they only help to find the object."""
+
+_LONG = 8192
+"""Letters of a line beyond which it holds no photograph's pose and path."""
 
 _CURE = "Export the model again."
 _Parameters = Annotated[list[float], Meta(max_length=16)]
@@ -110,19 +113,11 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
     """
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
-    names = [name for name, _, _ in model.images]
-    shorts = unique_names(names)
-    images = images or _image_folder(source, model.folder, names)
-    frames = tuple(
-        Frame(
-            name=short,
-            image=images / relative,
-            relative=relative,
-            lens=_lens_of(model, number, relative),
-            camera_to_world=pose,
-        )
-        for short, (relative, number, pose) in zip(shorts, model.images, strict=True)
-    )
+    images = images or _image_folder(source, model.folder, [name for name, _, _ in model.images])
+    shots = [
+        Shot(name=name, lens=_lens_of(model, number, name), pose=pose)
+        for name, number, pose in model.images
+    ]
     findings = []
     if len(models) > 1:
         counts = ", ".join(f"{m.folder.name} ({len(m.images)} photographs)" for m in models)
@@ -130,13 +125,10 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
             note("several-models", f"Of the sparse models {counts}, {model.folder.name} is used")
         )
     points = _read_points(model.folder / f"points3D{model.suffix}")
-    return FrameSet(
-        root=images if images.name == "." else images.parent,
-        format=FORMAT,
-        frames=frames,
-        points=points,
-        findings=tuple(findings),
-    )
+    root = images if images.name == "." else images.parent
+    places = [images / shot.name for shot in shots]
+    listed = root / f"images{model.suffix}"
+    return frame_set(listed, FORMAT, shots, images=places, points=points, findings=findings)
 
 
 def _suffix(folder: Path) -> str | None:
@@ -166,14 +158,18 @@ def _lens_of(model: _Model, number: int, relative: str) -> Lens:
 
 def _read_model(folder: Path) -> _Model:
     suffix = _suffix(folder) or ""
-    cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    cameras, listed = folder / f"cameras{suffix}", folder / f"images{suffix}"
     try:
         if suffix == ".bin":
             lenses = dict(_binary_cameras(cameras))
-            posed = list(_binary_images(images))
+            posed = list(_binary_images(listed))
         else:
             lenses = dict(_text_cameras(cameras))
-            posed = list(_text_images(images))
+            posed = list(_text_images(listed))
+        rigs = [folder / f"{name}{suffix}" for name in ("rigs", "frames")]
+        own = {}
+        if all(path.is_file() for path in rigs):
+            own = colmap_rigs.poses(*map(_bytes, rigs), is_text=suffix == ".txt")
     except CaptureRefusedError:
         raise
     except (OSError, ValueError, OverflowError, struct.error) as fault:
@@ -182,9 +178,10 @@ def _read_model(folder: Path) -> _Model:
             f"The COLMAP model in {folder} is truncated or damaged ({fault})",
             _CURE,
             cameras.name,
-            images.name,
+            listed.name,
         ) from None
-    return _Model(folder, suffix, lenses, sorted(posed, key=lambda entry: entry[0]))
+    images = [(name, camera, own.get(number, pose)) for number, name, camera, pose in posed]
+    return _Model(folder, suffix, lenses, sorted(images, key=lambda entry: entry[0]))
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -197,7 +194,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             yield number, _lens(path, name, width, height, values)
 
 
-def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
+def _binary_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
     content = _bytes(path)
     (count,) = struct.unpack_from("<Q", content, 0)
     at = 8
@@ -210,7 +207,7 @@ def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
         at = end + 9 + 24 * observations
         if at > len(content):
             raise ValueError(f"{path.name} ends within {name}")
-        yield name, numbers[8], _pose(numbers[1:5], numbers[5:8])
+        yield numbers[0], name, numbers[8], _pose(numbers[1:5], numbers[5:8])
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -222,16 +219,23 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             yield int(number), _lens(path, name, sides[0], sides[1], tuple(values))
 
 
-def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
-    lines = _lines(path)
-    for line in lines:
-        if not line:
+def _text_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
+    for line in _lines(path):
+        # between the images stand their observations, three numbers each, or an empty line; some
+        # programs leave that line away
+        if not line or _is_observations(line):
             continue
-        _, qw, qx, qy, qz, tx, ty, tz, number, name = line.split(maxsplit=9)
-        next(lines, None)  # the observations, which may be an empty line
-        values = [qw, qx, qy, qz, tx, ty, tz]
+        number, *values, camera, name = line.split(maxsplit=9)
         numbers = checked(path, values, list[float], _CURE, where=name[:80], is_text=True)
-        yield name, int(number), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+        yield int(number), name, int(camera), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+
+
+def _is_observations(line: str) -> bool:
+    """Whether a line holds threes of numbers, the last one a point's; names end otherwise."""
+    if len(line) > _LONG:
+        return True
+    words = line.split()
+    return len(words) % 3 == 0 and words[-1].lstrip("-").isdigit()
 
 
 def _lines(path: Path) -> Iterator[str]:
@@ -269,19 +273,7 @@ def _read_points(path: Path) -> Array:
 
 def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
     """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
-    with np.errstate(all="ignore"):
-        w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        pose = np.eye(4)
-        pose[:3, :3] = rotation.T
-        pose[:3, 3] = -rotation.T @ np.array(translation)
-        return pose @ OPENGL_FROM_OPENCV
+    return opencv_view(turned_by(quaternion), translation)
 
 
 def _is_for_pycolmap(name: str, count: int) -> bool:

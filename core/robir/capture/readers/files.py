@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree  # nosec B405
+from xml.etree.ElementTree import Element  # nosec B405
 
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.regular import regular
@@ -21,8 +25,10 @@ IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
 MAX_VALUES_BYTES = 1 << 30
 """Memory that the values of a JSON file may come to."""
 
-_NO_PHOTOGRAPHS = ("mask", "matte", "alpha", "depth", "normal", "thumb", "confidence", "seg")
-"""How folders begin that hold other pictures of the same names."""
+_OTHER_PICTURES = re.compile(
+    r"mask|matte|alpha|segment|truth|depth|normal|thumb|confidence|albedo|roughness", re.IGNORECASE
+)
+"""What folders of other pictures are called, and what such pictures are called at the end."""
 
 _DEPTH = 3
 """Folders below the capture's own that are searched for photographs."""
@@ -62,6 +68,41 @@ def load_json(path: Path) -> Any:
         ) from None
 
 
+def load_xml(path: Path, cure: str) -> Element:
+    """Root of an XML file.
+
+    Raises:
+        CaptureError: If it cannot be read as XML.
+    """
+    try:
+        return ElementTree.fromstring(_undefined(read_text(path)))  # nosec B314
+    except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
+        raise refuse(
+            "bad-xml", f"{path} is not readable as XML ({fault})", cure, path.name
+        ) from None
+
+
+def load_table(path: Path, cure: str) -> list[list[str]]:
+    """Rows of a CSV file, blank ones left out, spaces around values too.
+
+    Raises:
+        CaptureError: If it cannot be read.
+    """
+    try:
+        rows = csv.reader(read_text(path).splitlines())
+        return [[word.strip() for word in row] for row in rows if row]
+    except (OSError, ValueError, csv.Error) as fault:
+        message = f"{path} is no readable table of cameras ({fault})"
+        raise refuse("bad-table", message, cure, path.name) from None
+
+
+def _undefined(text: str) -> str:
+    """XML without definitions, which could make it grow or read files; no export has any."""
+    if "<!DOCTYPE" in text:
+        raise ValueError("it defines a document type")
+    return text
+
+
 def _bounded(text: str) -> str:
     """JSON whose values will fit into memory."""
     # What Python needs for a table, a list and an entry of either.
@@ -83,6 +124,19 @@ def head(path: Path, length: int = 65536) -> str:
         return ""
 
 
+def is_other(path: Path) -> bool:
+    """Whether a folder's name says that it holds masks, depth or the like, no photographs."""
+    return _OTHER_PICTURES.search(path.name) is not None
+
+
+def without_others(pictures: Sequence[Path]) -> list[Path]:
+    """Pictures whose names do not begin or end as those of masks or depth do; all if all do."""
+    parts = [re.split("[_.-]", path.stem) for path in pictures]
+    ends = [f"{words[0]} {words[-1]}" for words in parts]
+    kept = [p for p, e in zip(pictures, ends, strict=True) if not _OTHER_PICTURES.search(e)]
+    return kept or list(pictures)
+
+
 def children(folder: Path) -> list[Path]:
     """What lies in a folder, sorted by name; nothing where it cannot be read.
 
@@ -99,6 +153,12 @@ def children(folder: Path) -> list[Path]:
     except OSError:
         return []
     return [folder / name for name in found]
+
+
+def photographs_in(folder: Path, root: Path) -> list[str]:
+    """Paths below `root` of the pictures in a folder, sorted by name."""
+    pictures = [path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
+    return [path.relative_to(root).as_posix() for path in pictures]
 
 
 def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
@@ -144,7 +204,7 @@ def _pictures(root: Path, below: str, depth: int) -> Iterator[str]:
         lower = child.name.lower()
         if child.suffix.lower() in IMAGE_SUFFIXES:
             yield relative
-        elif depth > 0 and not lower.startswith((*_NO_PHOTOGRAPHS, ".")) and child.is_dir():
+        elif depth > 0 and not (lower.startswith(".") or is_other(child)) and child.is_dir():
             yield from _pictures(root, f"{relative}/", depth - 1)
 
 

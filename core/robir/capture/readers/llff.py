@@ -15,18 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from robir.capture.arrays import read_matrix
-from robir.capture.frames import (
-    IMAGE_SUFFIXES,
-    MAX_NUMBER,
-    Array,
-    Frame,
-    FrameSet,
-    Lens,
-    unique_names,
-)
+from robir.capture.frames import MAX_NUMBER, Array, FrameSet, Lens
 from robir.capture.images.regular import regular
-from robir.capture.masks.given import from_folder, natural_order
-from robir.capture.readers.files import children
+from robir.capture.masks.given import natural_order
+from robir.capture.readers.files import photographs_in
+from robir.capture.readers.shots import Shot, frame_set, with_masks
 from robir.capture.refusal import DAMAGED_ARRAYS, refuse
 
 FORMAT = "llff"
@@ -52,11 +45,7 @@ def read(path: Path) -> FrameSet:
     root = path.parent
     rows = _rows(path)
     folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)
-    photographs = [
-        path.relative_to(root).as_posix()
-        for path in children(folder)
-        if path.suffix.lower() in IMAGE_SUFFIXES
-    ]
+    photographs = photographs_in(folder, root)
     if len(photographs) != len(rows):
         raise refuse(
             "missing-images",
@@ -64,31 +53,22 @@ def read(path: Path) -> FrameSet:
             "Bring exactly the photographs the poses were made for.",
             *photographs,
         )
-    frames = [
-        Frame(
-            name=name,
-            image=root / relative,
-            relative=relative,
-            lens=_lens(path, row),
-            camera_to_world=_pose(row),
-        )
-        for name, relative, row in zip(unique_names(photographs), photographs, rows, strict=True)
+    shots = [
+        Shot(name=relative, lens=_lens(path, row), pose=_pose(row))
+        for relative, row in zip(photographs, rows, strict=True)
     ]
+    found = frame_set(path, FORMAT, shots, images=[root / shot.name for shot in shots])
+    frames = found.frames
     if folder.name != _MATTED and (root / _MATTED).is_dir():
-        masks = from_folder(root / _MATTED, frames)
-        frames = [replace(frame, mask=masks[frame.name]) for frame in frames]
+        frames = with_masks(root / _MATTED, frames)
     numeric = sorted(range(len(rows)), key=lambda i: natural_order(photographs[i]))
     other = list(frames)
     for row, place in enumerate(numeric):
         other[place] = replace(
             frames[place], camera_to_world=_pose(rows[row]), lens=_lens(path, rows[row])
         )
-    return FrameSet(
-        root=root,
-        format=FORMAT,
-        frames=tuple(frames),
-        other_order=() if numeric == sorted(numeric) else tuple(other),
-    )
+    is_same = numeric == sorted(numeric)
+    return replace(found, frames=frames, other_order=() if is_same else tuple(other))
 
 
 def _rows(path: Path) -> Array:

@@ -19,17 +19,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from robir.capture.frames import (
-    MAX_NUMBER,
-    Array,
-    Distortion,
-    Frame,
-    FrameSet,
-    Lens,
-    checked_lens,
-    unique_names,
-)
-from robir.capture.readers.files import head, load_json, locate_photographs
+from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
+from robir.capture.readers.files import head, load_json
+from robir.capture.readers.shots import Shot, Vector, frame_set, opencv_pose, sane_points
 from robir.capture.readers.values import Identity, Number, Positive, Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
 
@@ -38,7 +30,6 @@ FORMAT = "meshroom"
 _CURE = "Take cameras.sfm from the folder of Meshroom's StructureFromMotion node."
 _NONE = ("", "none")
 
-Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
 Version = Annotated[list[Annotated[int, Meta(ge=0, le=1000)]], Meta(max_length=3)]
 
 
@@ -61,6 +52,8 @@ class _View(msgspec.Struct, rename="camel"):
     pose_id: Identity = ""
     intrinsic_id: Identity = ""
     is_pose_independant: bool = True
+    rig_id: str = ""
+    sub_pose_id: int = -1
 
 
 class _Intrinsic(msgspec.Struct, rename="camel"):
@@ -78,8 +71,13 @@ class _Intrinsic(msgspec.Struct, rename="camel"):
     distortion_params: Annotated[list[Number], Meta(max_length=64)] | None = None
 
 
-class _Point(msgspec.Struct):
-    x: Vector = msgspec.field(name="X")
+class _SubPose(msgspec.Struct):
+    pose: _Transform
+
+
+class _Rig(msgspec.Struct, rename="camel"):
+    rig_id: Identity
+    sub_poses: list[_SubPose] = []
 
 
 class _File(msgspec.Struct):
@@ -87,6 +85,7 @@ class _File(msgspec.Struct):
     version: Version = msgspec.field(default_factory=lambda: [1, 0, 0])
     poses: list[_Posed] = []
     intrinsics: list[_Intrinsic] = []
+    rigs: list[_Rig] = []
     structure: Any = ()
 
 
@@ -113,46 +112,28 @@ def read(path: Path) -> FrameSet:
     plain = load_json(path)
     content: _File = checked(path, plain, _File, _CURE, code="bad-sfm", is_text=True)
     version = tuple(content.version)
-    poses = {entry.pose_id: _pose(entry.pose.transform) for entry in content.poses}
+    poses = {entry.pose_id: entry.pose.transform for entry in content.poses}
     lenses = {entry.intrinsic_id: entry for entry in content.intrinsics}
     views = [view for view in content.views if view.pose_id in poses]
-    paths = [view.path for view in views]
     if not views:
         raise refuse("no-poses", f"{path} holds no view with a pose", _CURE, path.name)
     lost = next((view for view in views if view.intrinsic_id not in lenses), None)
     if lost is not None:
         raise _bad(path, f"the intrinsics {lost.intrinsic_id!r} of {lost.path} are missing")
-    if not all(view.is_pose_independant for view in views):
-        raise refuse(
-            "camera-model",
-            f"{path} holds a rig of cameras, which is not supported",
-            "Reconstruct the photographs without rigs.",
-            path.name,
-        )
-    names = unique_names(paths)
-    root, found = locate_photographs(path, paths)
-    frames = tuple(
-        Frame(
-            name=name,
-            image=Path(stated) if Path(stated).is_file() else root / relative,
-            relative=stated if Path(stated).is_file() else relative,
+    shots = [
+        Shot(
+            name=view.path,
             lens=_lens(path, version, lenses[view.intrinsic_id]),
-            camera_to_world=poses[view.pose_id],
+            pose=_pose(path, content, view, poses[view.pose_id]),
         )
-        for view, name, stated, relative in zip(views, names, paths, found, strict=True)
-    )
+        for view in views
+    ]
     without = [view.path for view in content.views if view.pose_id not in poses]
     findings = []
     if without:
         message = f"{len(without)} of {len(content.views)} views of {path.name} have no pose"
         findings.append(note("unposed-views", message, *(Path(p).name for p in without)))
-    return FrameSet(
-        root=root,
-        format=FORMAT,
-        frames=frames,
-        points=_points(content),
-        findings=tuple(findings),
-    )
+    return frame_set(path, FORMAT, shots, points=_points(content), findings=findings)
 
 
 def _bad(path: Path, fault: str) -> CaptureRefusedError:
@@ -161,22 +142,29 @@ def _bad(path: Path, fault: str) -> CaptureRefusedError:
     )
 
 
-def _pose(transform: _Transform) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3] = np.array(transform.rotation).reshape(3, 3)
-    pose[:3, 3] = transform.center
-    pose[:, 1:3] *= -1.0  # OpenCV's axes; a product of matrices would spread what is not finite
-    return pose
+def _pose(path: Path, content: _File, view: _View, transform: _Transform) -> Array:
+    """Our pose; in a rig, the stored pose is the rig's and its camera has one within it."""
+    turn, centre = np.array(transform.rotation).reshape(3, 3), np.array(transform.center)
+    if view.is_pose_independant:
+        return opencv_pose(turn, centre)
+    rig = next((rig.sub_poses for rig in content.rigs if rig.rig_id == view.rig_id), [])
+    if not 0 <= view.sub_pose_id < len(rig):
+        raise refuse(
+            "rig",
+            f"{path}: {view.path} belongs to a rig of cameras that is not in the file",
+            "Reconstruct the photographs without rigs.",
+            path.name,
+        )
+    place = rig[view.sub_pose_id].pose
+    with np.errstate(all="ignore"):
+        inner = turn @ np.array(place.rotation).reshape(3, 3)
+        return opencv_pose(inner, centre + turn @ np.array(place.center))
 
 
 def _points(content: _File) -> Array:
     """Sparse points, (N, 3); none if they are damaged, for they only help."""
-    try:
-        points = msgspec.convert(content.structure, list[_Point], strict=False)
-    except (msgspec.ValidationError, RecursionError, UnicodeEncodeError):
-        return np.zeros((0, 3))
-    found = np.array([point.x for point in points], dtype=np.float64).reshape(-1, 3)
-    return found[(np.abs(found) < MAX_NUMBER).all(axis=1)]
+    plain = content.structure if isinstance(content.structure, list) else []
+    return sane_points([point.get("X") if isinstance(point, dict) else None for point in plain])
 
 
 def _lens(path: Path, version: tuple[int, ...], entry: _Intrinsic) -> Lens:

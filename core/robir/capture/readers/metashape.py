@@ -13,29 +13,25 @@ with u, v from the upper left corner: P1 is OpenCV's p2 and P2 its p1, fx = f + 
 "fisheye" sensor replaces (x, y) by (x, y) atan(r) / r first. A camera's transform is
 camera-to-world with OpenCV axes in the chunk's (or component's) own frame; the chunk's transform of
 rotation, translation and scale carries that into the coordinate system of the chunk, where models
-are exported, and is applied if it is there.
+are exported, and is applied if it is there. In a rig only the master has a transform; a slave's
+sensor has "rotation" and "location", which carry its frame into the master's.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree  # nosec B405
 from xml.etree.ElementTree import Element  # nosec B405
 
 import numpy as np
 
-from robir.capture.frames import (
-    Array,
-    Distortion,
-    Frame,
-    FrameSet,
-    Lens,
-    checked_lens,
-    unique_names,
-)
-from robir.capture.readers.files import head, locate_photographs, read_text
+from robir.capture.capture import Finding
+from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
+from robir.capture.readers.files import head, load_xml
+from robir.capture.readers.shots import Shot, frame_set, rolling_shutter
 from robir.capture.readers.values import Side, checked
-from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.capture.refusal import CaptureRefusedError, note, refuse, warning
 
 FORMAT = "metashape"
 
@@ -49,81 +45,119 @@ def looks_like(path: Path) -> bool:
     return "<chunk" in start and "<sensor" in start
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Aligned:
+    """A camera with a pose.
+
+    Attributes:
+        camera: Its entry.
+        sensor: Its sensor's entry, or None.
+        master: The entry that holds the transform; in a rig, that of another camera.
+        frame: Chunk and component whose frame the transform is in.
+        name: Its label, below that of its group.
+    """
+
+    camera: Element
+    sensor: Element | None
+    master: Element
+    frame: tuple[int, str | None]
+    name: str
+
+
 def read(path: Path) -> FrameSet:
-    """Read the aligned cameras of the first chunk that has any.
+    """Read the aligned cameras that have a frame in common.
 
     Args:
         path: The XML file.
 
     Returns:
-        Frames in the coordinate system of the chunk.
+        Frames in the coordinate system of the chunks.
 
     Raises:
         CaptureError: If the file is damaged, no camera is aligned or a sensor is no pinhole.
     """
-    document = _document(path)
+    document = load_xml(path, _CURE)
     chunks = [document] if document.tag == "chunk" else list(document.iter("chunk"))
-    aligned = [(chunk, _aligned(chunk)) for chunk in chunks]
-    chunk, cameras = next((pair for pair in aligned if pair[1]), (None, []))
-    if chunk is None:
+    aligned = [camera for index, chunk in enumerate(chunks) for camera in _aligned(index, chunk)]
+    if not aligned:
         raise refuse(
             "no-poses",
             f"{path} holds no aligned camera",
             "Align the photographs in Metashape and export the cameras again.",
             path.name,
         )
-    labels = [camera.get("label", "") for camera in cameras]
-    root, relatives = locate_photographs(path, labels)
-    lenses = {
-        sensor.get("id"): sensor for sensor in chunk.iter("sensor") if sensor.get("id") is not None
-    }
-    places = _places(chunk)
-    frames = tuple(
-        Frame(
-            name=name,
-            image=root / relative,
-            relative=relative,
-            lens=_lens(path, lenses.get(camera.get("sensor_id")), camera.get("label", "")),
-            camera_to_world=_pose(path, places, camera),
+    places = _places(chunks)
+    chosen, findings = _in_one_frame(path, aligned, places)
+    shots = [
+        Shot(
+            name=seen.name,
+            lens=_lens(path, seen.sensor, seen.camera.get("label", "")),
+            pose=_pose(path, places.get(seen.frame, places.get((seen.frame[0], None))), seen),
         )
-        for camera, name, relative in zip(cameras, unique_names(relatives), relatives, strict=True)
-    )
-    used = {id(camera) for camera in cameras}
-    left_out = [c.get("label", "") for c in chunk.iter("camera") if id(c) not in used]
-    findings = []
+        for seen in chosen
+    ]
+    known = {id(seen.camera) for seen in aligned}
+    every = [camera for chunk in chunks for camera in chunk.iter("camera")]
+    left_out = [camera.get("label", "") for camera in every if id(camera) not in known]
     if left_out:
-        findings.append(
-            note(
-                "unaligned-cameras",
-                f"{len(left_out)} photographs of {path.name} are not aligned or switched off",
-                *left_out,
+        message = f"{len(left_out)} photographs of {path.name} are not aligned or switched off"
+        findings.append(note("unaligned-cameras", message, *left_out))
+    if any(seen.sensor is not None and _is_rolling(seen.sensor) for seen in chosen):
+        findings.append(rolling_shutter(path))
+    return frame_set(path, FORMAT, shots, findings=findings)
+
+
+def _aligned(index: int, chunk: Element) -> list[_Aligned]:
+    """Cameras that are switched on and have a transform, or whose rig's master has one."""
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
+    cameras = {camera.get("id"): camera for camera in chunk.iter("camera")}
+    groups = {id(c): group.get("label", "") for group in chunk.iter("group") for c in group}
+    found = []
+    for camera in chunk.iter("camera"):
+        master = cameras.get(camera.get("master_id"), camera)
+        if camera.find("transform") is not None:
+            master = camera
+        if master.find("transform") is None or camera.get("enabled", "1") in ("0", "false"):
+            continue
+        label = camera.get("label", "")
+        found.append(
+            _Aligned(
+                camera=camera,
+                sensor=sensors.get(camera.get("sensor_id")),
+                master=master,
+                frame=(index, master.get("component_id")),
+                name=f"{groups[id(camera)]}/{label}" if id(camera) in groups else label,
             )
         )
-    return FrameSet(root=root, format=FORMAT, frames=frames, findings=tuple(findings))
+    return found
 
 
-def _document(path: Path) -> Element:
-    try:
-        return ElementTree.fromstring(_plain(read_text(path)))  # nosec B314
-    except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
-        raise refuse(
-            "bad-xml", f"{path} is not readable as XML ({fault})", _CURE, path.name
-        ) from None
-
-
-def _plain(text: str) -> str:
-    """XML without definitions, which could make it grow or read files; no export has any."""
-    if "<!DOCTYPE" in text:
-        raise ValueError("it defines a document type")
-    return text
-
-
-def _aligned(chunk: Element) -> list[Element]:
-    return [
-        camera
-        for camera in chunk.iter("camera")
-        if camera.find("transform") is not None and camera.get("enabled", "1") not in ("0", "false")
+def _in_one_frame(
+    path: Path, aligned: list[_Aligned], places: dict[tuple[int, str | None], Element]
+) -> tuple[list[_Aligned], list[Finding]]:
+    """The cameras of all chunks and components if transforms join them, else of the largest."""
+    counts = Counter(seen.frame for seen in aligned)
+    if len(counts) < 2:
+        return aligned, []
+    alone = Counter(chunk for chunk, _ in counts)
+    joined = all(f in places or ((f[0], None) in places and alone[f[0]] == 1) for f in counts)
+    parts = " and ".join(f"{count}" for _, count in counts.most_common())
+    message = f"{path.name} holds chunks or components of {parts} photographs"
+    if joined and len({seen.name for seen in aligned}) == len(aligned):
+        return aligned, [note("several-parts", f"{message}, which their transforms join")]
+    largest, count = counts.most_common(1)[0]
+    rest = [seen.camera.get("label", "") for seen in aligned if seen.frame != largest]
+    cure = "Align and merge the chunks, or the components, in Metashape and export again."
+    why = "some photographs in several" if joined else "each in a frame of its own"
+    message += f", {why}; the one of {count} is read"
+    return [s for s in aligned if s.frame == largest], [
+        warning("several-parts", message, cure, *rest)
     ]
+
+
+def _is_rolling(sensor: Element) -> bool:
+    state = sensor.find("rolling_shutter")
+    return state is not None and (state.text or "").strip().lower() not in ("disabled", "0")
 
 
 def _numbers(path: Path, element: Element | None, count: int, what: str) -> Array:
@@ -140,38 +174,58 @@ def _numbers(path: Path, element: Element | None, count: int, what: str) -> Arra
     return values
 
 
-def _places(chunk: Element) -> dict[str | None, Element]:
-    """The transforms of a chunk (None) and its components, by number."""
-    places: dict[str | None, Element] = {}
-    for number, holder in [(None, chunk), *((c.get("id", ""), c) for c in chunk.iter("component"))]:
-        found = holder.find("transform")
-        if found is not None:
-            places[number] = found
+def _places(chunks: list[Element]) -> dict[tuple[int, str | None], Element]:
+    """The transforms of chunks (component None) and their components, by number."""
+    places = {}
+    for index, chunk in enumerate(chunks):
+        for holder in (chunk, *chunk.iter("component")):
+            place = holder.find("transform")
+            if place is not None:
+                places[index, None if holder is chunk else holder.get("id", "")] = place
     return places
 
 
-def _pose(path: Path, places: dict[str | None, Element], camera: Element) -> Array:
+def _pose(path: Path, place: Element | None, seen: _Aligned) -> Array:
     """Camera-to-world with OpenGL axes in the coordinate system of the chunk."""
-    what = f"the transform of {camera.get('label')}"
-    pose = _numbers(path, camera.find("transform"), 16, what).reshape(4, 4)
-    pose[:, 1:3] *= -1.0  # OpenCV's axes; a product of matrices would spread what is not finite
-    place = places.get(camera.get("component_id"), places.get(None))
-    if place is None:
-        return pose
-    turn, move, scale = (
-        _numbers(path, place.find(tag), count, f"the chunk's {tag}")
-        if place.find(tag) is not None
-        else default
-        for tag, count, default in (
-            ("rotation", 9, np.eye(3).ravel()),
-            ("translation", 3, np.zeros(3)),
-            ("scale", 1, np.ones(1)),
+    what = f"the transform of {seen.camera.get('label')}"
+    pose = _numbers(path, seen.master.find("transform"), 16, what).reshape(4, 4)
+    with np.errstate(all="ignore"):
+        if seen.master is not seen.camera:
+            pose = pose @ _offset(path, seen)
+        pose[:, 1:3] *= -1.0  # OpenCV's axes
+        if place is None:
+            return pose
+        turn, move, scale = (
+            _numbers(path, place.find(tag), count, f"the chunk's {tag}")
+            if place.find(tag) is not None
+            else default
+            for tag, count, default in (
+                ("rotation", 9, np.eye(3).ravel()),
+                ("translation", 3, np.zeros(3)),
+                ("scale", 1, np.ones(1)),
+            )
         )
-    )
-    result = np.eye(4)
-    result[:3, :3] = turn.reshape(3, 3) @ pose[:3, :3]
-    result[:3, 3] = scale[0] * turn.reshape(3, 3) @ pose[:3, 3] + move
-    return result
+        result = np.eye(4)
+        result[:3, :3] = turn.reshape(3, 3) @ pose[:3, :3]
+        result[:3, 3] = scale[0] * turn.reshape(3, 3) @ pose[:3, 3] + move
+        return result
+
+
+def _offset(path: Path, seen: _Aligned) -> Array:
+    """A sensor's place in its rig: what carries its camera's frame into the master's, (4, 4)."""
+    label = seen.camera.get("label", "")
+    parts = [None if seen.sensor is None else seen.sensor.find(t) for t in ("rotation", "location")]
+    if None in parts:
+        raise refuse(
+            "rig",
+            f"{path}: {label} is part of a rig of cameras whose offsets are not in the file",
+            "Export the cameras again, or align the photographs without a rig.",
+            path.name,
+        )
+    offset = np.eye(4)
+    offset[:3, :3] = _numbers(path, parts[0], 9, f"the rig's rotation of {label}").reshape(3, 3)
+    offset[:3, 3] = _numbers(path, parts[1], 3, f"the rig's location of {label}")
+    return offset
 
 
 def _lens(path: Path, sensor: Element | None, label: str) -> Lens:

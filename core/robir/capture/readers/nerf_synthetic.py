@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
-from robir.capture.frames import Array, Frame, FrameSet, Lens, unique_names
+from robir.capture.frames import FrameSet
 from robir.capture.readers import transforms
+from robir.capture.readers.shots import frame_set, is_file
+from robir.capture.refusal import note
 
 FORMAT = "nerf-synthetic"
 TRAIN = "transforms_train.json"
@@ -15,6 +17,9 @@ TRAIN = "transforms_train.json"
 
 def read(root: Path) -> FrameSet:
     """Read poses and intrinsics; test views come from the test file, else the val file.
+
+    A test file whose photographs are all absent holds cameras to be rendered, as BlenderNeRF writes
+    it, and is left out.
 
     Args:
         root: Folder with transforms_train.json.
@@ -25,36 +30,17 @@ def read(root: Path) -> FrameSet:
     Raises:
         CaptureError: If a file is damaged or a key is missing.
     """
-    entries = _entries(root, TRAIN, "train")
-    for name in ("transforms_test.json", "transforms_val.json"):
-        if (root / name).is_file():
-            entries += _entries(root, name, "test")
-            break
-    names = unique_names([relative for _, relative, _, _ in entries])
-    photographs = transforms.Photographs(root)
-    frames = tuple(
-        Frame(
-            name=name,
-            image=photographs.at(relative),
-            relative=relative,
-            lens=lens,
-            camera_to_world=pose,
-            split=split,
-        )
-        for name, (split, relative, lens, pose) in zip(names, entries, strict=True)
-    )
-    return FrameSet(root=root, format=FORMAT, frames=frames)
-
-
-def _entries(
-    root: Path, name: str, split: Literal["train", "test"]
-) -> list[tuple[Literal["train", "test"], str, Lens, Array]]:
-    path = root / name
-    content = transforms.load(path)
-    result = []
-    for index, entry in enumerate(content.frames):
-        relative = transforms.file_path(path, entry, index)
-        where = f"frame {index} ({relative})"
-        lens = transforms.lens(path, content, entry, where)
-        result.append((split, relative, lens, transforms.pose(path, entry, where)))
-    return result
+    path = root / TRAIN
+    shots, findings = transforms.shots(path, transforms.load(path))
+    tests = [root / name for name in ("transforms_test.json", "transforms_val.json")]
+    for test in [path for path in tests if path.is_file()][:1]:
+        held, about = transforms.shots(test, transforms.load(test))
+        has_photographs = any(map(is_file, transforms.images(root, held)))
+        if has_photographs or not any(map(is_file, transforms.images(root, shots))):
+            shots += [replace(shot, split="test") for shot in held]
+            findings += about
+        else:
+            message = f"{test.name} holds {len(held)} cameras without photographs; it is left out"
+            findings.append(note("poses-only", message))
+    images = transforms.images(root, shots)
+    return frame_set(path, FORMAT, shots, images=images, findings=findings)

@@ -12,14 +12,16 @@ capture's own point cloud does. What trainers apply on loading ("scale", "offset
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from robir.capture.frames import MAX_NUMBER, Array, Frame, FrameSet, unique_names
+from robir.capture.frames import MAX_NUMBER, Array, FrameSet
 from robir.capture.readers import transforms
-from robir.capture.readers.transforms import Entry, Transforms
-from robir.capture.refusal import note, refuse, warning
+from robir.capture.readers.shots import frame_set, rolling_shutter
+from robir.capture.readers.transforms import Transforms
+from robir.capture.refusal import note, refuse
 
 FORMAT = "nerfstudio"
 NAME = "transforms.json"
@@ -40,40 +42,17 @@ def read(path: Path) -> FrameSet:
         CaptureError: If the file is damaged, a key is missing or only some frames have masks.
     """
     content = transforms.load(path)
-    entries: list[Entry] = content.frames
-    root = path.parent
-    photographs = transforms.Photographs(root)
-    relatives = [transforms.file_path(path, entry, i) for i, entry in enumerate(entries)]
-    tests = {
-        name.removeprefix("./")
-        for names in (content.test_filenames, content.val_filenames)
-        for name in names or ()
-    }
     undo = _undoing(path, content)
-    frames = []
-    for index, name in enumerate(unique_names(relatives)):
-        entry, relative = entries[index], relatives[index]
-        where = f"frame {index} ({relative})"
-        frames.append(
-            Frame(
-                name=name,
-                image=photographs.at(relative),
-                relative=relative,
-                mask=None if entry.mask_path is None else root / entry.mask_path,
-                lens=transforms.lens(path, content, entry, where),
-                camera_to_world=undo(transforms.pose(path, entry, where)),
-                split="test" if relative in tests else "train",
-            )
-        )
-    without = [frame.image.name for frame in frames if frame.mask is None]
-    if 0 < len(without) < len(frames):
+    shots, findings = transforms.shots(path, content)
+    shots = [replace(shot, pose=undo(shot.pose)) for shot in shots]
+    without = [shot.name for shot in shots if shot.mask is None]
+    if 0 < len(without) < len(shots):
         raise refuse(
             "missing-masks",
-            f'{path}: {len(without)} of {len(frames)} frames have no "mask_path"',
+            f'{path}: {len(without)} of {len(shots)} frames have no "mask_path"',
             "Name a mask for every frame, or give all masks with --masks DIR.",
             *without,
         )
-    findings = []
     applied = [key for key in _APPLIED if getattr(content, key) is not None]
     if applied:
         findings.append(
@@ -83,15 +62,10 @@ def read(path: Path) -> FrameSet:
                 "and unit from before",
             )
         )
-    if content.rolling_shutter or any(entry.rolling_shutter for entry in entries):
-        findings.append(
-            warning(
-                "rolling-shutter",
-                f"{path.name} states a rolling shutter, which is not modelled",
-                "Expect blurred detail, or photograph with the camera at rest.",
-            )
-        )
-    return FrameSet(root=root, format=FORMAT, frames=tuple(frames), findings=tuple(findings))
+    if content.rolling_shutter or any(entry.rolling_shutter for entry in content.frames):
+        findings.append(rolling_shutter(path))
+    images = transforms.images(path.parent, shots)
+    return frame_set(path, FORMAT, shots, images=images, findings=findings)
 
 
 def _undoing(path: Path, content: Transforms) -> Callable[[Array], Array]:

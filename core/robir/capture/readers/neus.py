@@ -17,19 +17,16 @@ from scipy import linalg
 
 from robir.capture.arrays import read_matrix
 from robir.capture.frames import (
-    IMAGE_SUFFIXES,
     MAX_NUMBER,
     OPENGL_FROM_OPENCV,
     Array,
-    Frame,
     FrameSet,
     Lens,
     Sphere,
-    unique_names,
 )
 from robir.capture.images.regular import regular
-from robir.capture.masks.given import from_folder
-from robir.capture.readers.files import children
+from robir.capture.readers.files import children, photographs_in
+from robir.capture.readers.shots import Shot, frame_set, with_masks
 from robir.capture.refusal import DAMAGED_ARRAYS, refuse
 
 FORMAT = "neus"
@@ -74,31 +71,16 @@ def read(path: Path) -> FrameSet:
     root = path.parent
     matrices = _matrices(path)
     folder = next((root / n for n in ("image", "images", "rgb") if (root / n).is_dir()), None)
-    photographs = (
-        []
-        if folder is None
-        else [
-            path.relative_to(root).as_posix()
-            for path in children(folder)
-            if path.suffix.lower() in IMAGE_SUFFIXES
-        ]
-    )
+    photographs = [] if folder is None else photographs_in(folder, root)
     numbers = _numbers(path, photographs, matrices)
-    frames = []
-    for name, relative, number in zip(unique_names(photographs), photographs, numbers, strict=True):
+    shots = []
+    for relative, number in zip(photographs, numbers, strict=True):
         lens, pose = _decomposed(path, relative, matrices[_MATRIX + number])
-        frames.append(
-            Frame(
-                name=name, image=root / relative, relative=relative, lens=lens, camera_to_world=pose
-            )
-        )
+        shots.append(Shot(name=relative, lens=lens, pose=pose))
+    found = frame_set(path, FORMAT, shots, images=[root / shot.name for shot in shots])
+    found = replace(found, sphere=_sphere(path, matrices, numbers))
     drawn = next((root / n for n in ("mask", "masks") if (root / n).is_dir()), None)
-    if drawn is not None:
-        found = from_folder(drawn, frames)
-        frames = [replace(frame, mask=found[frame.name]) for frame in frames]
-    return FrameSet(
-        root=root, format=FORMAT, frames=tuple(frames), sphere=_sphere(path, matrices, numbers)
-    )
+    return found if drawn is None else replace(found, frames=with_masks(drawn, found.frames))
 
 
 def _matrices(path: Path) -> dict[str, Array]:

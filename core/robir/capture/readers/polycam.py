@@ -14,19 +14,14 @@ that have only `images` and `cameras`.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from robir.capture.frames import (
-    IMAGE_SUFFIXES,
-    Array,
-    Frame,
-    FrameSet,
-    Lens,
-    unique_names,
-)
+from robir.capture.frames import IMAGE_SUFFIXES, FrameSet, Lens
 from robir.capture.readers.files import children, head, load_json
+from robir.capture.readers.shots import Shot, frame_set
 from robir.capture.readers.values import Number, Positive, Side, checked
 from robir.capture.refusal import note, warning
 
@@ -69,11 +64,7 @@ def read(folder: Path) -> FrameSet:
     }
     files = {path.stem: path for path in _camera_files(cameras)}
     both = [stem for stem in files if stem in pictures]
-    relatives = [f"{images.name}/{pictures[stem].name}" for stem in both]
-    frames = tuple(
-        _frame(files[stem], name, pictures[stem], relative)
-        for stem, name, relative in zip(both, unique_names(relatives), relatives, strict=True)
-    )
+    shots = [_shot(files[stem], f"{images.name}/{pictures[stem].name}") for stem in both]
     findings = []
     alone = [path.name for stem, path in files.items() if stem not in pictures]
     if alone:
@@ -89,7 +80,8 @@ def read(folder: Path) -> FrameSet:
                 "Process the session again with loop closure on and export the raw data again.",
             )
         )
-    return FrameSet(root=folder, format=FORMAT, frames=frames, findings=tuple(findings))
+    found = [pictures[stem] for stem in both]
+    return frame_set(cameras, FORMAT, shots, images=found, findings=findings)
 
 
 def _pair(folder: Path) -> tuple[str, str] | None:
@@ -106,46 +98,17 @@ def _camera_files(folder: Path) -> list[Path]:
     return [path for path in children(folder) if path.suffix == ".json"]
 
 
-class _Camera(msgspec.Struct):
-    """A camera file."""
-
-    width: Side
-    height: Side
-    fx: Positive
-    fy: Positive
-    cx: Number
-    cy: Number
-    t_00: float
-    t_01: float
-    t_02: float
-    t_03: float
-    t_10: float
-    t_11: float
-    t_12: float
-    t_13: float
-    t_20: float
-    t_21: float
-    t_22: float
-    t_23: float
+_SIDES = [("width", Side), ("height", Side)]
+_NUMBERS = [("fx", Positive), ("fy", Positive), ("cx", Number), ("cy", Number)]
+_ROWS = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
+_POSE = [(key, float) for row in _ROWS for key in row]
+_Camera = msgspec.defstruct("_Camera", [*_SIDES, *_NUMBERS, *_POSE])
+"""A camera file."""
 
 
-def _frame(path: Path, name: str, picture: Path, relative: str) -> Frame:
-    camera: _Camera = checked(path, load_json(path), _Camera, _CURE, code="bad-camera")
-    pose: Array = np.eye(4)
-    pose[:3] = [[getattr(camera, f"t_{row}{column}") for column in range(4)] for row in range(3)]
-    lens = Lens(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        is_scalable=True,
-    )
-    return Frame(
-        name=name,
-        image=picture,
-        relative=relative,
-        lens=lens,
-        camera_to_world=pose,
-    )
+def _shot(path: Path, name: str) -> Shot:
+    camera: Any = checked(path, load_json(path), _Camera, _CURE, code="bad-camera")
+    pose = np.eye(4)
+    pose[:3] = [[getattr(camera, key) for key in row] for row in _ROWS]
+    lens = Lens(**{key: getattr(camera, key) for key, _ in (*_SIDES, *_NUMBERS)}, is_scalable=True)
+    return Shot(name=name, lens=lens, pose=pose)

@@ -12,7 +12,8 @@ XMP beside a CSV row, Epic forum topic 710449). f is the focal length for a fram
 the principal point's offset from the middle in lengths of the longer side: pixels are f L / 36 and
 px L with L = max(width, height) (Epic, "RealityCapture XMP Camera Math": "coordinates x and y
 are always in range -0.5, 0.5", FocalLength35mm, PrincipalPointU). k and t are Brown's polynomial
-and tangential part at focal length one, t1 and t2 being OpenCV's p1 and p2.
+and tangential part at focal length one, t1 being OpenCV's p2 and t2 its p1 (AliceVision,
+main_importKnownPoses.cpp, swaps them).
 
 The file names neither the image size, which is taken from the photographs as stored, nor the
 distortion model: the export must have been made with a Brown model, as it is by default.
@@ -20,23 +21,15 @@ distortion model: the export must have been made with a Brown model, as it is by
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from robir.capture.frames import (
-    Array,
-    Distortion,
-    Frame,
-    FrameSet,
-    Lens,
-    checked_lens,
-    unique_names,
-)
+from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
-from robir.capture.readers.files import head, locate_photographs, read_text
+from robir.capture.readers.files import head, load_table, locate_photographs
+from robir.capture.readers.shots import Shot, frame_set
 from robir.capture.readers.values import checked
 from robir.capture.refusal import refuse
 
@@ -51,8 +44,7 @@ _CURE = 'Export "Internal/External camera parameters" (CSV) again.'
 
 def looks_like(path: Path) -> bool:
     """Whether a file is a table of names and headings."""
-    lines = head(path).splitlines()
-    return _header_line(lines) is not None
+    return _header([line.split(",") for line in head(path).splitlines()[:3]]) is not None
 
 
 def read(path: Path) -> FrameSet:
@@ -69,49 +61,34 @@ def read(path: Path) -> FrameSet:
     """
     rows = _rows(path)
     root, relatives = locate_photographs(path, [row["name"] for row in rows])
-    frames = tuple(
-        _frame(path, row, name, root, relative)
-        for row, name, relative in zip(rows, unique_names(relatives), relatives, strict=True)
-    )
-    return FrameSet(root=root, format=FORMAT, frames=frames)
+    places = [root / relative for relative in relatives]
+    return frame_set(path, FORMAT, [_shot(path, r, p) for r, p in zip(rows, places, strict=True)])
 
 
-def _columns(line: str) -> list[str]:
-    return [column.strip().lstrip("#").strip().lower() for column in line.split(",")]
+def _columns(words: list[str]) -> list[str]:
+    return [word.strip().lstrip("#").strip().lower() for word in words]
 
 
-def _header_line(lines: list[str]) -> int | None:
-    """Which of the first lines names the columns; a count of the cameras may come before."""
-    for index, line in enumerate(lines[:3]):
-        if set(_columns(line)) >= _SIGNATURE:
-            return index
-    return None
+def _header(rows: list[list[str]]) -> int | None:
+    """Which of the first rows names the columns; a count of the cameras may come before."""
+    found = (i for i, row in enumerate(rows[:3]) if set(_columns(row)) >= _SIGNATURE)
+    return next(found, None)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    try:
-        lines = read_text(path).splitlines()
-        start = _header_line(lines) or 0
-        columns = _columns(lines[start])
-        table = [row for row in csv.reader(lines[start + 1 :]) if row]
-    except (OSError, ValueError, IndexError, csv.Error) as fault:
-        raise refuse(
-            "bad-table", f"{path} is no readable table of cameras ({fault})", _CURE, path.name
-        ) from None
-    if len(columns) > _MAX_COLUMNS:
-        raise refuse("bad-table", f"{path} has {len(columns)} columns", _CURE, path.name)
+    table = load_table(path, _CURE)
+    start = _header(table) or 0
+    columns = _columns(table[start]) if table else []
     absent = [column for column in _POSE if column not in columns]
     if absent:
         raise refuse("missing-key", f"{path} has no column {', '.join(absent)}", _CURE, path.name)
-    for number, row in enumerate(table):
-        if len(row) < len(columns):
-            raise refuse(
-                "bad-table",
-                f"{path}: row {number + 1} has {len(row)} of {len(columns)} values",
-                _CURE,
-                path.name,
-            )
-    return [dict(zip(columns, map(str.strip, row), strict=False)) for row in table]
+    rows = table[start + 1 :]
+    short = next((i for i, row in enumerate(rows, start=1) if len(row) < len(columns)), None)
+    if short is not None or len(columns) > _MAX_COLUMNS:
+        fault = f"row {short} has {len(rows[short - 1])} of " if short else "its header has "
+        message = f"{path}: {fault}{len(columns)} values"
+        raise refuse("bad-table", message, _CURE, path.name)
+    return [dict(zip(columns, row, strict=False)) for row in rows]
 
 
 class _Row(msgspec.Struct):
@@ -134,23 +111,15 @@ class _Row(msgspec.Struct):
     t2: float = 0.0
 
 
-def _frame(path: Path, texts: dict[str, str], name: str, root: Path, relative: str) -> Frame:
+def _shot(path: Path, texts: dict[str, str], photograph: Path) -> Shot:
     where = f"the row of {texts['name'][:80]}"
     row: _Row = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
     pose = np.eye(4)
     pose[:3, :3] = rotation(row.heading, row.pitch, row.roll)
     pose[:3, 3] = row.x, row.y, row.alt
-    return Frame(
-        name=name,
-        image=root / relative,
-        relative=relative,
-        lens=checked_lens(_lens(row, _size(root / relative)), path, where),
-        camera_to_world=pose,
-    )
-
-
-def _size(path: Path) -> tuple[int, int] | None:
-    return stored_size(path) if path.is_file() else None
+    bent = Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t2, row.t1))
+    lens = film_lens(photograph, row.f, (row.px, row.py), bent)
+    return Shot(name=texts["name"], lens=lens, pose=pose)
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Array:
@@ -164,16 +133,26 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
     return about_z @ about_x @ about_y
 
 
-def _lens(row: _Row, size: tuple[int, int] | None) -> Lens:
-    """Intrinsics in pixels; of a photograph that cannot be opened, any will do."""
+def film_lens(
+    photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
+) -> Lens:
+    """Intrinsics in pixels; of a photograph that cannot be opened, any will do.
+
+    Args:
+        photograph: As stored.
+        focal: Focal length for a frame 36 wide.
+        middle: Offset of the principal point in lengths of the longer side.
+        distortion: Lens distortion.
+    """
+    size = stored_size(photograph) if photograph.is_file() else None
     if size is None:
         return Lens(angle_x=1.0)
     longer = max(size)
     return Lens(
         width=size[0],
         height=size[1],
-        fx=row.f * longer / _FILM,
-        cx=0.5 * size[0] + row.px * longer,
-        cy=0.5 * size[1] + row.py * longer,
-        distortion=Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t1, row.t2)),
+        fx=focal * longer / _FILM,
+        cx=0.5 * size[0] + middle[0] * longer,
+        cy=0.5 * size[1] + middle[1] * longer,
+        distortion=distortion,
     )

@@ -13,7 +13,7 @@ line. With OPENCV_FISHEYE (instant-ngp: "is_fisheye") the polynomial is one of t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +21,12 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, Lens
 from robir.capture.readers.files import children, head, load_json
+from robir.capture.readers.shots import Shot
 from robir.capture.readers.values import Matrix, Number, Positive, checked, missing_key
-from robir.capture.refusal import refuse
+from robir.capture.refusal import note, refuse
 
 _CURE = "Write it as NeRF-synthetic or nerfstudio do."
 
@@ -49,6 +51,8 @@ _OTHER_PROJECTIONS = (
     "orthographic",
     "ftheta_p0",
 )
+
+_TESTS = ("test", "val", "eval")
 
 _PARAMETERS = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")
 
@@ -88,12 +92,15 @@ class Entry(Optics):
     file_path: str | None = None
     transform_matrix: Matrix | None = None
     mask_path: str | None = None
+    is_bad: bool = False
+    split: str | None = None
 
 
 class Transforms(Optics, kw_only=True):
     """A whole file."""
 
     frames: list[Entry]
+    test_frames: list[Entry] = []
     applied_transform: Matrix | None = None
     applied_scale: float | None = None
     test_filenames: list[str] | None = None
@@ -133,32 +140,55 @@ def file_path(path: Path, entry: Entry, index: int) -> str:
     return value[2:] if value.startswith("./") else value
 
 
-class Photographs:
-    """Finds the files that paths of a transforms file mean; each folder is listed once."""
+def shots(path: Path, content: Transforms) -> tuple[list[Shot], list[Finding]]:
+    """Cameras of a file, and findings about those it marks as bad, which are left out.
 
-    def __init__(self, root: Path) -> None:
-        """Paths start from a folder."""
-        self._root = root
-        self._listed: dict[str, frozenset[str]] = {}
+    Raises:
+        CaptureError: If a key is missing or a camera is neither a pinhole nor a fisheye.
+    """
+    tests = {
+        name.removeprefix("./")
+        for names in (content.test_filenames, content.val_filenames)
+        for name in names or ()
+    }
+    found, bad = [], []
+    for index, entry in enumerate([*content.frames, *content.test_frames]):
+        relative = file_path(path, entry, index)
+        where = f"frame {index} ({relative})"
+        is_test = index >= len(content.frames) or relative in tests or entry.split in _TESTS
+        if entry.is_bad:
+            bad.append(relative)
+            continue
+        found.append(
+            Shot(
+                name=relative,
+                lens=lens(path, content, entry, where),
+                pose=pose(path, entry, where),
+                mask=entry.mask_path,
+                split="test" if is_test else "train",
+            )
+        )
+    if not bad:
+        return found, []
+    message = f"{len(bad)} photographs are left out, as {path.name} marks them as bad"
+    return found, [note("bad-frames", message, *bad)]
 
-    def at(self, relative: str) -> Path:
-        """The photograph a path means; NeRF-synthetic leaves the suffix away."""
-        folder, _, name = relative.rpartition("/")
-        there = self._names(folder)
-        plain = self._root / relative
-        has_suffix = name.lower().endswith(IMAGE_SUFFIXES)
-        if not (has_suffix and name in there):
-            for suffix in IMAGE_SUFFIXES:
-                for spelling in (f"{name}{suffix}", f"{name}{suffix.upper()}"):
-                    if spelling in there:
-                        return self._root / folder / spelling
-        return plain if plain.suffix else self._root / folder / f"{name}.png"
 
-    def _names(self, folder: str) -> frozenset[str]:
-        if folder not in self._listed:
-            names = frozenset(path.name for path in children(self._root / folder))
-            self._listed[folder] = names
-        return self._listed[folder]
+def images(root: Path, shots: Sequence[Shot]) -> list[Path]:
+    """Where photographs lie; NeRF-synthetic leaves the suffix away. Each folder is listed once."""
+    listed: dict[Path, frozenset[str]] = {}
+    found = []
+    for plain in (root / shot.name for shot in shots):
+        if plain.parent not in listed:
+            listed[plain.parent] = frozenset(path.name for path in children(plain.parent))
+        has_suffix = plain.name.lower().endswith(IMAGE_SUFFIXES)
+        names = [plain.name] if has_suffix else []
+        names += [f"{plain.name}{end}" for s in IMAGE_SUFFIXES for end in (s, s.upper())]
+        there = next((name for name in names if name in listed[plain.parent]), None)
+        found.append(
+            plain.parent / (there or (plain.name if plain.suffix else f"{plain.name}.png"))
+        )
+    return found
 
 
 def pose(path: Path, entry: Entry, where: str) -> Array:

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same cameras written in every format that is read, and read back to a 1e-5th."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from capture import app_writers, program_writers, writers
+from capture.readers.test_readers import assert_same, read
+
+from robir.capture.checks.frame_checks import check_frames
+from robir.capture.recognise import read_frames
+
+CENTRED = {
+    "nerf-synthetic": writers.nerf_synthetic,
+    "llff": partial(writers.llff, numeric=False),
+    "realityscan": app_writers.reality_scan,
+    "openmvg": program_writers.openmvg,
+    "bundler": program_writers.bundler,
+    "realityscan-xmp": program_writers.reality_xmp,
+    "nerfactor": program_writers.nerfactor,
+    "gaussian-splatting": program_writers.splats,
+}
+"""Formats with one focal length, or without a principal point."""
+
+OFF_CENTRE = {
+    "nerfstudio": writers.nerfstudio,
+    "colmap": partial(writers.colmap, binary=True),
+    "neus": writers.neus,
+    "polycam": app_writers.polycam,
+    "metashape": app_writers.metashape,
+    "meshroom": partial(app_writers.meshroom, version=(1, 2, 14)),
+    "opensfm": program_writers.opensfm,
+    "sdfstudio": program_writers.sdfstudio,
+    "record3d": program_writers.record3d,
+    "stray-scanner": program_writers.stray_scanner,
+    "arkit": program_writers.arkit,
+}
+RIGS = {
+    "colmap-rig-text": partial(program_writers.colmap_rig, binary=False),
+    "colmap-rig-binary": partial(program_writers.colmap_rig, binary=True),
+}
+WITH_POINTS = ("colmap", "meshroom", "opensfm", "openmvg", "bundler")
+
+
+def read_back(write, root, shots) -> None:
+    """Write cameras, read them, and compare each with the one nearest to it."""
+    write(root, shots)
+    found = read_frames(root)
+    assert len(found.frames) == len(shots)
+    assert {finding.level for finding in check_frames(found)} <= {"warning", "note"}
+    assert "unposed-images" not in {finding.code for finding in check_frames(found)}
+    left = list(found.frames)
+    for shot in shots:
+        truth = shot.camera
+        poses = np.array([frame.camera_to_world for frame in left])
+        frame = left.pop(int(np.abs(poses - truth.camera_to_world).max(axis=(1, 2)).argmin()))
+        camera = frame.lens.camera(frame.camera_to_world, truth.width, truth.height)
+        np.testing.assert_allclose(camera.camera_to_world, truth.camera_to_world, atol=1e-5)
+        lens, right = ((c.fx, c.fy, c.cx, c.cy) for c in (camera, truth))
+        np.testing.assert_allclose(lens, right, atol=1e-5)
+        assert frame.lens.distortion.is_null
+        assert frame.image.is_file()
+    assert (len(found.points) > 0) == (found.format in WITH_POINTS)
+
+
+@pytest.mark.parametrize("form", CENTRED)
+def test_a_centred_lens(form, shots, tmp_path):
+    read_back(CENTRED[form], tmp_path, shots)
+    assert read_frames(tmp_path).format == form
+
+
+@pytest.mark.parametrize("form", OFF_CENTRE)
+def test_an_off_centre_lens(form, odd_shots, tmp_path):
+    read_back(OFF_CENTRE[form], tmp_path, odd_shots)
+    assert read_frames(tmp_path).format == form
+
+
+@pytest.mark.pycolmap
+@pytest.mark.parametrize("form", RIGS)
+def test_rigs_and_frames_are_the_truth(form, odd_shots, tmp_path):
+    """The images file disagrees with them, and pycolmap, which knows better, reads the same."""
+    import pycolmap
+
+    RIGS[form](tmp_path, odd_shots)
+    frames = {frame.name: frame for frame in read_frames(tmp_path).frames}
+    model = pycolmap.Reconstruction(tmp_path / "sparse/0")
+    for i, shot in enumerate(odd_shots):
+        found = frames[f"c{i:02d}"].camera_to_world
+        np.testing.assert_allclose(found, shot.camera.camera_to_world, atol=1e-9)
+        view = model.find_image_with_name(f"c{i:02d}.png").cam_from_world().matrix()
+        back = np.linalg.inv(np.vstack([view, [0, 0, 0, 1]])) @ np.diag([1, -1, -1, 1])
+        np.testing.assert_allclose(found, back, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["sdfstudio", "nerfactor"])
+def test_masks_that_the_format_brings(form, shots, tmp_path):
+    (CENTRED | OFF_CENTRE)[form](tmp_path, shots)
+    assert_same(read(tmp_path), shots)
