@@ -18,16 +18,19 @@ from blender_scenes.photographs.recipe import Developing, Frame
 from blender_scenes.photographs.response import response
 
 METERED = 0.16
-"""Where the mean of the logarithms of a photograph's luminance is put, linear."""
+"""Where the mean of the logarithms of luminance is put, linear: half of it the whole photographs',
+half the thing's, at which the camera was pointed."""
 
-CLIPPED = 0.03
+CLIPPED = 0.04
 """Share of the thing's pixels that may be clipped; the exposure is lowered until no more are."""
 
-DARK = 0.035
-"""Half of the thing's pixels are at least this bright in linear, as far as the other allows."""
+DARK = 0.06
+"""Half of the thing's pixels are kept at least this bright, linear."""
+
+MOST_CLIPPED = 0.15
+"""Share of clipped pixels at which brightening ends."""
 
 STEP = 0.125
-FARTHEST = 6.0
 
 
 @dataclass(frozen=True)
@@ -98,17 +101,19 @@ def shots(
     balance = white * np.array(developing.white_balance)
     luminance = np.concatenate([(r[::3, ::3] @ LUMINANCE).ravel() for r in radiances])
     thing = np.concatenate([r[m > 0.5] for r, m in zip(radiances, masks, strict=True)]) * balance
-    mean = float(np.exp(np.log(np.maximum(luminance, 1e-5)).mean()))
-    exposure = float(np.log2(METERED / mean)) + developing.brightness
-    lowest = exposure - FARTHEST
+    means = [np.log2(np.maximum(grey, 1e-5)).mean() for grey in (luminance, thing @ LUMINANCE)]
+    exposure = float(np.log2(METERED) - np.mean(means)) + developing.brightness
     margin = 2.0**developing.exposure_jitter
-    while exposure > lowest and clipped(thing * 2.0**exposure * margin) > CLIPPED:
-        exposure -= STEP
     typical = float(np.median(thing.max(axis=1)))
+    # what mirrors a lamp may be clipped before the rest is dark
+    while (
+        clipped(thing * 2.0**exposure * margin) > CLIPPED
+        and typical * 2.0 ** (exposure - STEP) >= DARK
+    ):
+        exposure -= STEP
     while (
         typical * 2.0**exposure < DARK
-        and exposure < lowest + 2.0 * FARTHEST
-        and clipped(thing * 2.0 ** (exposure + STEP) * margin) <= CLIPPED
+        and clipped(thing * 2.0 ** (exposure + STEP) * margin) <= MOST_CLIPPED
     ):
         exposure += STEP
     rng = np.random.default_rng(developing.seed)

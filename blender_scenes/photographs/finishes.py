@@ -10,7 +10,7 @@ from blender_scenes.photographs.labels import label
 from blender_scenes.photographs.recipe import Finish
 
 SIZE = 1024
-THREADS = 48
+THREADS = 20
 """Threads of cloth along a texture with one cell."""
 
 BUMP = {"weave": 0.35, "grain": 0.25, "clay": 0.3}
@@ -19,7 +19,7 @@ BUMP = {"weave": 0.35, "grain": 0.25, "clay": 0.3}
 BUMP_DISTANCE = 0.01
 """Height of a bump of strength 1, scene units."""
 
-BUMP_SCALE = {"weave": 60.0, "grain": 25.0, "clay": 14.0}
+BUMP_SCALE = {"weave": 30.0, "grain": 25.0, "clay": 14.0}
 
 THING = "thing"
 """Name of the pass that is 1 where a pixel shows the thing."""

@@ -14,7 +14,7 @@ from blender_scenes.photographs.finishes import material
 from blender_scenes.photographs.recipe import Light, PhotoRecipe, Table
 from blender_scenes.recipe import Cameras, Recipe, Rgb, Sky, Sun
 from blender_scenes.request import SceneRequest
-from blender_scenes.shapes import Shape, box, cylinder
+from blender_scenes.shapes import Shape, box, cylinder, sphere
 
 THICKNESS = 0.06
 """Of the table's top, scene units: a thing of 20 cm stands on one of 12 mm."""
@@ -118,10 +118,13 @@ def _add_window(light: Light, half: float, height: float) -> None:
             y = (column + 0.5) * wide - 0.5 * light.size
             pane = bpy.data.lights.new("pane", "AREA")
             pane.shape, pane.size, pane.size_y = "RECTANGLE", tall - BAR, wide - BAR
-            # a Lambertian light of so many watts a square unit shines with that over 4 pi / pi
+            # Blender spreads the watts of a flat lamp over a half space
             pane.energy = WINDOW_RADIANCE * np.pi * pane.size * pane.size_y
-            place = Pose((half - 0.02, y, low + (row + 0.5) * tall), (0.0, 90.0, 0.0))
+            middle = low + (row + 0.5) * tall
+            place = Pose((half - 0.03, y, middle), (0.0, 90.0, 0.0))
             _add_lamp_object(pane, light.tint, turn.matrix() @ place.matrix())
+            seen = box((0.01, wide - BAR, tall - BAR))
+            _add_sight(seen, light.tint, WINDOW_RADIANCE, Pose((half - 0.02, y, middle)), turn)
     bars = [(0.5 * BAR, light.size, BAR, 0.0, low + row * tall) for row in range(PANES[1] + 1)]
     bars += [
         (0.5 * BAR, BAR, high - low, column * wide - 0.5 * light.size, 0.5 * (low + high))
@@ -141,6 +144,8 @@ def _add_lamp(light: Light) -> None:
     ball.shadow_soft_size = light.size
     ball.energy = LAMP_POWER
     _add_lamp_object(ball, light.tint, Pose((x, y, z)).matrix())
+    radiance = LAMP_POWER / (2.0 * np.pi * light.size) ** 2
+    _add_sight(sphere(0.99 * light.size), light.tint, radiance, Pose((x, y, z)), Pose())
 
 
 def _add_lamp_object(lamp: bpy.types.Light, tint: Rgb, place: Matrix) -> None:
@@ -148,6 +153,23 @@ def _add_lamp_object(lamp: bpy.types.Light, tint: Rgb, place: Matrix) -> None:
     obj = bpy.data.objects.new(lamp.name, lamp)
     obj.matrix_world = place
     bpy.context.scene.collection.objects.link(obj)
+
+
+def _add_sight(shape: Shape, tint: Rgb, radiance: float, place: Pose, parent: Pose) -> None:
+    """What cameras see where a lamp of Blender's is, which they do not see; it lights nothing."""
+    glow = bpy.data.materials.new("glow")
+    if bpy.app.version < (5, 0, 0):
+        glow.use_nodes = True
+    nodes, links = glow.node_tree.nodes, glow.node_tree.links
+    shine = nodes.new("ShaderNodeEmission")
+    shine.inputs["Color"].default_value = (*tint, 1.0)
+    shine.inputs["Strength"].default_value = radiance
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    links.new(shine.outputs["Emission"], output.inputs["Surface"])
+    glow.cycles.emission_sampling = "NONE"
+    seen = add_object("glow", shape, glow, place, parent)
+    for ray in ("diffuse", "glossy", "transmission", "shadow", "volume_scatter"):
+        setattr(seen, f"visible_{ray}", False)
 
 
 def only(pieces: list[bpy.types.Object]) -> None:

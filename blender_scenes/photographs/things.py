@@ -107,10 +107,14 @@ def _mug(thing: Thing, rng: np.random.Generator) -> Pieces:
         (0.85 * radius, 0.0), (0.95 * radius, 0.03), (waist, 0.4 * height), (radius, 0.8 * height),
         (radius, height),
     ]  # fmt: skip
-    turn = np.linspace(-0.5, 0.5, 32) * np.pi
+    turn = np.linspace(-0.43, 0.43, 32) * np.pi
     reach = float(rng.uniform(0.16, 0.24))
     arc = np.stack(
-        [waist - 0.02 + reach * np.cos(turn), 0.0 * turn, 0.48 * height + 0.3 * np.sin(turn)],
+        [
+            max(waist, radius) - 0.02 + reach * np.cos(turn),
+            0.0 * turn,
+            0.48 * height + 0.3 * np.sin(turn),
+        ],
         axis=1,
     )
     # a tube is made for paths near the x-y plane: lay it down, then raise it
@@ -140,7 +144,7 @@ def _bowl(thing: Thing, rng: np.random.Generator) -> Pieces:
 
 def _vase(thing: Thing, rng: np.random.Generator) -> Pieces:
     """Narrow at the neck and deep: its inside is black in every photograph."""
-    belly, neck = float(rng.uniform(0.22, 0.36)), float(rng.uniform(0.07, 0.12))
+    belly, neck = float(rng.uniform(0.24, 0.36)), float(rng.uniform(0.09, 0.17))
     outside = [
         (0.6 * belly, 0.0), (0.7 * belly, 0.02), (belly, 0.4), (0.7 * belly, 0.65), (neck, 0.82),
         (neck, 0.9), (1.25 * neck, 1.0),

@@ -25,8 +25,8 @@ from blender_scenes.view_transform import codes_from_display
 RESPONSE = "camera response"
 """In scene.json, where the other half names a view transform; the numbers stand beside it."""
 
-EVERY = "transforms_photographs.json"
-TESTS = "transforms_test.json"
+CAMERAS = "cameras.json"
+"""Named and laid out so that no reader of captures takes it for poses that a user gives."""
 
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _SMALL_FORMAT_DIAGONAL = 43.267
@@ -72,8 +72,7 @@ def write_photographs(
             for kind in ("test", "relit"):
                 source = rendered / kind / f"{view_name(index)}.exr"
                 shutil.copyfile(source, partial / "truth" / kind / f"{photograph_name(index)}.exr")
-        for name, chosen in ((EVERY, range(len(poses))), (TESTS, tests)):
-            write_json(partial / "truth" / name, _transforms(recipe.frame, poses, chosen))
+        write_json(partial / "truth" / CAMERAS, _true_cameras(recipe.frame, poses, tests))
         for name in ("environment.exr", "mesh.ply", SECOND_LIGHT):
             shutil.copyfile(rendered / name, partial / "truth" / name)
         write_json(partial / "truth" / "scene.json", scene | _facts(recipe, taken) | more)
@@ -174,32 +173,33 @@ def _write_cameras(
     if handover.layout == "colmap":
         _write_colmap(out / "sparse" / "0", poses, points, frame, focal)
         return
-    content = _transforms(frame, poses, range(len(poses)), focal)
-    content = {"camera_model": "OPENCV", **content}
-    if handover.masks != "none":
-        for index, entry in enumerate(content["frames"]):
+    frames = []
+    for index, pose in enumerate(poses):
+        path = f"images/{photograph_name(index)}.jpg"
+        entry = {"file_path": path, "transform_matrix": pose.tolist()}
+        if handover.masks != "none":
             entry["mask_path"] = f"masks/{_mask_name(recipe, index)}"
-    write_json(out / "transforms.json", content)
+        frames.append(entry)
+    lens = {"camera_model": "OPENCV", **_lens(frame, focal)}
+    write_json(out / "transforms.json", {**lens, "frames": frames})
 
 
-def _transforms(
-    frame: Frame, poses: np.ndarray, chosen: Any, focal: float | None = None
-) -> dict[str, Any]:
-    focal = frame.focal if focal is None else focal
-    return {
-        "w": frame.width,
-        "h": frame.height,
-        "fl_x": focal,
-        "fl_y": focal,
-        "cx": 0.5 * frame.width,
-        "cy": 0.5 * frame.height,
-        "frames": [
+def _lens(frame: Frame, focal: float) -> dict[str, Any]:
+    middle = {"cx": 0.5 * frame.width, "cy": 0.5 * frame.height}
+    return {"w": frame.width, "h": frame.height, "fl_x": focal, "fl_y": focal, **middle}
+
+
+def _true_cameras(frame: Frame, poses: np.ndarray, tests: list[int]) -> dict[str, Any]:
+    """Every photograph's, in the frame of the truth, and which have the whole truth."""
+    return _lens(frame, frame.focal) | {
+        "photographs": [
             {
-                "file_path": f"images/{photograph_name(i)}.jpg",
-                "transform_matrix": poses[i].tolist(),
+                "name": photograph_name(index),
+                "camera_to_world": pose.tolist(),
+                "has_truth": index in tests,
             }
-            for i in chosen
-        ],
+            for index, pose in enumerate(poses)
+        ]
     }
 
 

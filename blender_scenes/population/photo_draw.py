@@ -3,6 +3,7 @@
 
 import colorsys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,7 @@ def draw_photographs(seed: int, sources: Sources) -> PhotoRecipe:
         seed=seed,
         thing=_thing(streams["thing"], sources.assets, table.SHOWCASES.get(seed)),
         table=_table(streams["table"]),
-        light=_light(light, sources.maps, is_strong=table.SHOWCASES.get(seed) == "egg"),
+        light=_light(light, sources.maps, table.SHOWCASE_LIGHTS.get(seed)),
         second_light=SecondLight(_file(light, sources.maps), float(light.random())),
         walk=_walk(streams["camera"], photographs),
         frame=frame,
@@ -160,6 +161,8 @@ def _thing(rng: np.random.Generator, assets: Sequence[Path], asked: str | None) 
     drawn = _choice(rng, weights)
     kind = asked or drawn
     body = _body(rng, _choice(rng, table.MATERIALS[kind]))
+    if asked == "vase":  # as dark as it takes for its inside to be black
+        body = replace(body, colours=table.DARK_TONES, coat=0.0)
     is_metal = rng.random() < table.METAL_TRIM.get(kind, 0.0)
     code, roughness = str(rng.choice(ranges.METALS)), _even(rng, table.METAL_ROUGHNESS)
     plastic = _colours(rng, table.ALBEDO_LOG, 2, ranges.CONTRAST)
@@ -187,15 +190,14 @@ def _table(rng: np.random.Generator) -> Table:
         colours=toned if is_toned else colours,
         roughness=_even(rng, table.TABLE_ROUGHNESS),
         cells=int(rng.integers(table.CELLS[0], table.CELLS[1] + 1)),
-        bump="weave" if pattern == "weave" else "none",
         seed=_seed(rng),
     )
     return Table(shape, finish, _even(rng, table.TABLE_SIZE), _even(rng, (0.0, 90.0)))
 
 
-def _light(rng: np.random.Generator, maps: Sequence[Path], *, is_strong: bool) -> Light:
-    kind = _choice(rng, table.LIGHTS)
-    kind = "sun" if is_strong else kind
+def _light(rng: np.random.Generator, maps: Sequence[Path], asked: str | None) -> Light:
+    drawn = _choice(rng, table.LIGHTS)
+    kind = asked or drawn
     fit = [file for file in maps if file.stem not in table.UNFIT_MAPS]
     warmth = _even(rng, table.LAMP_TINT if kind == "lamp" else table.WINDOW_TINT)
     tint = np.array([warmth**0.5, 1.0, warmth**-0.5])

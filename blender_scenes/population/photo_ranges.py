@@ -143,4 +143,7 @@ PIXEL_SAMPLES = 12e6
 
 SHOWCASES = {7: "vase", 11: "egg"}
 """Seeds whose thing is not left to chance: one deep and dark inside, one plain and convex under a
-strong lamp."""
+strong sun."""
+
+SHOWCASE_LIGHTS = {7: "window", 11: "sun"}
+DARK_TONES = ((0.035, 0.032, 0.03), (0.1, 0.085, 0.07))
