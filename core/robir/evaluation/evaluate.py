@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.store import load_settled
 from robir.errors import StorageError
 from robir.evaluation import metrics, surfaces
+from robir.evaluation.aligned import align, moved
 from robir.evaluation.layers import (
     TONE_CURVE,
     Layers,
@@ -48,7 +50,8 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
     Returns:
         Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
         "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
-        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views".
+        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views",
+        "alignment" (how the truth of photographs was brought to the result; None of renderings).
 
     Raises:
         StorageError: If the result folder lacks a stage.
@@ -63,11 +66,15 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
                 f"{file} is missing: only a finished reconstruction can be evaluated; "
                 "run `robir reconstruct` with --resume first"
             )
+    alignment = align(known, load_settled(paths).views) if known.cameras else None
+    if alignment is not None:
+        known = moved(known, alignment.place)
     mesh = stored_mesh(paths)
     layers = view_layers(mesh, load_textures(paths), (view.camera for view in known.views))
     scores: dict[str, Any] = {
         "scene": {name: known.scene[name] for name in ("scene", "ground", "light", "seed")},
         "views": len(known.views),
+        "alignment": None if alignment is None else alignment.described(),
         **image_scores(layers, known),
         **geometry_scores(layers, mesh, known),
         "light": light_scores(
