@@ -49,9 +49,9 @@ def as_json(recipe: PhotoRecipe) -> dict[str, Any]:
 
 
 def _code(folder: Path) -> str:
-    """Hash of a folder's program without comments, layout and docstrings."""
+    """Hash of what makes a capture in a folder's program; comments, layout and docstrings aside."""
     digest = hashlib.sha256()
-    for source in sorted(folder.glob("*.py")):
+    for source in sorted(p for p in folder.glob("*.py") if p != Path(__file__)):
         tree = ast.parse(source.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
@@ -62,8 +62,11 @@ def _code(folder: Path) -> str:
 
 
 def _is_text(statement: ast.AST) -> bool:
-    is_alone = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-    return is_alone and isinstance(statement.value.value, str)
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
 
 
 def make(out: Path, renders: Path, recipe: PhotoRecipe, report: Callable[[int, int], None]) -> None:

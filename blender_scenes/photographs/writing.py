@@ -107,12 +107,11 @@ def _write_pictures(
     developing, frame = recipe.developing, recipe.frame
     for index, (view, shot) in enumerate(zip(views, taken, strict=True)):
         shown = display(view.radiance, shot, developing, frame, developing.seed + index)
-        more = {"exif": _exif(recipe, shot)} if developing.has_exif else {}
         Image.fromarray(codes_from_display(shown)).save(
             out / "images" / f"{photograph_name(index)}.jpg",
             quality=developing.quality,
             subsampling="4:2:0",
-            **more,
+            exif=_exif(recipe, shot) if developing.has_exif else b"",
         )
 
 
@@ -160,7 +159,9 @@ def _write_cameras(
     handover, frame = recipe.handover, recipe.frame
     if handover.layout == "photographs":
         return
-    points = np.concatenate([np.load(f) for f in sorted((rendered / "points").glob("*.npy"))])
+    points = np.concatenate(
+        [np.load(f, allow_pickle=False) for f in sorted((rendered / "points").glob("*.npy"))]
+    )
     focal = frame.focal
     if handover.poses == "errors":
         focal *= 1.0 + handover.errors.focal

@@ -101,21 +101,20 @@ def align(truth: Truth, views: Sequence[View]) -> Alignment:
 
 def moved(truth: Truth, place: Similarity) -> Truth:
     """The truth where a similarity brings it."""
-    turn = place.turn.astype(np.float32)
     return replace(
         truth,
         views=tuple(_moved_view(view, place) for view in truth.views),
         cameras={name: camera.moved(place) for name, camera in truth.cameras.items()},
         environment_linear=true_environment(truth.root, truth.scene, place.turn),
         sun_direction=place.turn @ truth.sun_direction,
-        vertices=place(truth.vertices).astype(turn.dtype),
+        vertices=place(truth.vertices.astype(np.float64)).astype(np.float32),
         radius=place.scale * truth.radius,
     )
 
 
 def _moved_view(view: TrueView, place: Similarity) -> TrueView:
     shape = view.position.shape
-    position = place(view.position.reshape(-1, 3)).reshape(shape)
+    position = place(view.position.reshape(-1, 3).astype(np.float64)).reshape(shape)
     return replace(
         view,
         camera=view.camera.moved(place),
