@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.capture.store import load_settled
 from robir.errors import CaptureError
-from robir.evaluation.truth import TrueView, Truth, true_environment
+from robir.evaluation.truth import TrueView, Truth, load_truth, true_environment
+from robir.jobs.paths import JobPaths
 from robir.maths.similarity import Similarity, turn_in_words
 
 Array = NDArray[np.floating[Any]]
@@ -57,6 +60,23 @@ class Alignment:
             "turn": turn_in_words(self.place.turn),
             "scale": self.place.scale,
         }
+
+
+def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
+    """The truth of a capture where a result stands, and how it was brought there, if it was.
+
+    Args:
+        capture: The rendered capture.
+        paths: The result's folder.
+
+    Raises:
+        CaptureError: If there is no truth, or it is of other photographs.
+    """
+    known = load_truth(capture)
+    if not known.cameras:
+        return known, None
+    alignment = align(known, load_settled(paths).views)
+    return moved(known, alignment.place), alignment
 
 
 def align(truth: Truth, views: Sequence[View]) -> Alignment:

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture.store import load_settled
 from robir.errors import StorageError
 from robir.evaluation import metrics, surfaces
-from robir.evaluation.aligned import align, moved
+from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import (
     TONE_CURVE,
     Layers,
@@ -30,7 +29,7 @@ from robir.evaluation.light_scores import light_scores, load_light
 from robir.evaluation.relighting import relight_scores
 from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.tone_scores import tone_scores
-from robir.evaluation.truth import TrueView, Truth, load_truth
+from robir.evaluation.truth import TrueView, Truth
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths
 
@@ -57,7 +56,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
         StorageError: If the result folder lacks a stage.
         CaptureError: If there is no truth.
     """
-    known = load_truth(truth)
+    known, alignment = truth_of(truth, paths)
     capture_file = paths.stage("capture") / "capture.json"
     needed = (capture_file, paths.stage("geometry") / "mesh.npz", paths.manifest("appearance"))
     for file in needed:
@@ -66,9 +65,6 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
                 f"{file} is missing: only a finished reconstruction can be evaluated; "
                 "run `robir reconstruct` with --resume first"
             )
-    alignment = align(known, load_settled(paths).views) if known.cameras else None
-    if alignment is not None:
-        known = moved(known, alignment.place)
     mesh = stored_mesh(paths)
     layers = view_layers(mesh, load_textures(paths), (view.camera for view in known.views))
     scores: dict[str, Any] = {
