@@ -51,6 +51,25 @@ alpha):
 | mask               | half  | coverage of the pixel, 0..1                                      |
 | hit                | half  | 1 where the ray through the pixel's centre meets the scene       |
 | sun_visibility     | half  | 1 where `position` faces the sun's centre and nothing is between |
+
+Photographs (`population --photographs`) are laid out as users bring them:
+
+    OUT/
+      images/IMG_0001.jpg ...
+      masks/IMG_0001.png ...              (where given; IMG_0001.jpg.png beside a COLMAP model)
+      transforms.json or sparse/0/*.txt   (where poses are known)
+      truth/scene.json cameras.json environment.exr mesh.ply second_light.exr
+      truth/test/IMG_0005.exr ... truth/relit/IMG_0005.exr ...
+
+`truth/cameras.json`: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy` as above, and `photographs`: `name`,
+`camera_to_world` in the frame of the truth, `has_truth`. Poses with errors stand in another frame.
+The truth is of the thing alone, the table is none of it: `mask`, `hit`, albedo, roughness,
+metallic, normal and position are 0 elsewhere, `mesh.ply` and `scene_radius` are the thing's.
+`radiance` is the whole picture's. `environment.exr` is what is seen from the thing's middle with
+the thing taken away, table and room included, without lamps that are distant. `relit` shows the
+thing alone. In scene.json `view_transform` is "camera response", with the `response`'s three
+numbers (see `photographs.response`), and of each of the `photographs` the `exposure` (stops) and
+the `white_balance` (factors on red, green and blue before the response); at the top their means.
 """
 
 import json

@@ -12,10 +12,12 @@ from pathlib import Path
 from blender_scenes import cache
 from blender_scenes.command_line import carried_out, say
 from blender_scenes.format import read_view, write_capture
+from blender_scenes.photographs import stock
 from blender_scenes.population import ranges
 from blender_scenes.population.draw import Drawn, Sources, draw
 from blender_scenes.population.exposing import held
 from blender_scenes.population.facts import classes
+from blender_scenes.population.photo_draw import draw_photographs
 from blender_scenes.request import SceneError, fingerprint
 from blender_scenes.wheel import data_folder, wheel_version
 
@@ -43,7 +45,8 @@ def main(arguments: Sequence[str]) -> int:
     def render() -> None:
         sources = Sources(_files(options.assets, ("obj", "gltf", "glb")), _maps(options.hdris))
         for number, seed in enumerate(seeds, 1):
-            say(f"{number}/{len(seeds)} {_make(options.out, seed, sources)}")
+            make = _make_photographs if options.photographs else _make
+            say(f"{number}/{len(seeds)} {make(options.out, seed, sources)}")
 
     return carried_out(render, options.out)
 
@@ -58,12 +61,7 @@ def _make(folder: Path, seed: int, sources: Sources) -> str:
     out = folder / capture_name(seed)
     drawn = draw(seed, sources)
     wanted = fingerprint(drawn.request, wheel_version())
-    if out.exists():
-        scene = json.loads((out / "truth" / "scene.json").read_text(encoding="utf-8"))
-        if scene["fingerprint"] != wanted:
-            raise SceneError(
-                f"{out} was made from another table, program or set of files; name a new folder"
-            )
+    if _is_there(out, wanted):
         return f"{out.name}: already there"
     start = time.process_time()
     rendered, _ = cache.linear_renders(drawn.request, folder / RENDERS, _progress)
@@ -73,9 +71,43 @@ def _make(folder: Path, seed: int, sources: Sources) -> str:
     more = {"classes": classes(drawn, scene, views), "recipe": _recipe(drawn)}
     write_capture(out, rendered, tone, more)
     shutil.rmtree(rendered)
+    _tidy(folder)
+    return f"{out.name}: {time.process_time() - start:.0f} CPU-s, {_words(drawn)}"
+
+
+def _make_photographs(folder: Path, seed: int, sources: Sources) -> str:
+    """The same of the half that is photographs."""
+    out = folder / capture_name(seed)
+    recipe = draw_photographs(seed, sources)
+    if _is_there(out, stock.fingerprint(recipe)):
+        return f"{out.name}: already there"
+    start = time.process_time()
+    stock.make(out, folder / RENDERS, recipe, _progress)
+    _tidy(folder)
+    frame, handover = recipe.frame, recipe.handover
+    return (
+        f"{out.name}: {time.process_time() - start:.0f} CPU-s, {recipe.thing.kind}, "
+        f"{recipe.light.kind}, {recipe.walk.photographs} photographs of {frame.width} x "
+        f"{frame.height}, poses {handover.poses}, masks {handover.masks}"
+    )
+
+
+def _is_there(out: Path, wanted: str) -> bool:
+    """Whether a capture of a fingerprint is there; one of another is refused."""
+    if not out.exists():
+        return False
+    scene = json.loads((out / "truth" / "scene.json").read_text(encoding="utf-8"))
+    if scene["fingerprint"] != wanted:
+        raise SceneError(
+            f"{out} was made from another table, program or set of files; name a new folder"
+        )
+    return True
+
+
+def _tidy(folder: Path) -> None:
+    """Removes the folder of renders once nothing grows there."""
     if not any((folder / RENDERS).iterdir()):
         (folder / RENDERS).rmdir()
-    return f"{out.name}: {time.process_time() - start:.0f} CPU-s, {_words(drawn)}"
 
 
 def _progress(done: int, total: int) -> None:
@@ -124,6 +156,11 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         metavar="S",
         help=f"the first seed; below {ranges.VERDICT_SEED} for development, above for verdicts",
+    )
+    add(
+        "--photographs",
+        action="store_true",
+        help="photographs as a hand-held camera takes them, instead of renderings",
     )
     add(
         "--assets",

@@ -18,6 +18,7 @@ from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.capture.store import load_settled
+from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import load_textures, stored_mesh, view_layers
 from robir.evaluation.metrics import srgb_from_linear
 from robir.evaluation.photos import read_picture
@@ -30,7 +31,6 @@ from robir.evaluation.sheet import (
     window,
 )
 from robir.evaluation.surfaces import MeshCaster
-from robir.evaluation.truth import load_truth
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
 
@@ -55,7 +55,7 @@ def draw_result(paths: JobPaths, truth: Path, scale: list[float], picture: Path)
         scale: Three factors that bring its albedo to the truth's.
         picture: PNG to write: square tiles, as wide as the truth's views.
     """
-    known = load_truth(truth)
+    known, _ = truth_of(truth, paths)
     view = known.views[0]
     ours = view_layers(stored_mesh(paths), load_textures(paths), [view.camera])[0]
     tiles = [

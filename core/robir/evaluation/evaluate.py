@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robir.errors import StorageError
 from robir.evaluation import metrics, surfaces
+from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import (
     TONE_CURVE,
     Layers,
@@ -28,7 +29,7 @@ from robir.evaluation.light_scores import light_scores, load_light
 from robir.evaluation.relighting import relight_scores
 from robir.evaluation.sheet import save_sheet, truth_sheet
 from robir.evaluation.tone_scores import tone_scores
-from robir.evaluation.truth import TrueView, Truth, load_truth
+from robir.evaluation.truth import TrueView, Truth
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths
 
@@ -48,13 +49,14 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
     Returns:
         Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
         "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
-        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views".
+        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views",
+        "alignment" (how the truth of photographs was brought to the result; None of renderings).
 
     Raises:
         StorageError: If the result folder lacks a stage.
         CaptureError: If there is no truth.
     """
-    known = load_truth(truth)
+    known, alignment = truth_of(truth, paths)
     capture_file = paths.stage("capture") / "capture.json"
     needed = (capture_file, paths.stage("geometry") / "mesh.npz", paths.manifest("appearance"))
     for file in needed:
@@ -68,6 +70,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
     scores: dict[str, Any] = {
         "scene": {name: known.scene[name] for name in ("scene", "ground", "light", "seed")},
         "views": len(known.views),
+        "alignment": None if alignment is None else alignment.described(),
         **image_scores(layers, known),
         **geometry_scores(layers, mesh, known),
         "light": light_scores(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import OpenEXR
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from robir.capture.camera import Camera
 from robir.capture.images.decode import MAX_FILE_BYTES
@@ -21,6 +22,7 @@ from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_power import DISPLAY_POWER
+from robir.maths.vectors import equirect_directions
 
 Array = NDArray[np.float32]
 
@@ -31,12 +33,20 @@ _SCENE = {
     "view_transform": str, "look?": (None, str), "exposure?": float, f"{DISPLAY_POWER}?": float,
     "sun_direction": NUMBERS, "scene_radius": float, "sun_is_lamp?": bool,
     "sun_irradiance_rgb?": NUMBERS,
-    "lamps?": [{"direction": NUMBERS, "irradiance_rgb": NUMBERS}],
+    "lamps?": [{"direction": NUMBERS, "irradiance_rgb": NUMBERS}], "white_balance?": NUMBERS,
 }  # fmt: skip
 _TEST_VIEWS = {
     "w": int, "h": int, "fl_x": float, "fl_y": float, "cx": float, "cy": float,
     "frames": [{"file_path": str, "transform_matrix": MATRIX}],
 }  # fmt: skip
+
+_CAMERAS = {
+    "w": int, "h": int, "fl_x": float, "fl_y": float, "cx": float, "cy": float,
+    "photographs": [{"name": str, "camera_to_world": MATRIX, "has_truth": bool}],
+}  # fmt: skip
+
+PHOTOGRAPHED = "cameras.json"
+"""Beside the truth of photographs: their cameras in its frame, which need not be the capture's."""
 
 _MAX_NUMBERS = 400_000_000
 """Largest EXR file, over all channels; a sky of 8192 columns has a quarter of it."""
@@ -85,6 +95,7 @@ class Truth:
         vertices: (Nv, 3) of all render geometry.
         faces: (Nf, 3).
         radius: Radius of the scene.
+        cameras: Of photographs, the true one of each by name; else none.
     """
 
     root: Path
@@ -95,11 +106,13 @@ class Truth:
     vertices: Array
     faces: NDArray[np.int32]
     radius: float
+    cameras: dict[str, Camera] = field(default_factory=dict)
 
     @property
-    def exposed(self) -> float:
-        """Factor that brings true radiance to what the tone curve was given."""
-        return 2.0 ** float(self.scene.get("exposure", 0.0))
+    def exposed(self) -> NDArray[np.float64]:
+        """Factors (3,) that bring true radiance to what the tone curve was given."""
+        balance = np.array(self.scene.get("white_balance", [1.0, 1.0, 1.0]))
+        return 2.0 ** float(self.scene.get("exposure", 0.0)) * balance
 
 
 def has_truth(capture: Path) -> bool:
@@ -124,17 +137,19 @@ def load_truth(capture: Path) -> Truth:
         )
     try:
         scene = _scene(folder / "scene.json")
+        cameras = _cameras(folder / PHOTOGRAPHED) if (folder / PHOTOGRAPHED).is_file() else {}
         with regular(folder / "mesh.ply", MAX_FILE_BYTES) as file:
             mesh = trimesh.load_mesh(BytesIO(file.read()), file_type="ply", process=False)
         return Truth(
             root=capture,
             scene=scene,
-            views=_test_views(capture),
-            environment_linear=_environment(folder / "environment.exr", scene),
+            views=_photographs(capture) if cameras else _test_views(capture),
+            environment_linear=true_environment(capture, scene, np.eye(3)),
             sun_direction=np.array(scene["sun_direction"]),
             vertices=np.asarray(mesh.vertices, np.float32),
             faces=np.asarray(mesh.faces, np.int32),
             radius=float(scene["scene_radius"]),
+            cameras=cameras,
         )
     except _DAMAGE as fault:
         raise CaptureError(
@@ -154,38 +169,65 @@ def _test_views(capture: Path) -> tuple[TrueView, ...]:
     views = []
     for frame in table["frames"]:
         name = Path(frame["file_path"]).name
-        camera = Camera(
-            width=table["w"],
-            height=table["h"],
-            fx=table["fl_x"],
-            fy=table["fl_y"],
-            cx=table["cx"],
-            cy=table["cy"],
-            camera_to_world=np.array(frame["transform_matrix"], np.float64),
-        )
-        image = read_exr(capture / "truth" / "test" / f"{name}.exr")
-        with (
-            regular(capture / "test" / f"{name}.png") as file,
-            Image.open(file, formats=["PNG"]) as picture,
-        ):
-            photo = np.asarray(picture.convert("RGBA"), np.float32)[..., :3] / 255.0
-        size = (camera.height, camera.width)
-        if {photo.shape[:2], *(channel.shape for channel in image.values())} != {size}:
-            raise ValueError(f"the pictures of {name} are not of the same size as its camera")
-        views.append(
-            TrueView(
-                name=name,
-                camera=camera,
-                photo_display=photo,
-                albedo=_triple(image, "albedo", "RGB"),
-                roughness=image["roughness"],
-                normal=_triple(image, "normal", "XYZ"),
-                position=_triple(image, "position", "XYZ"),
-                hit=image["hit"] > 0.5,
-                sun_visibility=image["sun_visibility"],
-            )
-        )
+        camera = _camera(table, frame["transform_matrix"])
+        views.append(_view(capture, name, camera, capture / "test" / f"{name}.png"))
     return tuple(views)
+
+
+def _photographs(capture: Path) -> tuple[TrueView, ...]:
+    """The photographs that have the whole truth, in its frame."""
+    table = read_record(capture / "truth" / PHOTOGRAPHED, _CAMERAS)
+    return tuple(
+        _view(
+            capture,
+            entry["name"],
+            _camera(table, entry["camera_to_world"]),
+            capture / "images" / f"{entry['name']}.jpg",
+        )
+        for entry in table["photographs"]
+        if entry["has_truth"]
+    )
+
+
+def _cameras(path: Path) -> dict[str, Camera]:
+    table = read_record(path, _CAMERAS)
+    entries = table["photographs"]
+    return {entry["name"]: _camera(table, entry["camera_to_world"]) for entry in entries}
+
+
+def _camera(table: dict[str, Any], camera_to_world: list[list[float]]) -> Camera:
+    return Camera(
+        width=table["w"],
+        height=table["h"],
+        fx=table["fl_x"],
+        fy=table["fl_y"],
+        cx=table["cx"],
+        cy=table["cy"],
+        camera_to_world=np.array(camera_to_world, np.float64),
+    )
+
+
+def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueView:
+    image = read_exr(capture / "truth" / "test" / f"{name}.exr")
+    with (
+        regular(photograph, MAX_FILE_BYTES) as file,
+        Image.open(file, formats=["PNG", "JPEG"]) as picture,
+    ):
+        photo = np.asarray(picture.convert("RGBA"), np.float32)[..., :3] / 255.0
+    size = (camera.height, camera.width)
+    if {photo.shape[:2], *(channel.shape for channel in image.values())} != {size}:
+        raise ValueError(f"the pictures of {name} are not of the same size as its camera")
+    return TrueView(
+        name=name,
+        camera=camera,
+        photo_display=photo,
+        albedo=_triple(image, "albedo", "RGB"),
+        roughness=image["roughness"],
+        normal=_triple(image, "normal", "XYZ"),
+        position=_triple(image, "position", "XYZ"),
+        hit=image["hit"] > 0.5,
+        sun_visibility=image["sun_visibility"],
+    )
 
 
 def read_exr(path: Path) -> dict[str, Array]:
@@ -204,20 +246,52 @@ def _triple(image: dict[str, Array], name: str, axes: str) -> Array:
     return np.stack([image[f"{name}.{axis}"] for axis in axes], axis=-1)
 
 
-def _environment(path: Path, scene: dict[str, Any]) -> Array:
-    """The map as rendered; a lamp's irradiance is put into the texel of its direction."""
-    image = read_exr(path)
+def true_environment(
+    capture: Path, scene: dict[str, Any], turn: NDArray[np.floating[Any]]
+) -> Array:
+    """The map as rendered, turned; a lamp's irradiance is put into the texel of its direction.
+
+    Args:
+        capture: Folder that holds truth/.
+        scene: Contents of scene.json.
+        turn: (3, 3) from the truth's frame to that in which the map is wanted.
+
+    Returns:
+        (H, 2H, 3) lat-long radiance.
+    """
+    image = read_exr(capture / "truth" / "environment.exr")
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
     rows, columns = linear.shape[:2]
+    if not np.allclose(turn, np.eye(3)):
+        linear = _turned(linear, turn)
     for direction, irradiance_rgb in lamps_of(scene):
-        x, y, z = direction
-        u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
-        row = min(int((0.5 - np.arcsin(z) / np.pi) * rows), rows - 1)
+        u, v = _texel(turn @ np.array(direction))
+        row = min(int(v * rows), rows - 1)
         top, bottom = (np.sin(np.pi * (0.5 - r / rows)) for r in (row, row + 1))
         solid_angle = (top - bottom) * 2 * np.pi / columns
         column = min(int(u * columns), columns - 1)
         linear[row, column] += np.array(irradiance_rgb) / solid_angle
     return linear
+
+
+def _texel(directions: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Where unit directions (..., 3) lie in a lat-long map, (2, ...): shares of its sides."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
+    return np.stack([u, 0.5 - np.arcsin(np.clip(z, -1.0, 1.0)) / np.pi])
+
+
+def _turned(linear: Array, turn: NDArray[np.floating[Any]]) -> Array:
+    """A lat-long map (H, 2H, 3) in a frame that a rotation (3, 3) brings its own to."""
+    rows, columns = linear.shape[:2]
+    u, v = _texel(equirect_directions(rows).numpy() @ turn)
+    places = np.stack([v * rows - 0.5, u * columns - 0.5])
+    padded = np.pad(linear, ((1, 1), (1, 1), (0, 0)), mode="wrap")
+    padded[0], padded[-1] = padded[1], padded[-2]
+    return np.stack(
+        [map_coordinates(padded[..., c], places + 1.0, order=1, mode="nearest") for c in range(3)],
+        axis=-1,
+    )
 
 
 def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
