@@ -183,12 +183,13 @@ def _settings(
     paths = JobPaths(options.out)
     before = folder.read_run(paths) if options.resume else None
     preset, base, masks, mesh = options.preset or "draft", None, options.masks, options.mesh
-    if before is not None and masks is None and before["capture"]["masks"] is not None:
-        masks = Path(before["capture"]["masks"])
-    if before is not None and mesh is None and before["capture"].get("mesh") is not None:
-        mesh = Path(before["capture"]["mesh"]["path"])
+    if before is not None:
+        folder.refuse_unnamed(paths, before, "masks", masks)
+        folder.refuse_unnamed(paths, before, "mesh", mesh)
     if before is not None and options.preset is None and paths.config.exists():
         preset, base = before["preset"], folder.read_config(paths)
+        if base.capture.outside == "take":  # the folder may be a stranger's: only the user says so
+            base = replace(base, capture=replace(base.capture, outside="refuse"))
     config = resolve(base or PRESETS[preset](), options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
@@ -200,7 +201,7 @@ def _settings(
 def _finished(out: Path) -> JobPaths:
     """Paths of a finished result folder, or UsageError."""
     paths = JobPaths(out)
-    refuse_special(paths)
+    refuse_special(paths.root)
     missing = [stage for stage in STAGES if not paths.manifest(stage).exists()]
     if missing:
         raise UsageError(
