@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 import errno
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 from robir.jobs.library import FORMATS
@@ -40,6 +42,26 @@ def asset_formats(text: str) -> tuple[str, ...]:
             f"{unknown[0]!a} is no format; known: {', '.join(FORMATS)}"
         )
     return tuple(chosen)
+
+
+def finite(text: str) -> float:
+    """A number."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no number to turn by")
+    return value
+
+
+def up_to(most: int) -> Callable[[str], int]:
+    """Reads a whole number of at least 1 that is at most another."""
+
+    def read(text: str) -> int:
+        value = positive(text)
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{text} is more than {most}")
+        return value
+
+    return read
 
 
 def positive(text: str) -> int:

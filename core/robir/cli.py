@@ -3,7 +3,8 @@
 
 Standard output carries the result alone (a path, or JSON where asked for); progress and messages
 go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
-out of memory, 5 the fit failed its own quality check, 130 cancelled.
+out of memory, 5 the fit failed its own quality check, 6 a file of the result cannot be read,
+written or trusted, 130 cancelled.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from robir import __version__, commands
-from robir.arguments import asset_formats, path_argument, positive, stage_range
+from robir.arguments import asset_formats, finite, path_argument, positive, stage_range, up_to
 from robir.errors import CancelledError, RobirError
 from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
@@ -25,7 +26,8 @@ _log = logging.getLogger("robir")
 
 _EXIT_CODES = (
     "exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or out of memory, "
-    "5 the fit failed its own quality check, 130 cancelled"
+    "5 the fit failed its own quality check, 6 a file of the result cannot be read, written or "
+    "trusted, 130 cancelled"
 )
 
 _CAPTURE = "folder of posed images or photographs, or a video"
@@ -256,10 +258,10 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
         help="lat-long .hdr or .exr, or the name of one that Blender ships, such as city",
     )
     parser.add_argument("--views", help="held_out (default), train, all, or names with commas")
-    parser.add_argument("--rotation", type=float, help="degrees about the up axis")
-    parser.add_argument("--turntable", type=positive, metavar="N", help="frames of a turning light")
-    parser.add_argument("--samples", type=positive, help="Cycles samples per pixel")
-    parser.add_argument("--max-side", type=positive, help="longer side of the pictures, pixels")
+    parser.add_argument("--rotation", type=finite, help="degrees about the up axis")
+    parser.add_argument("--turntable", type=up_to(10_000), metavar="N", help="frames of a full turn")
+    parser.add_argument("--samples", type=up_to(1 << 20), help="Cycles samples per pixel")
+    parser.add_argument("--max-side", type=up_to(1 << 14), help="longer side, pixels")
     _add_progress(parser)
 
 

@@ -133,15 +133,18 @@ def relight(options: Namespace) -> int:
     """Render a finished result under another light; prints the pictures' paths."""
     paths = _finished(options.out)
     from robir.display import display_for
+    from robir.evaluation.light_file import refuse_light
     from robir.export.blender import run_headless
     from robir.jobs.lock import folder_lock
     from robir.pipeline.faults import stop_requested
 
-    words = ["relight", str(paths.root), "--environment", str(options.environment)]
+    if Path(options.environment).is_file():
+        refuse_light(Path(options.environment))
+    words = ["relight", str(paths.root), f"--environment={options.environment}"]
     for name in ("views", "rotation", "turntable", "samples", "max_side"):
         value = getattr(options, name)
         if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+            words.append(f"--{name.replace('_', '-')}={value}")
     with folder_lock(paths.lock), stop_requested(), display_for(options.progress) as display:
 
         def show(fraction: float, message: str) -> None:

@@ -99,10 +99,10 @@ def _acquire(path: Path) -> int:
         try:
             handle = open_regular(path, os.O_RDWR | os.O_CREAT, follows_links=False)
         except OSError as error:
-            if error.errno not in (errno.ELOOP, errno.EINVAL):
+            if error.errno not in (errno.ELOOP, errno.EINVAL) or path.is_dir():
                 raise
             raise UsageError(
-                f"{path} is no lock but a link, a pipe or a folder; remove it"
+                f"{path} is no lock but a link or a pipe; remove it"
             ) from error
         try:
             _try_lock(handle)
