@@ -259,7 +259,7 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     parser.add_argument("--views", help="held_out (default), train, all, or names with commas")
     parser.add_argument("--rotation", type=finite, help="degrees about the up axis")
-    parser.add_argument("--turntable", type=up_to(10_000), metavar="N", help="frames of a full turn")
+    parser.add_argument("--turntable", type=up_to(10_000), metavar="N", help="frames of a turn")
     parser.add_argument("--samples", type=up_to(1 << 20), help="Cycles samples per pixel")
     parser.add_argument("--max-side", type=up_to(1 << 14), help="longer side, pixels")
     _add_progress(parser)

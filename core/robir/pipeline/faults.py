@@ -27,6 +27,9 @@ _DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(err
 
 _FULL_BELOW_BYTES = 1 << 20
 
+_held: list[int] = []
+"""While a stop has to wait: a zero, then the signals that have come."""
+
 _MEMORY_CURES = {
     "capture": "capture.max_side",
     "geometry": "geometry.level_cells",
@@ -102,7 +105,10 @@ def stop_requested() -> Iterator[None]:
         return
 
     def stop(number: int, _frame: object) -> None:
-        raise CancelledError(f"stopped by {signal.Signals(number).name}; continue with --resume")
+        if _held:
+            _held.append(number)
+        else:
+            raise _stopped(number)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -110,6 +116,26 @@ def stop_requested() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def stop_held() -> Iterator[None]:
+    """Let a stop that comes within the block wait for its end.
+
+    A process that is started there is then known to who has to end it.
+    """
+    _held.append(0)
+    try:
+        yield
+    finally:
+        numbers = [number for number in _held if number]
+        _held.clear()
+    if numbers:
+        raise _stopped(numbers[-1])
+
+
+def _stopped(number: int) -> CancelledError:
+    return CancelledError(f"stopped by {signal.Signals(number).name}; continue with --resume")
 
 
 def _disk_error(error: BaseException, out: Path) -> OSError | None:
