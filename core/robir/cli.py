@@ -12,15 +12,25 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 
 from robir import __version__, commands
-from robir.arguments import asset_formats, finite, path_argument, positive, stage_range, up_to
-from robir.errors import CancelledError, RobirError
+from robir.arguments import (
+    asset_formats,
+    finite,
+    path_argument,
+    positive,
+    refuse_lost_folder,
+    stage_range,
+    up_to,
+)
+from robir.errors import CancelledError, RobirError, StorageError
 from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
+from robir.streams import make_patient, output_fault
 
 _log = logging.getLogger("robir")
 
@@ -49,9 +59,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         logger.setLevel(logging.INFO)
         logger.propagate = False
         logger.addHandler(logging.NullHandler())
+    if arguments is None:  # else a caller has streams of its own
+        make_patient()
+        # such as a half-written archive that cannot be closed: the fault itself is told
+        sys.unraisablehook = lambda found: _log.info("in %r: %s", found.object, found.exc_value)
     options = _parser().parse_args(arguments)
     try:
-        return options.command(options)
+        refuse_lost_folder()
+        code = options.command(options)
+        if fault := output_fault():
+            raise StorageError(f"standard output cannot be written: {fault}")  # noqa: TRY301
+        return code
     except RobirError as error:
         return _fail(options, str(error), error.exit_code)
     except KeyboardInterrupt:

@@ -227,8 +227,7 @@ def fault_of_folder(options: Namespace, error: Exception) -> RobirError | None:
     """What a disk or another user's result folder has against a command, or None."""
     from robir.pipeline.faults import translated
 
-    out = getattr(options, "out", None)
-    told = error if out is None else translated(error, options.command.__name__, out)
+    told = translated(error, options.command.__name__, getattr(options, "out", None))
     return told if isinstance(told, RobirError) else None
 
 

@@ -9,8 +9,10 @@ optional setting that is absent is None.
 from __future__ import annotations
 
 import difflib
+import functools
 import json
 import math
+import sys
 import tomllib
 import types
 from collections.abc import Mapping, Sequence
@@ -120,6 +122,16 @@ def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: 
     return _built(cls, checked_table(cls, table, source))
 
 
+@functools.cache
+def _hints(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls, include_extras=True)
+
+
+@functools.cache
+def _plain_hints(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls)
+
+
 def checked_table(
     cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
 ) -> dict[str, Any]:
@@ -136,7 +148,7 @@ def checked_table(
     Raises:
         ConfigError: If a key is unknown, or a value has the wrong type or is out of its range.
     """
-    hints = get_type_hints(cls, include_extras=True)
+    hints = _hints(cls)
     names = [field.name for field in fields(cls)]
     values: dict[str, Any] = {}
     for key, value in table.items():
@@ -185,7 +197,7 @@ def changed_settings(
 
 def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     """The dataclass of checked values."""
-    hints = get_type_hints(cls)
+    hints = _plain_hints(cls)
     return cls(
         **{
             key: _built(hints[key], value) if isinstance(value, Mapping) else value
@@ -218,11 +230,16 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
         return _converted_tuple(value, get_args(hint), dotted, source)
     if hint is float and type(value) is int:
         return float(value)
-    if type(value) is hint and not (hint is float and not math.isfinite(value)):
+    if type(value) is hint and (hint is not float or _is_sane(value)):
         return value
     raise ConfigError(
         f"{source}: {dotted} must be {_type_name(hint)}, found {value!r} ({type(value).__name__})"
     )
+
+
+def _is_sane(value: float) -> bool:
+    """Whether a number is finite, and so is what is divided by it."""
+    return math.isfinite(value) and (value == 0 or abs(value) >= sys.float_info.min)
 
 
 def _in_range(value: Any, notes: Sequence[Any], dotted: str, source: str) -> Any:
@@ -267,7 +284,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write_section(settings: Any, section: str, lines: list[str]) -> None:
-    hints = get_type_hints(type(settings), include_extras=True)
+    hints = _hints(type(settings))
     nested = [field for field in fields(settings) if is_dataclass(getattr(settings, field.name))]
     if section and len(nested) < len(fields(settings)):
         lines += ["", f"[{section}]"]

@@ -101,9 +101,7 @@ def _acquire(path: Path) -> int:
         except OSError as error:
             if error.errno not in (errno.ELOOP, errno.EINVAL) or path.is_dir():
                 raise
-            raise UsageError(
-                f"{path} is no lock but a link or a pipe; remove it"
-            ) from error
+            raise UsageError(f"{path} is no lock but a link or a pipe; remove it") from error
         try:
             _try_lock(handle)
         except OSError as error:
