@@ -26,7 +26,7 @@ RUNS ?= 100
 TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
   colmap_text_cameras neus llff polycam reality_scan metashape meshroom image status worker \
   worker_log run manifest capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply \
-  mesh_stl
+  mesh_stl plan_toml plan_json batch_json light_exr light_hdr video
 
 SHIPPED := core robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py
