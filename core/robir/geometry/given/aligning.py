@@ -19,10 +19,9 @@ from robir.capture.mesh_file import Given
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.fit_picture import show_fit
-from robir.geometry.given.placing import Agreement, Outlines, better_place
+from robir.geometry.given.placing import Agreement, Outlines, better_place, covering
 from robir.geometry.given.symmetry import best_turned
 from robir.geometry.given.verdict import poor_fit
-from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
     # about the middle of the unit sphere, for a scan may be far from its origin
     from_unit = _from_unit(centre, radius)
     vertices = from_unit.inverse(given.vertices)
-    tracer = EmbreeTracer(vertices.astype(np.float32), given.faces)
+    tracer = covering(vertices, given.faces)
     own, placing = config.given, config.given.placing
     if not config.fit_mesh:
         now = Outlines(capture.train, placing.fine_side, placing).of(tracer, from_unit)

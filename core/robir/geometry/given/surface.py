@@ -23,7 +23,7 @@ from robir.geometry.given.aligning import aligned
 from robir.geometry.given.config import PlacingConfig
 from robir.geometry.given.fit_picture import show_fit
 from robir.geometry.given.occluders import cleared
-from robir.geometry.given.placing import Agreement, Outlines, better_place
+from robir.geometry.given.placing import Agreement, Outlines, better_place, covering
 from robir.geometry.given.ready import made_ready, welded
 from robir.geometry.given.sides import inside_out
 from robir.geometry.given.verdict import is_related, poor_fit
@@ -153,7 +153,7 @@ def _placed(
     """The mesh where the photographs show it, as it is or, if that is asked for, moved."""
     views = captures[1].train
     vertices, faces = given.vertices, given.faces
-    tracer = EmbreeTracer(vertices.astype(np.float32), faces)
+    tracer = covering(vertices, faces)
     rules, placing = config.given, config.given.placing
     now = Outlines(views, placing.fine_side, placing).of(tracer, AS_IT_IS)
     is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
