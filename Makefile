@@ -27,7 +27,8 @@ TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points 
   colmap_text_cameras colmap_rigs colmap_frames neus llff polycam reality_scan reality_xmp \
   metashape meshroom opensfm openmvg bundler bundler_list sdfstudio nerfactor record3d \
   stray_scanner stray_matrix arkit splats image status worker worker_log run manifest \
-  capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply mesh_stl
+  capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply mesh_stl plan_toml plan_json \
+  batch_json light_exr light_hdr video
 
 SHIPPED := core robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py

@@ -34,4 +34,4 @@ class RequestError(AddonError):
 class ResultError(AddonError):
     """The result folder lacks something or is damaged."""
 
-    exit_code = 1
+    exit_code = 6

@@ -5,7 +5,7 @@
 
 Standard output carries JSON lines: {"progress": 0..1, "message": ...} while it works, and at the
 end {"files": [...], "notes": [...]}. An error is one sentence on standard error. Exit codes:
-0 done, 1 bug or damaged result, 2 usage, 6 the disk failed, 130 interrupted.
+0 done, 1 bug, 2 usage, 6 a file cannot be read, written or trusted, 130 interrupted.
 """
 
 import argparse
@@ -28,11 +28,11 @@ from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
 from .capture.foreign_mesh import SUFFIXES, convert
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
-from .relighting.lights import SHOWN_LIGHTS, show_environment, turn_light
+from .relighting.lights import SHOWN_LIGHTS, found_environment, show_environment, turn_light
 from .relighting.lut import ToneTable, read_tone_table
 from .relighting.rendering import cut_short, prepare_scene, render_still, set_threads, write_film
 from .relighting.view_transform import match_view_transform
-from .result.asset import make_asset
+from .result.asset import fill_simple_name, leave_machine, make_asset
 from .result.importer import import_result, read_tone_curve
 from .result.placing import stand
 
@@ -117,17 +117,12 @@ def _ending_with_the_caller(reports: TextIO) -> Iterator[None]:
 
 def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
     """Make export/scene.blend of the exported files; textures and light are packed into it."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    _say(reports, {"progress": 0.0, "message": "importing the asset"})
-    imported = import_result(options.out, scene)
-    paths = JobPaths(options.out.resolve())
-    notes = match_view_transform(scene, read_tone_curve(paths))
-    prepare_scene(scene)
-    photos = {c.data.background_images[0].image for c in imported.cameras.values()}
+    paths, scene, notes = _made_scene(options, reports)
+    photos = {camera.data.background_images[0].image for camera in capture_cameras(scene)}
     for image in bpy.data.images:
         if image.source in ("FILE", "TILED") and image not in photos:
             image.pack()
+    leave_machine(paths, paths.root.name)
     with _replacing_blend(paths.scene) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, relative_remap=True)
     return [paths.scene], notes
@@ -149,12 +144,8 @@ def build_asset(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
         data.catalog_id = options.catalogue
     for tag in options.tag:
         data.tags.new(tag, skip_if_exists=True)
-    for block in bpy.data.user_map():
-        if MARK in block:  # it names this folder of this machine, which an asset leaves behind
-            del block[MARK]
-    for image in bpy.data.images:
-        for file in image.packed_files:
-            file.filepath = f"//{os.path.relpath(file.filepath, paths.export)}"
+    fill_simple_name(data)
+    leave_machine(paths, None)
     with _replacing_blend(paths.library_asset) as temporary:
         bpy.data.libraries.write(
             str(temporary), {asset}, path_remap="RELATIVE_ALL", fake_user=True, compress=True
@@ -180,8 +171,8 @@ def _replacing_blend(path: Path) -> Iterator[Path]:
 def render_views(
     options: argparse.Namespace, reports: TextIO
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Render capture views of scene.blend as they were photographed."""
-    paths, scene = _open_scene(options, reports)
+    """Render capture views of the exported files as they were photographed."""
+    paths, scene = _scene_to_render(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     files = []
     for index, camera in enumerate(cameras):
@@ -194,9 +185,9 @@ def render_views(
 
 
 def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
-    """Render scene.blend under another light: stills of the chosen views, or a turning light."""
-    environment = _environment_file(options.environment)
-    paths, scene = _open_scene(options, reports)
+    """Render the result under another light: stills of the chosen views, or a turning light."""
+    environment = found_environment(options.environment)
+    paths, scene = _scene_to_render(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     turn = math.radians(options.rotation)
     if options.turntable:
@@ -217,7 +208,7 @@ def picture_lights(
     options: argparse.Namespace, reports: TextIO
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Small pictures of the object under the recovered light and each that Blender ships."""
-    paths, scene = _open_scene(options, reports)
+    paths, scene = _scene_to_render(options, reports)
     table = _tone_table(paths)
     camera = _chosen_cameras(scene, "all")[0]
     use_close_up(scene, camera, _points_of_asset(scene), options.max_side)
@@ -226,7 +217,7 @@ def picture_lights(
         message = f"light {index + 1} of {len(SHOWN_LIGHTS)}: {name}"
         _say(reports, {"progress": index / len(SHOWN_LIGHTS), "message": message})
         if light:
-            show_environment(scene, scene.world, _environment_file(Path(light)))
+            show_environment(scene, scene.world, found_environment(Path(light)))
             turn_light(scene, 0.0)
         files.append(_picture(paths.renders, paths.light_picture(light).name))
         render_still(scene, files[-1], table)
@@ -279,13 +270,27 @@ def _turntable(
     return [*frames, film]
 
 
-def _open_scene(options: argparse.Namespace, reports: TextIO) -> tuple[JobPaths, bpy.types.Scene]:
-    """Open scene.blend, building it first where it is missing."""
-    paths = JobPaths(options.out.resolve())
-    if not paths.scene.is_file():
-        build_scene(options, reports)
-    bpy.ops.wm.open_mainfile(filepath=str(paths.scene), load_ui=False, use_scripts=False)
-    scene = bpy.context.scene
+def _made_scene(
+    options: argparse.Namespace, reports: TextIO
+) -> tuple[JobPaths, bpy.types.Scene, tuple[str, ...]]:
+    """The scene of the exported files: paths, the scene, sentences for the user.
+
+    It is never read from scene.blend: a .blend is a program (compositor, drivers, shaders), and
+    the folder may be a stranger's.
+    """
+    _say(reports, {"progress": 0.0, "message": "importing the asset"})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene, paths = bpy.context.scene, JobPaths(options.out.resolve())
+    import_result(paths.root, scene)
+    notes = match_view_transform(scene, read_tone_curve(paths))
+    prepare_scene(scene)
+    return paths, scene, notes
+
+
+def _scene_to_render(
+    options: argparse.Namespace, reports: TextIO
+) -> tuple[JobPaths, bpy.types.Scene]:
+    paths, scene, _ = _made_scene(options, reports)
     scene.cycles.samples = options.samples
     set_threads(scene)
     return paths, scene
@@ -322,20 +327,6 @@ def _chosen_cameras(scene: bpy.types.Scene, views: str) -> list[bpy.types.Object
     if not chosen:
         raise RequestError(f"the capture has no {views} views; name views with --views A,B")
     return chosen
-
-
-def _environment_file(given: Path) -> Path:
-    """The file, or one of the maps that Blender ships where only a name such as `city` is given."""
-    if given.is_file():
-        if given.suffix.lower() not in (".exr", ".hdr"):
-            raise RequestError(f"{given}: unknown kind {given.suffix!r}; use .exr or .hdr")
-        return given.resolve()
-    folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
-    shipped = folder / f"{given}.exr"
-    if shipped.is_file():
-        return shipped
-    names = ", ".join(sorted(file.stem for file in folder.glob("*.exr")))
-    raise RequestError(f"{given}: no such file, and Blender ships only {names}")
 
 
 def _own_standard_output() -> TextIO:

@@ -5,14 +5,23 @@ from __future__ import annotations
 
 import argparse
 import errno
+import math
+from collections.abc import Callable
 from pathlib import Path
 
+from robir.errors import UsageError
 from robir.jobs.library import FORMATS
 from robir.jobs.paths import STAGES
 
 
 def path_argument(text: str) -> Path:
     """A path that the operating system can be asked for; whether it exists is looked at later."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise argparse.ArgumentTypeError(
+            f"{text[:80]!a} is no path of valid text; rename it, or set LC_ALL=C.UTF-8"
+        ) from None
     try:
         Path(text).lstat()
     except ValueError as fault:
@@ -21,6 +30,18 @@ def path_argument(text: str) -> Path:
         if error.errno == errno.ENAMETOOLONG:
             raise argparse.ArgumentTypeError(f"{text[:80]!a}... is too long for a path") from None
     return Path(text)
+
+
+def refuse_lost_folder() -> None:
+    """Refuse to work from a folder that is gone: libraries look for it and die.
+
+    Raises:
+        UsageError: If it is.
+    """
+    try:
+        Path.cwd()
+    except OSError:
+        raise UsageError("the working folder has been deleted; change to another") from None
 
 
 def stage_range(text: str) -> tuple[str, str]:
@@ -47,6 +68,26 @@ def add_constant(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--constant", action="append", default=[], dest="constants", help=argparse.SUPPRESS
     )
+
+
+def finite(text: str) -> float:
+    """A number."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no number to turn by")
+    return value
+
+
+def up_to(most: int) -> Callable[[str], int]:
+    """Reads a whole number of at least 1 that is at most another."""
+
+    def read(text: str) -> int:
+        value = positive(text)
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{text} is more than {most}")
+        return value
+
+    return read
 
 
 def positive(text: str) -> int:

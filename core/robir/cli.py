@@ -3,7 +3,8 @@
 
 Standard output carries the result alone (a path, or JSON where asked for); progress and messages
 go to standard error. Exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or
-out of memory, 5 the fit failed its own quality check, 130 cancelled.
+out of memory, 5 the fit failed its own quality check, 6 a file of the result cannot be read,
+written or trusted, 130 cancelled.
 """
 
 from __future__ import annotations
@@ -11,21 +12,33 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 
 from robir import __version__, commands
-from robir.arguments import add_constant, asset_formats, path_argument, positive, stage_range
-from robir.errors import CancelledError, RobirError
+from robir.arguments import (
+    add_constant,
+    asset_formats,
+    finite,
+    path_argument,
+    positive,
+    refuse_lost_folder,
+    stage_range,
+    up_to,
+)
+from robir.errors import CancelledError, RobirError, StorageError
 from robir.jobs.paths import STAGES
 from robir.presets import PRESETS
+from robir.streams import make_patient, output_fault
 
 _log = logging.getLogger("robir")
 
 _EXIT_CODES = (
     "exit codes: 0 done, 1 bug, 2 usage, 3 capture rejected, 4 no usable device or out of memory, "
-    "5 the fit failed its own quality check, 130 cancelled"
+    "5 the fit failed its own quality check, 6 a file of the result cannot be read, written or "
+    "trusted, 130 cancelled"
 )
 
 _CAPTURE = "folder of posed images or photographs, or a video"
@@ -47,9 +60,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         logger.setLevel(logging.INFO)
         logger.propagate = False
         logger.addHandler(logging.NullHandler())
+    if arguments is None:  # else a caller has streams of its own
+        make_patient()
+        # such as a half-written archive that cannot be closed: the fault itself is told
+        sys.unraisablehook = lambda found: _log.info("in %r: %s", found.object, found.exc_value)
     options = _parser().parse_args(arguments)
     try:
-        return options.command(options)
+        refuse_lost_folder()
+        code = options.command(options)
+        if fault := output_fault():
+            raise StorageError(f"standard output cannot be written: {fault}")  # noqa: TRY301
+        return code
     except RobirError as error:
         return _fail(options, str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -257,10 +278,10 @@ def _add_relight(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
         help="lat-long .hdr or .exr, or the name of one that Blender ships, such as city",
     )
     parser.add_argument("--views", help="held_out (default), train, all, or names with commas")
-    parser.add_argument("--rotation", type=float, help="degrees about the up axis")
-    parser.add_argument("--turntable", type=positive, metavar="N", help="frames of a turning light")
-    parser.add_argument("--samples", type=positive, help="Cycles samples per pixel")
-    parser.add_argument("--max-side", type=positive, help="longer side of the pictures, pixels")
+    parser.add_argument("--rotation", type=finite, help="degrees about the up axis")
+    parser.add_argument("--turntable", type=up_to(10_000), metavar="N", help="frames of a turn")
+    parser.add_argument("--samples", type=up_to(1 << 20), help="Cycles samples per pixel")
+    parser.add_argument("--max-side", type=up_to(1 << 14), help="longer side, pixels")
     _add_progress(parser)
 
 

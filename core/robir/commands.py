@@ -133,15 +133,18 @@ def relight(options: Namespace) -> int:
     """Render a finished result under another light; prints the pictures' paths."""
     paths = _finished(options.out)
     from robir.display import display_for
+    from robir.evaluation.light_file import refuse_light
     from robir.export.blender import run_headless
     from robir.jobs.lock import folder_lock
     from robir.pipeline.faults import stop_requested
 
-    words = ["relight", str(paths.root), "--environment", str(options.environment)]
+    if Path(options.environment).is_file():
+        refuse_light(Path(options.environment))
+    words = ["relight", str(paths.root), f"--environment={options.environment}"]
     for name in ("views", "rotation", "turntable", "samples", "max_side"):
         value = getattr(options, name)
         if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+            words.append(f"--{name.replace('_', '-')}={value}")
     with folder_lock(paths.lock), stop_requested(), display_for(options.progress) as display:
 
         def show(fraction: float, message: str) -> None:
@@ -183,10 +186,9 @@ def _settings(
     paths = JobPaths(options.out)
     before = folder.read_run(paths) if options.resume else None
     preset, base, masks, mesh = options.preset or "draft", None, options.masks, options.mesh
-    if before is not None and masks is None and before["capture"]["masks"] is not None:
-        masks = Path(before["capture"]["masks"])
-    if before is not None and mesh is None and before["capture"].get("mesh") is not None:
-        mesh = Path(before["capture"]["mesh"]["path"])
+    if before is not None:
+        folder.refuse_unnamed(paths, before, "masks", masks)
+        folder.refuse_unnamed(paths, before, "mesh", mesh)
     if before is not None and options.preset is None and paths.config.exists():
         preset = before["preset"]
         try:
@@ -194,6 +196,8 @@ def _settings(
         except ConfigError as error:
             hint = f"--preset {preset} goes on with today's settings"
             raise ConfigError(f"{error}; {hint}") from error
+        if base.capture.outside == "take":  # the folder may be a stranger's: only the user says so
+            base = replace(base, capture=replace(base.capture, outside="refuse"))
     config = resolve(base or PRESETS[preset](), options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
@@ -207,7 +211,7 @@ def _settings(
 def _finished(out: Path) -> JobPaths:
     """Paths of a finished result folder, or UsageError."""
     paths = JobPaths(out)
-    refuse_special(paths)
+    refuse_special(paths.root)
     missing = [stage for stage in STAGES if not paths.manifest(stage).exists()]
     if missing:
         raise UsageError(
@@ -230,8 +234,7 @@ def fault_of_folder(options: Namespace, error: Exception) -> RobirError | None:
     """What a disk or another user's result folder has against a command, or None."""
     from robir.pipeline.faults import translated
 
-    out = getattr(options, "out", None)
-    told = error if out is None else translated(error, options.command.__name__, out)
+    told = translated(error, options.command.__name__, getattr(options, "out", None))
     return told if isinstance(told, RobirError) else None
 
 

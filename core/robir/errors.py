@@ -47,6 +47,8 @@ class QualityError(RobirError):
 class StorageError(RobirError):
     """A file of the result folder cannot be written, read or trusted."""
 
+    exit_code = 6
+
 
 class CancelledError(RobirError):
     """The user asked the run to stop; the folder can be resumed."""

@@ -9,8 +9,10 @@ optional setting that is absent is None.
 from __future__ import annotations
 
 import difflib
+import functools
 import json
 import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -121,6 +123,16 @@ def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: 
     return _built(cls, checked_table(cls, table, source))
 
 
+@functools.cache
+def _hints(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls, include_extras=True)
+
+
+@functools.cache
+def _plain_hints(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls)
+
+
 def checked_table(
     cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
 ) -> dict[str, Any]:
@@ -137,7 +149,7 @@ def checked_table(
     Raises:
         ConfigError: If a key is unknown, or a value has the wrong type or is out of its range.
     """
-    hints = get_type_hints(cls, include_extras=True)
+    hints = _hints(cls)
     names = [field.name for field in fields(cls)]
     values: dict[str, Any] = {}
     for key, value in table.items():
@@ -186,7 +198,7 @@ def changed_settings(
 
 def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     """The dataclass of checked values."""
-    hints = get_type_hints(cls)
+    hints = _plain_hints(cls)
     return cls(
         **{
             key: _built(hints[key], value) if isinstance(value, Mapping) else value
@@ -217,7 +229,7 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     """The value as the annotated type, or ConfigError."""
     members = value if isinstance(value, list | tuple) else [value]
     try:
-        if any(isinstance(one, float) and not math.isfinite(one) for one in members):
+        if any(isinstance(one, float) and not _is_sane(one) for one in members):
             raise ConfigError(f"{source}: {dotted} is {value!r}; it must be finite")
         return msgspec.convert(value, _of_members(hint))
     except msgspec.ValidationError as error:
@@ -240,6 +252,11 @@ def _of_members(hint: Any) -> Any:
     ]
 
 
+def _is_sane(value: float) -> bool:
+    """Whether a number is finite, and so is what is divided by it."""
+    return math.isfinite(value) and (value == 0 or abs(value) >= sys.float_info.min)
+
+
 def _ranges(hint: Any) -> list[str]:
     """Ranges that a type carries, as they stand beside the value in a file of settings."""
     return [
@@ -250,7 +267,7 @@ def _ranges(hint: Any) -> list[str]:
 
 
 def _write_section(settings: Any, section: str, lines: list[str]) -> None:
-    hints = get_type_hints(type(settings), include_extras=True)
+    hints = _hints(type(settings))
     nested = [field for field in fields(settings) if is_dataclass(getattr(settings, field.name))]
     if section and len(nested) < len(fields(settings)):
         lines += ["", f"[{section}]"]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.jobs.client import detached
-from robir.pipeline.faults import stop_requested
+from robir.pipeline.faults import stop_held, stop_requested
 from robir.pipeline.usage import Usage
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, last_line, out_of_budget, read_scores, waits_for
@@ -81,7 +81,7 @@ class Crew:
 
     def _start(self, number: int) -> None:
         self._log(number).parent.mkdir(parents=True, exist_ok=True)
-        with self._log(number).open("wb") as log:
+        with self._log(number).open("wb") as log, stop_held():
             self._running[number] = subprocess.Popen(
                 [*self.command, str(number)],
                 stdin=subprocess.DEVNULL,

@@ -87,7 +87,10 @@ class ROBIR_OT_run_batch(ResultOperator, bpy.types.Operator):
             words = program(engine_python(context))
         except EngineError as error:
             raise RequestError(told(error)) from error
-        library.start_batch(words, sources, paths, worker_environment())
+        try:
+            library.start_batch(words, sources, paths, worker_environment())
+        except ValueError as fault:
+            raise RequestError(str(fault)) from fault
         batch.follow()
 
 

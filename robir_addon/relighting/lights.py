@@ -15,7 +15,7 @@ from mathutils import Quaternion, Vector
 
 from ..blocks import MARK, enable_nodes, load_image, reload_image, with_mark
 from ..engine import Sentence
-from ..errors import ResultError
+from ..errors import RequestError, ResultError
 from ..gateway import JobPaths
 
 STUDIO_LIGHTS = (
@@ -183,6 +183,24 @@ def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path)
         picture = load_image(file, "Linear Rec.709", world[MARK])
     _show(scene, world, picture)
     light_lamps(scene, world[MARK], False)
+
+
+def found_environment(given: Path) -> Path:
+    """The file, or one of the maps that Blender ships where only a name such as `city` is given.
+
+    Raises:
+        RequestError: If there is neither.
+    """
+    if given.is_file():
+        if given.suffix.lower() not in (".exr", ".hdr"):
+            raise RequestError(f"{given}: unknown kind {given.suffix!r}; use .exr or .hdr")
+        return given.resolve()
+    folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
+    shipped = folder / f"{given}.exr"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(file.stem for file in folder.glob("*.exr")))
+    raise RequestError(f"{given}: no such file, and Blender ships only {names}")
 
 
 def shows_recovered_light(world: bpy.types.World) -> bool:

@@ -94,7 +94,7 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     """
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
-    if fault := special_fault(paths):  # Blender would wait for ever where it opens a pipe
+    if fault := special_fault(paths.root):  # Blender would wait for ever where it opens a pipe
         raise ResultError(fault)
     table = read_cameras(paths)
     views = table["views"]
@@ -138,7 +138,7 @@ def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> N
     """
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
-    if fault := special_fault(paths):
+    if fault := special_fault(paths.root):
         raise ResultError(fault)
     table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
     for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 
-from ..gateway import JobPaths, __version__, leads_out, read_json, read_regular
+from ..gateway import JobPaths, __version__, leads_out, read_regular
 
 _LOG_LINES = 40
 _MOST_BYTES = 1 << 26
@@ -31,8 +31,6 @@ def support_report(context: bpy.types.Context) -> str:
     if folder:
         parts += _from_folder(JobPaths(Path(bpy.path.abspath(folder))))
     folders = {f"<{name}>": bpy.path.abspath(getattr(settings, name)) for name in _FOLDERS}
-    if folder:
-        folders |= _folders_of_run(JobPaths(Path(bpy.path.abspath(folder))))
     return without_private_paths("\n\n".join(parts), folders) + "\n"
 
 
@@ -76,16 +74,6 @@ def _versions(engine: str) -> str:
 def _settings(settings: bpy.types.PropertyGroup) -> str:
     values = [f"{name} = {getattr(settings, name)!r}" for name in _SETTINGS]
     return "Settings: " + ", ".join(values)
-
-
-def _folders_of_run(paths: JobPaths) -> dict[str, str]:
-    """Folders that a run's own files name."""
-    try:
-        capture = read_json(paths.run)["capture"]
-        named = {"<the run's capture>": capture["path"], "<the run's masks>": capture["masks"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return {name: folder for name, folder in named.items() if folder}
 
 
 def _from_folder(paths: JobPaths) -> list[str]:

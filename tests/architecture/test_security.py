@@ -82,3 +82,16 @@ def test_blend_files_run_no_scripts():
             if function.endswith("open_mainfile"):
                 words = {k.arg: ast.unparse(k.value) for k in call.keywords}
                 assert words.get("use_scripts") == "False", f"{name(path)}:{call.lineno}"
+
+
+def test_no_command_opens_a_blend_file_of_a_result():
+    """A scene is made anew of the exported files; a .blend is a program."""
+    opened = [f for path in SHIPPED for f, _ in calls(path) if f.endswith("open_mainfile")]
+    assert not opened
+
+
+def test_the_page_on_security_names_the_version():
+    from robir import __version__
+
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    assert f"version {__version__.rpartition('.')[0]}," in text

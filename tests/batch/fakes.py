@@ -40,7 +40,7 @@ def make_template(folder: Path, capture: Path) -> Path:
         write_json(paths.manifest(stage), {"stage": stage, "fingerprint": "0", "outputs": {}})
     paths.config.write_text(toml_from_settings(RunConfig()))
     fingerprint = capture_fingerprint(capture, None, folder)
-    about = {"path": str(capture), "masks": None, "fingerprint": fingerprint}
+    about = {"name": capture.name, "place": "0", "masks": None, "fingerprint": fingerprint}
     run = {"state": "done", "preset": "draft", "capture": about, "seconds": {}, "warnings": []}
     write_json(paths.run, run | {"peak_memory_bytes": {}})
     report = {

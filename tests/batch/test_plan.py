@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,8 @@ def folder(tmp_path):
     for name in ("chair_a", "chair_b", "lamp"):
         (tmp_path / "work" / "shots" / name).mkdir(parents=True)
     (tmp_path / "work" / "shots" / "chair_notes.txt").touch()
+    for name in ("masks/lamp", "a/lamp"):
+        (tmp_path / "work" / name).mkdir(parents=True)
     return tmp_path / "work"
 
 
@@ -89,6 +93,27 @@ def test_no_path_in_a_library_is_absolute(folder, tmp_path):
         ("[[capture]]\npath='shots/lamp'\nmemory='much'", 1, "no size"),
         ("[[capture]]\npath='shots/lamp'\ncatalogue='a//b'", 1, "'a//b' is none"),
         ("[[capture]]\npath = shots/lamp", 2, "not valid TOML"),
+        ("[[capture]]\npath = 'shots/gone'", 1, "No such file"),
+        ("[[capture]]\npath = '/etc/passwd'", 1, "neither a folder, a video nor"),
+        ("[[capture]]\npath = '/dev/zero'", 1, "neither a folder, a video nor"),
+        ('[[capture]]\npath = "a\\nb"', 1, "control characters"),
+        ('[[capture]]\npath = "a\\u0000b"', 1, "control characters"),
+        ("[[capture]]\npath = '***'", 1, "** is not read"),
+        ("[[capture]]\npath = '/**'", 1, "** is not read"),
+        (f"[[capture]]\npath = '{'x/' * 2500}'", 1, "too long"),
+        ("[[capture]]\npath = 'shots/lamp'\nmasks = 'shots/gone'", 1, "no folder of masks"),
+        ("[[capture]]\npath = 'shots/lamp'\nname = 'CON'", 1, "Windows keeps it"),
+        ("[[capture]]\npath = 'shots/lamp'\nname = 'nul.txt'", 1, "Windows keeps it"),
+        ("[[capture]]\npath = 'shots/lamp'\nname = 'PLAN.JSON'", 1, "needs the name"),
+        ("[[capture]]\npath = 'shots/lamp'\nname = 'OpenJD'", 1, "needs the name"),
+        (f"[[capture]]\npath = 'shots/lamp'\nname = '{'é' * 125}'", 1, "too long"),
+        (
+            "[[capture]]\npath = 'shots/lamp'\nname = 'Straße'\n"
+            "[[capture]]\npath = 'shots/chair_a'\nname = 'STRASSE'",
+            4,
+            "both become",
+        ),
+        (f"[[capture]]\npath = 'shots/lamp'\nauthor = '{'x' * 2000}'", 1, "no line of"),
     ],
 )
 def test_faults_are_named_with_their_line(folder, text, line, word):
@@ -96,6 +121,39 @@ def test_faults_are_named_with_their_line(folder, text, line, word):
         read_plan([written(folder, text)], {}, HERE)
     assert f"line {line}" in str(fault.value)
     assert word in str(fault.value)
+
+
+def test_names_of_many_bytes_or_of_no_text_are_refused(folder, tmp_path):
+    (folder / "many").mkdir()
+    (folder / "many" / ("x" * 250)).mkdir()
+    with pytest.raises(UsageError, match="too long"):
+        read_plan([str(folder / "many" / "*")], {}, HERE)
+    Path(os.fsdecode(os.fsencode(folder / "latin") + b"\xe9")).mkdir()
+    with pytest.raises(UsageError, match="no valid text"):
+        read_plan([str(folder / "latin*")], {}, HERE)
+
+
+def test_links_to_themselves_match_once(folder):
+    for number in range(8):
+        (folder / "shots" / f"link{number}").symlink_to(folder / "shots")
+    begin = time.process_time()
+    with pytest.raises(UsageError, match="matches no folder"):
+        read_plan([str(folder / "*/*/*/*/*/*/*")], {}, HERE)
+    assert time.process_time() - begin < 1
+    names = [entry.name for entry in read_plan([str(folder / "shots" / "*")], {}, HERE).entries]
+    assert "link0" in names and "lamp" in names  # a link to a capture keeps its name
+
+
+def test_plans_are_read_in_linear_time(folder):
+    seconds = []
+    for count in (100, 400):
+        for number in range(count):
+            (folder / "many" / f"c{number}").mkdir(parents=True, exist_ok=True)
+        tables = [f"[[capture]]\npath = 'many/c{n}'\ntags = ['a']\n" for n in range(count)]
+        begin = time.process_time()
+        read_plan([written(folder, "".join(tables))], {}, HERE)
+        seconds.append(time.process_time() - begin)
+    assert seconds[1] < 10 * seconds[0]
 
 
 def test_captures_may_be_named_without_a_plan(folder):

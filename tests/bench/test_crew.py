@@ -213,6 +213,28 @@ def test_a_crew_that_is_told_to_stop_ends_its_tasks_and_what_they_started(tmp_pa
     assert Scores(team.out, team.runs[:1]).missing == [0]
 
 
+def test_a_stop_in_the_moment_of_a_start_leaves_nothing_behind(tmp_path, one_by_one):
+    """It comes when the task is there and the crew has not noted its number yet."""
+    team = Team(tmp_path, *one_by_one)
+    mark = tmp_path / "begun"
+
+    def stop_after_fork(_frame, event, called):
+        if event == "c_return" and called.__name__ == "fork_exec":
+            sys.setprofile(None)
+            while not (mark.exists() and mark.read_text().strip()):
+                time.sleep(0.02)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    crew = team.crew(team.runs[0], command=["/bin/sh", "-c", f"echo $$ > {mark}; exec sleep 60"])
+    sys.setprofile(stop_after_fork)
+    try:
+        with pytest.raises(CancelledError):
+            crew.work(None)
+    finally:
+        sys.setprofile(None)
+    assert not is_running(Path("/proc", mark.read_text().strip(), "stat"))
+
+
 def is_running(stat: Path) -> bool:
     """Whether a process, by its file of /proc, is neither gone nor only to be waited for."""
     try:

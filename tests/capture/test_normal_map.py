@@ -119,8 +119,8 @@ def test_every_face_has_the_map_of_its_material(glb):
     ("change", "reason"),
     [
         (lambda d: d["materials"][0]["normalTexture"].update(texCoord=1), "coordinates of its own"),
-        (lambda d: d["images"][2].update(bufferView=0), "cannot identify image"),
-        (lambda d: d["materials"][0]["normalTexture"].update(index=99), "list index"),
+        (lambda d: d["images"][2].update(bufferView=0), "no picture that can be read"),
+        (lambda d: d["materials"][0]["normalTexture"].update(index=99), "texture 99, which is not"),
         (lambda d: d["images"].__setitem__(2, {"uri": "gone.png"}), "gone.png is not there"),
     ],
 )

@@ -264,7 +264,7 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
             "device": "cpu",
             "preset": "draft",
             "seed": 0,
-            "capture": {"path": str(root / "capture")},
+            "capture": {"name": "capture"},
             "seconds": {stage: {"wall": 2.0, "cpu": 1.5} for stage in STAGES[:-1]},
             "warnings": [],
         },

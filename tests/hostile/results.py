@@ -21,7 +21,7 @@ def write_result(root: Path, shots: list) -> JobPaths:
     write_json(paths.worker, {"started": 1.0, "pid": 2**22, "status_before": None})
     paths.log.write_text("said\n")
     paths.worker_log.write_text('{"kind": "failed", "message": "no", "exit_code": 3}\n')
-    capture = {"fingerprint": "0", "path": "/c", "masks": None}
+    capture = {"fingerprint": "0", "name": "c", "place": "0", "masks": None}
     run = {"state": "done", "preset": "draft", "capture": capture, "peak_memory_bytes": {}}
     run |= {"seconds": {"capture": {"wall": 1.0, "cpu": 1}}}
     run |= {"warnings": [{"stage": "capture", "message": "few views"}]}

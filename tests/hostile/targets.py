@@ -8,6 +8,7 @@ error meant for the user. Anything else is a bug.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,17 +20,22 @@ from capture.scene import cameras, shoot
 from evaluation import sphere_run
 from PIL import Image
 
+from robir.batch.plan import keep_plan, kept_plan, read_plan
+from robir.batch.standing import Standing, write_standings
 from robir.capture.arrays import stored_arrays
 from robir.capture.checks.frame_checks import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation
 from robir.capture.images.loading import read_mask
 from robir.capture.mesh_file import SUFFIXES, read_mesh
+from robir.capture.poses.video import take_frames
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError
+from robir.evaluation.light_file import refuse_light
 from robir.export.gltf import write_glb
-from robir.export.textures import finished_textures
+from robir.export.textures import finished_textures, write_exr
 from robir.jobs import client
+from robir.jobs.library import LibraryPaths, read_batch
 from robir.pipeline.folder import read_run
 from robir.pipeline.ledger import stage_state
 
@@ -89,6 +95,15 @@ class Targets:
             self._add("image", picture, partial(_read_picture, picture))
         self._add_meshes(folder / "meshes")
         self._add_results(folder / "result", shots)
+        self._add_library(folder / "library")
+        light = folder / "light.exr"
+        write_exr(light, np.ones((8, 16, 3), np.float32))
+        self._add("light_exr", light, partial(refuse_light, light))
+        light = folder / "light.hdr"
+        light.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n\0\0\0\0")
+        self._add("light_hdr", light, partial(refuse_light, light))
+        film = write_film(folder / "film.mp4")
+        self._add("video", film, lambda: take_frames(film, folder / "frames", lambda *_: None))
 
     def _add(self, name: str, file: Path, read: Callable[[], object]) -> None:
         def call(content: bytes) -> None:
@@ -121,6 +136,18 @@ class Targets:
         write_glb(file, sphere_run.parts(textures), "scan")
         self._add("mesh_glb", file, partial(read_mesh, file))
 
+    def _add_library(self, root: Path) -> None:
+        paths = LibraryPaths(root)
+        (root / "shots" / "lamp").mkdir(parents=True)
+        plan = root / "PLAN.toml"
+        plan.write_text("author = 'A'\n[[capture]]\npath = 'shots/*'\ntags = ['a']\n")
+        self._add("plan_toml", plan, lambda: read_plan([str(plan)], {}, paths))
+        keep_plan(read_plan([str(plan)], {}, paths), paths)
+        self._add("plan_json", paths.plan, lambda: kept_plan(paths, None))
+        standing = Standing(name="lamp", state="running", fraction=0.5)
+        write_standings(paths, [standing], 3.0)
+        self._add("batch_json", paths.state, lambda: _read_state(paths))
+
     def _add_results(self, root: Path, shots: list) -> None:
         from hostile.results import write_result
 
@@ -138,6 +165,23 @@ class Targets:
         self._add("arrays", arrays, lambda: stored_arrays(arrays, {"a": "f N N", "b?": "i *"}))
 
 
+def write_film(path: Path) -> Path:
+    """Five small frames; nothing where videos cannot be read."""
+    try:
+        import av
+    except ImportError:
+        path.touch()
+        return path
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=24)
+        stream.width, stream.height, stream.pix_fmt = 32, 32, "yuv420p"
+        for level in range(5):
+            picture = np.full((32, 32, 3), 50 * level, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
 def _read_poses(root: Path) -> None:
     check_frames(read_frames(root))
 
@@ -147,3 +191,8 @@ def _read_picture(path: Path) -> None:
         exif_values(picture)
         orientation(picture)
     read_mask(path, (16, 16))
+
+
+def _read_state(paths: LibraryPaths) -> None:
+    with suppress(OSError, ValueError):  # as the panel does
+        read_batch(paths)

@@ -17,7 +17,8 @@ SECONDS = 0.7
 """For each target; all of them stay below a minute."""
 
 NAMES = (*_POSES, *("image", "status", "worker", "worker_log", "run", "manifest"))
-NAMES += ("capture_json", "arrays", *MESHES)
+NAMES += ("capture_json", "arrays", *MESHES, "plan_toml", "plan_json", "batch_json")
+NAMES += ("light_exr", "light_hdr", "video")
 
 
 @pytest.fixture(scope="module")

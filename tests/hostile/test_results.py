@@ -143,7 +143,7 @@ def test_a_clock_that_was_set_back_kills_nobody(tmp_path):
 
 def test_run_json_without_its_fields_is_damaged(tmp_path):
     paths = JobPaths(tmp_path)
-    facts = {"fingerprint": "0", "path": "/c", "masks": None}
+    facts = {"fingerprint": "0", "name": "c", "place": "0", "masks": None}
     run = {"state": "done", "preset": "draft", "capture": facts, "seconds": {}, "warnings": []}
     run["peak_memory_bytes"] = {}
     write_json(paths.run, run)

@@ -155,26 +155,32 @@ def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_pat
     assert read_json(JobPaths(tmp_path / "out").run)["preset"] == "standard"
 
 
-def test_resume_keeps_the_settings_and_masks_of_the_folder(stages, capture, tmp_path):
+def test_resume_keeps_the_settings_of_the_folder(stages, capture, tmp_path, capsys):
+    """Not its masks: whoever made the folder could have any file read."""
     masks = tmp_path / "masks"
     masks.mkdir()
     out = tmp_path / "out"
     words = ["--preset", "high", "--seed", "7", "--masks", str(masks)]
     assert reconstruct(capture, out, *words) == 0
-    assert reconstruct(capture, out, "--resume") == 0
+    assert reconstruct(capture, out, "--resume") == 2
+    assert "name the same with --masks" in capsys.readouterr().err
+    assert reconstruct(capture, out, "--resume", *words[4:]) == 0
     assert stages["capture"].calls == 1
-    assert reconstruct(capture, out, "--resume", "--set", "export.render_views=2") == 0
+    more = ["--set", "export.render_views=2"]
+    assert reconstruct(capture, out, "--resume", *words[4:], *more) == 0
     assert (stages["appearance"].calls, stages["export"].calls) == (1, 2)
     assert folder.read_config(JobPaths(out)).seed == 7
 
 
-def test_resume_keeps_the_mesh_of_the_folder(stages, capture, tmp_path, capsys):
+def test_a_resumed_run_is_given_its_mesh_again(stages, capture, tmp_path, capsys):
     (tmp_path / "scan.obj").write_text("read by no fake")
     mesh = ["--mesh", str(tmp_path / "scan.obj")]
     assert reconstruct(capture, tmp_path / "out", *mesh) == 0
-    assert reconstruct(capture, tmp_path / "out", "--resume") == 0
+    assert reconstruct(capture, tmp_path / "out", "--resume") == 2
+    assert "name the same with --mesh" in capsys.readouterr().err
+    assert reconstruct(capture, tmp_path / "out", "--resume", *mesh) == 0
     assert all(stage.calls == 1 for stage in stages.values())
-    assert reconstruct(capture, tmp_path / "out", "--resume", "--fit-mesh") == 0
+    assert reconstruct(capture, tmp_path / "out", "--resume", *mesh, "--fit-mesh") == 0
     assert (stages["capture"].calls, stages["geometry"].calls) == (1, 2)
     assert reconstruct(capture, tmp_path / "other", "--fit-mesh") == 2
     assert "--mesh FILE" in capsys.readouterr().err
@@ -219,7 +225,7 @@ def test_relight_hands_everything_asked_for_to_blender(
         return blender.Outcome(files=(tmp_path / "a.png",), notes=(), wall=1.0, cpu=1.0)
 
     monkeypatch.setattr(blender, "run_headless", run_headless)
-    words = ["--environment", "city", "--views", "r_000,r_001", "--max-side", "64"]
+    words = ["--environment=city", "--views=r_000,r_001", "--max-side=64"]
     assert cli.main(["relight", str(out), *words]) == 0
     assert asked == ["relight", str(out), *words]
     assert capsys.readouterr().out.endswith(f"{tmp_path / 'a.png'}\n")
@@ -241,7 +247,7 @@ def test_a_folder_of_another_user_is_no_bug(tmp_path, monkeypatch, capsys, comma
 
     monkeypatch.setattr(cli.commands, command, locked)
     more = ["--environment", "city"] if command == "relight" else []
-    assert cli.main([command, str(tmp_path), *more]) == 1
+    assert cli.main([command, str(tmp_path), *more]) == 6
     told = capsys.readouterr().err
     assert told.startswith(f"robir: {tmp_path / 'lock'} cannot be read or written")
     assert "internal error" not in told

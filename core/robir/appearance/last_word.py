@@ -98,10 +98,8 @@ class Loss:
     @property
     def decibels(self) -> Floats:
         """(B,) by how much the asset is worse, where both also err by what nobody sees."""
-        floor = _UNSEEN**2
-        return 10 * np.log10(
-            (np.nan_to_num(self.ours) + floor) / (np.nan_to_num(self.mean) + floor)
-        )
+        ours, mean = (np.nan_to_num(errors) + _UNSEEN**2 for errors in (self.ours, self.mean))
+        return (10 * np.log10(ours / mean)).astype(np.float32)
 
     def beyond(self, decibels: float) -> NDArray[np.bool_]:
         """(B,) blocks that are worse by more than so much, and by more than chance."""
@@ -263,7 +261,7 @@ def heard(
     of_texel = jury.blocks(texels.position, texels.normal)
     of_sample = jury.blocks(surfels.position, surfels.normal)
     loss = jury.loss(asset)
-    taken = dict.fromkeys(_PARTS, 0.0)
+    taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
     for part in _PARTS:
         wanted = loss.beyond(_LOSS)
         tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None

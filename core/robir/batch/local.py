@@ -24,6 +24,7 @@ from robir.errors import (
 )
 from robir.jobs import client
 from robir.jobs.library import LibraryPaths, preferred
+from robir.pipeline.faults import stop_held
 
 _PERIOD = 0.5
 """Seconds between two looks at the result folders of what is at work."""
@@ -132,13 +133,14 @@ class LocalBatch:
         self._waiting.remove(item)
         item.tries += 1
         name = item.standing.name
-        try:
-            client.start(self.program, item.request, worker_environment())
-        except client.START_ERRORS as error:
-            self._settle(item, _failed(name, error))
-        else:
-            item.standing = Standing(name=name, state="running", message="starting")
-            self._running.append(item)
+        with stop_held():
+            try:
+                client.start(self.program, item.request, worker_environment())
+            except client.START_ERRORS as error:
+                self._settle(item, _failed(name, error))
+            else:
+                item.standing = Standing(name=name, state="running", message="starting")
+                self._running.append(item)
 
     def _look(self) -> None:
         for item in list(self._running):

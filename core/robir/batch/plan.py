@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
+from robir.batch.places import absolute, folder_of_masks, key_of, name_of_result, places
 from robir.config import RunConfig, resolve
 from robir.errors import ConfigError, StorageError, UsageError
 from robir.export.asset import MADE, AssetFacts, Made
@@ -25,7 +26,6 @@ from robir.jobs.paths import read_json, write_json
 from robir.presets import PRESETS
 from robir.settings import checked_table, read_toml, settings_from_table, table_from_settings
 
-_WILD = re.compile(r"[*?[]")
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT])B?", re.IGNORECASE)
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 
@@ -144,15 +144,14 @@ def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: Library
         tables, options = _tables(Path(sources[0]))
     else:
         tables, options = [("", {"path": source}) for source in sources], Options()
-    found = [(where, entry) for where, table in tables for entry in _entries(where, table, changes)]
-    own = _absolute(str(paths.root))
-    found = [(where, entry) for where, entry in found if Path(entry.path) != own]
+    found = [
+        (where, entry)
+        for where, table in tables
+        for entry in _entries(where, table, changes, paths)
+    ]
     if not found:
         raise UsageError("there is no capture to reconstruct; name captures or a plan of some")
     _refuse_twins(found)
-    for where, entry in found:
-        if entry.name in paths.taken:
-            raise UsageError(f"{where or entry.path}: the library needs the name {entry.name}")
     files = [Path(entry.path).parent for _, entry in found]
     files += [Path(entry.masks) for _, entry in found if entry.masks]
     root = Path(os.path.commonpath(files))
@@ -231,9 +230,9 @@ def _tables(path: Path) -> tuple[list[tuple[str, dict[str, Any]]], Options]:
     _check(Options, options, path, lines, 0)
     _check(Entry, shared, path, lines, 0)
     tables = []
-    for start, capture in zip(starts, captures, strict=True):
+    for start, end, capture in zip(starts, [*starts[1:], len(lines)], captures, strict=True):
         where = f"{path}, line {start}"
-        _check(Entry, capture, path, lines, start)
+        _check(Entry, capture, path, lines[: max(start, end)], start)
         if not capture.get("path"):
             raise ConfigError(f"{where}: this capture has no path; add path = 'folder'")
         places = {
@@ -252,13 +251,18 @@ def _check(cls: type, table: Mapping[str, Any], path: Path, lines: list[str], st
         checked_table(cls, {key: value}, f"{path}, line {number}")
 
 
-def _entries(where: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Iterator[Entry]:
+def _entries(
+    where: str, table: Mapping[str, Any], changes: Mapping[str, Any], paths: LibraryPaths
+) -> Iterator[Entry]:
     """The captures that a path stands for, absolute and with a name each."""
     settings = [*table.get("settings", ()), *changes.get("settings", ())]
     table = {**table, **changes, "settings": settings}
-    for place in _places(table["path"], where):
-        name = re.sub(r"[^\w.-]+", "_", table.get("name") or _name(place)).strip("._") or "capture"
-        masks = str(_absolute(table["masks"])) if table.get("masks") else ""
+    masks = folder_of_masks(table.get("masks", ""), where)
+    own_place = absolute(str(paths.root))
+    for place in places(table["path"], where):
+        if place == own_place:
+            continue
+        name = name_of_result(table.get("name", ""), place, where, paths)
         tags = table.get("tags", [])
         own = {
             "path": str(place),
@@ -271,38 +275,22 @@ def _entries(where: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -
             entry.config()
             if entry.memory:
                 parse_size(entry.memory)
-            AssetFacts(catalogue=entry.catalogue)
+            AssetFacts(
+                author=entry.author,
+                licence=entry.licence,
+                tags=entry.tags,
+                catalogue=entry.catalogue,
+            )
         except ConfigError as error:
             place_of = f"{where}: " if where and not str(error).startswith(where) else ""
             raise ConfigError(f"{place_of}{error}") from error
         yield entry
 
 
-def _places(path: str, where: str) -> list[Path]:
-    """The capture of a path, or all folders that it matches."""
-    place = _absolute(path)
-    if not _WILD.search(path) or place.exists():
-        return [place]
-    pattern = str(place.relative_to(place.anchor))
-    found = [p for p in Path(place.anchor).glob(pattern) if p.is_dir() and p.name[:1] != "."]
-    if not found:
-        raise UsageError(f"{where or 'the command line'}: {path} matches no folder")
-    return sorted(found)
-
-
-def _absolute(path: str) -> Path:
-    # normalised without a look at the disk: a link to a capture keeps its own name
-    return Path(os.path.normpath(Path(path).absolute()))
-
-
-def _name(capture: Path) -> str:
-    return capture.stem if capture.is_file() else capture.name
-
-
 def _refuse_twins(found: Sequence[tuple[str, Entry]]) -> None:
     seen: dict[str, Entry] = {}
     for where, entry in found:
-        twin = seen.setdefault(entry.name.lower(), entry)
+        twin = seen.setdefault(key_of(entry.name), entry)
         if twin is not entry:
             raise UsageError(
                 f"{where + ': ' if where else ''}{entry.path} and {twin.path} would both become "

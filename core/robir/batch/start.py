@@ -24,6 +24,7 @@ from robir.batch.tasks import FIT, library_job
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client
+from robir.jobs.folder import refuse_special
 from robir.jobs.library import LibraryPaths
 from robir.jobs.lock import folder_lock
 from robir.jobs.paths import STAGES
@@ -54,8 +55,10 @@ def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
     """
     paths = LibraryPaths(options.out)
     program = program or (sys.executable, "-P", "-m", "robir")
+    refuse_special(paths.root, paths.taken)
     if options.task is not None:
         plan = kept_plan(paths, options.captures)
+        refuse_special(paths.root, {entry.name for entry in plan.entries})
         if not 0 <= options.task < len(plan.entries):
             raise UsageError(f"{paths.plan} has {len(plan.entries)} captures, counted from 0")
         return _do_one(plan, options, paths, program)
@@ -66,6 +69,7 @@ def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
     _make(paths.root)
     with folder_lock(paths.lock):
         plan = _plan(options, paths)
+        refuse_special(paths.root, {entry.name for entry in plan.entries})
         write_facts(plan, paths)
         if options.page:
             return _draw(plan, paths)

@@ -8,10 +8,8 @@ formats have no axes of their own and are taken to stand in the capture's frame 
 from __future__ import annotations
 
 import io
-import json
 import re
 import shlex
-import struct
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,10 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.gltf_file import MOST_CORNERS, MOST_FACES, Part, read_parts
+from robir.capture.gltf_json import MeshFaultError, opened
 from robir.capture.images.normal_map import normal_images, normal_maps
 from robir.capture.images.regular import regular
 from robir.errors import CaptureError
-from robir.jobs.names import checked_name, leads_out
+from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 """Kinds of files that are read here."""
@@ -32,8 +32,11 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
 """Kinds of files that only Blender reads; the add-on makes a GLB of them."""
 
-MAX_BYTES = 1 << 31
-"""Largest file; ten million triangles have a tenth of it."""
+MAX_BYTES = 1 << 29
+"""Largest file; five million triangles have a half of it."""
+
+_MAX_TEXT_BYTES = 1 << 28
+"""Largest file of words; it takes several times its size to read."""
 
 _Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]
 """Normal maps, and which of them each material has; see `normal_maps`."""
@@ -46,7 +49,10 @@ _TILE = re.compile(r"\.(1(?:00[1-9]|0[1-9][0-9]|[1-9][0-9]{2})|2000)$")
 _OUTSIDE = 1e-3
 """Of a texture's side: as far as texture coordinates may leave it by rounding."""
 
-_JSON, _BINARY = b"JSON", b"BIN\0"
+_UNUSED_OF_OBJ = re.compile(rb"(?m)^[ \t]*(?:usemtl|mtllib|[gos])[ \t][^\n]*$")
+_ZERO_OF_OBJ = re.compile(rb"(?m)^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?:[/ \t\r\n]|\Z)")
+_PLY_COUNTS = re.compile(rb"(?m)^element[ \t]+\S+[ \t]+(\S+)")
+_OFF_COUNTS = re.compile(rb"\AOFF\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,20 +109,22 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
             f"{', '.join(SUFFIXES)}; of {', '.join(FOREIGN)} Blender can make a GLB"
         )
     try:
-        parts = {"": _content(path)}
+        parts = {"": _content(path, _MAX_TEXT_BYTES if suffix in (".obj", ".off") else MAX_BYTES)}
         if suffix == ".gltf":
-            document = json.loads(parts[""])
+            document, _ = opened(parts[""], is_binary=False)
             pictures = list(_normal_pictures(document))
             for entry in (*document.get("buffers", ()), *pictures):
-                uri = str(entry.get("uri", ""))
+                uri = entry.get("uri", "")
                 if uri and not uri.startswith("data:"):
                     part = path.parent / checked_name(uri)
                     if leads_out(part, [path.parent]):
-                        raise ValueError(f"{uri} lies outside its folder")  # noqa: TRY301
+                        raise MeshFaultError(f"{uri} lies outside its folder")  # noqa: TRY301
                     if part.exists() or entry not in pictures:
-                        parts[uri] = _content(part)
-    except (OSError, ValueError, AttributeError, TypeError, RecursionError) as fault:
-        raise CaptureError(f"the mesh {path} cannot be read ({fault}); check the file") from fault
+                        parts[uri] = _content(part, MAX_BYTES)
+            if sum(map(len, parts.values())) > MAX_BYTES:
+                raise MeshFaultError(f"its files have more than {MAX_BYTES} bytes")  # noqa: TRY301
+    except (OSError, UnsafeNameError, MeshFaultError) as fault:
+        raise _unreadable(path, fault) from fault
     return parts
 
 
@@ -126,32 +134,70 @@ def read_mesh(path: Path) -> Given:
     Raises:
         CaptureError: If it cannot be read, or holds no usable triangle; says which.
     """
-    import trimesh  # here, because few runs are given a mesh and it takes a second to load
-
     parts = mesh_parts(path)
-    suffix = path.suffix.lower().removeprefix(".")
+    suffix = path.suffix.lower()
     content = parts.pop("")
     try:
-        maps, notes, document = _NO_MAPS, (), {}
-        if suffix in ("gltf", "glb"):
-            document, rest = _opened(content, is_binary=suffix == "glb")
-            maps, notes = _normal_maps(document, rest, parts)
-            content = _without_pictures(document, rest, is_binary=suffix == "glb")
-        words: dict[str, Any] = {"skip_materials": True} if suffix in ("obj", "ply") else {}
+        if suffix in (".gltf", ".glb"):
+            document, binary = opened(content, is_binary=suffix == ".glb")
+            found = read_parts(document, binary, parts)
+            maps, notes = _normal_maps(document, binary, parts)
+            given = replace(_merged(found, maps, _named_tiles(document, found)), notes=notes)
+            normals = None if given.normals is None else _z_up(given.normals)
+            given = replace(given, vertices=_z_up(given.vertices), normals=normals)
+        else:
+            given = _merged(_pieces(content, suffix), _NO_MAPS, {})
+    except MeshFaultError as fault:
+        raise _unreadable(path, fault) from fault
+    return _sound(given, path)
+
+
+def _unreadable(path: Path, fault: Exception) -> CaptureError:
+    reason = fault.strerror or fault if isinstance(fault, OSError) else fault
+    return CaptureError(f"the mesh {path} cannot be read: {reason}; check the file")
+
+
+def _pieces(content: bytes, suffix: str) -> list[tuple[NDArray[np.float64], Part]]:
+    """Triangles of the kinds of files that trimesh reads, with nothing but them in these."""
+    import trimesh  # here, because few runs are given a mesh and it takes a second to load
+
+    if suffix == ".obj":
+        if _ZERO_OF_OBJ.search(content):
+            raise MeshFaultError("a face has the corner 0, and the first is 1")
+        content = _UNUSED_OF_OBJ.sub(b"", content)
+    counted = {".ply": _PLY_COUNTS.findall(content[: 1 << 16])}
+    if suffix == ".off" and (counts := _OFF_COUNTS.search(content)):
+        counted[suffix] = list(counts.groups())
+    for count in counted.get(suffix, ()):
+        if not count.isdigit() or int(count[:20]) > len(content):
+            raise MeshFaultError(f"its header counts {count[:20].decode('ascii', 'replace')}")
+    words: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".ply") else {}
+    try:
         scene = trimesh.load_scene(
-            io.BytesIO(content), file_type=suffix, resolver=parts, process=False, **words
+            io.BytesIO(content), file_type=suffix[1:], resolver={}, process=False, **words
         )
         pieces = [scene.graph[node] for node in scene.graph.nodes_geometry]
-        found = [(matrix, scene.geometry[name]) for matrix, name in pieces]
-        given = replace(_merged(found, maps, _named_tiles(document, found)), notes=notes)
+        return [
+            (matrix, _part_of(scene.geometry[name]))
+            for matrix, name in pieces
+            if len(getattr(scene.geometry[name], "faces", ()))
+        ]
+    except MeshFaultError:
+        raise
     except Exception as fault:  # a foreign parser on foreign bytes may raise anything
-        raise CaptureError(
-            f"the mesh {path} cannot be read ({fault or type(fault).__name__}); check the file"
-        ) from fault
-    if suffix in ("gltf", "glb"):
-        normals = None if given.normals is None else _z_up(given.normals)
-        given = replace(given, vertices=_z_up(given.vertices), normals=normals)
-    return _sound(given, path)
+        raise MeshFaultError(f"it is cut off or no {suffix[1:].upper()} file") from fault
+
+
+def _part_of(piece: Any) -> Part:
+    vertices = np.asarray(piece.vertices, np.float64)
+    faces = np.asarray(piece.faces, np.int64)
+    if len(faces) > MOST_FACES or len(vertices) > 3 * MOST_CORNERS:
+        raise MeshFaultError(f"it has {len(faces)} faces, and up to {MOST_FACES} are read")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshFaultError("a face has a corner that is not there")
+    uv = getattr(piece.visual, "uv", None)
+    fits = uv is not None and np.shape(uv) == (len(vertices), 2)
+    return Part(vertices=vertices, faces=faces, uvs=np.asarray(uv, np.float64) if fits else None)
 
 
 def _way_by_blender(path: Path) -> str:
@@ -164,8 +210,8 @@ def _way_by_blender(path: Path) -> str:
     )
 
 
-def _content(path: Path) -> bytes:
-    with regular(path, MAX_BYTES) as file:
+def _content(path: Path, most: int) -> bytes:
+    with regular(path, most) as file:
         return file.read()
 
 
@@ -174,31 +220,26 @@ def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _merged(
-    pieces: list[tuple[Any, Any]], maps: _Maps, corners_of: dict[int, tuple[int, int]]
+    pieces: list[tuple[NDArray[np.float64], Part]],
+    maps: _Maps,
+    corners_of: dict[int, tuple[int, int]],
 ) -> Given:
     """One soup of all pieces that have faces, each at its place and in its material's tile."""
     vertices, faces, uvs, normals, of_face, count = [], [], [], [], [], 0
     for matrix, piece in pieces:
-        if len(getattr(piece, "faces", ())) == 0:
+        if not len(piece.faces):
             continue
-        own = np.asarray(piece.vertices, np.float64)
-        corners = np.asarray(piece.faces, np.int64)
-        if corners.min() < 0 or corners.max() >= len(own):
-            raise ValueError("a face has a corner that is not there")
         turned = np.linalg.det(matrix[:3, :3]) < 0
-        faces.append((corners[:, ::-1] if turned else corners) + count)
-        with np.errstate(invalid="ignore"):  # corners that are no numbers stay none
-            vertices.append(own @ matrix[:3, :3].T + matrix[:3, 3])
-        uv = getattr(piece.visual, "uv", None)
-        fits = uv is not None and np.shape(uv) == (len(own), 2)
-        uvs.append(np.asarray(uv, np.float64) if fits else np.full((len(own), 2), np.nan))
+        faces.append((piece.faces[:, ::-1] if turned else piece.faces) + count)
+        with np.errstate(invalid="ignore", over="ignore"):  # corners that are no numbers stay none
+            vertices.append(piece.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        uvs.append(np.full((len(piece.vertices), 2), np.nan) if piece.uvs is None else piece.uvs)
         if corners_of:
-            uvs[-1] += corners_of[_material(piece)]
+            uvs[-1] = uvs[-1] + corners_of[piece.material]
         if maps[0]:
-            of_face.append(np.full(len(corners), maps[1].get(_material(piece), -1), np.int32))
-            normal = np.asarray(piece.vertex_normals, np.float64) @ np.linalg.inv(matrix[:3, :3])
-            normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-30))
-        count += len(own)
+            of_face.append(np.full(len(piece.faces), maps[1].get(piece.material, -1), np.int32))
+            normals.append(_turned_normals(piece, matrix))
+        count += len(piece.vertices)
     if not faces:
         return Given(
             vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32), uvs=np.zeros((0, 2))
@@ -212,30 +253,39 @@ def _merged(
     )
 
 
-def _material(piece: Any) -> int:
-    """Number of the material of a part of a glTF file, which `_bare` has made its name."""
-    name = getattr(getattr(piece.visual, "material", None), "name", None)
-    return int(name) if name is not None else -1
+def _turned_normals(piece: Part, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit normals of a piece at its place; where the file has none, the mean of its faces'."""
+    normals = piece.normals
+    if normals is None:
+        a, b, c = np.moveaxis(piece.vertices[piece.faces], 1, 0)
+        own, normals = np.cross(b - a, c - a), np.zeros_like(piece.vertices)
+        for corner in range(3):
+            np.add.at(normals, piece.faces[:, corner], own)
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:  # pressed flat: its faces have no area
+        return np.zeros_like(normals)
+    turned = normals @ np.linalg.inv(matrix[:3, :3])
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True).clip(1e-30)
 
 
 def _named_tiles(
-    document: dict[str, Any], pieces: list[tuple[Any, Any]]
+    document: dict[str, Any], pieces: list[tuple[NDArray[np.float64], Part]]
 ) -> dict[int, tuple[int, int]]:
     """Where the UDIM tile begins that each material of a glTF file stands for, by its number.
 
     glTF has no such tiles: Blender and we write a material for each, its name ending in the tile's
     number, and move texture coordinates to 0..1. Empty unless all materials are of that kind.
     """
-    solid = [piece for _, piece in pieces if len(getattr(piece, "faces", ()))]
     names = document.get("materials", ())
     corners_of: dict[int, tuple[int, int]] = {}
-    for piece in solid if names else ():
-        uv, material = getattr(piece.visual, "uv", None), _material(piece)
-        found = _TILE.search(str(names[material].get("name", ""))) if material >= 0 else None
+    for _, piece in pieces if names else ():
+        if not len(piece.faces):
+            continue
+        uv, number = piece.uvs, piece.material
+        found = _TILE.search(names[number].get("name", "")) if number >= 0 else None
         if found is None or uv is None or np.min(uv) < -_OUTSIDE or np.max(uv) > 1 + _OUTSIDE:
             return {}
         row, column = divmod(int(found[1]) - 1001, 10)
-        corners_of[material] = (column, row)
+        corners_of[number] = (column, row)
     return corners_of if len(set(corners_of.values())) > 1 else {}
 
 
@@ -277,40 +327,11 @@ def _normal_pictures(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _normal_maps(
-    document: dict[str, Any], rest: bytes, parts: dict[str, bytes]
+    document: dict[str, Any], binary: bytes, parts: dict[str, bytes]
 ) -> tuple[_Maps, tuple[str, ...]]:
     """The normal maps of a glTF file, or a sentence about why they cannot be taken."""
     try:
-        return normal_maps(document, rest[8:], parts), ()
+        return normal_maps(document, binary, parts), ()
     except Exception as fault:  # whatever is wrong with them, the mesh may still be good
-        reason = fault or type(fault).__name__
+        reason = fault if isinstance(fault, MeshFaultError) else "it is damaged"
         return _NO_MAPS, (f"The mesh's normal map is not passed on to the result ({reason}).",)
-
-
-def _opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
-    """The JSON of a glTF file, and what follows it in a GLB."""
-    if not is_binary:
-        return json.loads(content), b""
-    (length,) = struct.unpack_from("<I", content, 12)
-    return json.loads(content[20 : 20 + length]), content[20 + length :]
-
-
-def _without_pictures(document: dict[str, Any], rest: bytes, *, is_binary: bool) -> bytes:
-    """A glTF file for a parser that shall not look at pictures, in which foreign bytes may hide."""
-    text = json.dumps(_bare(document)).encode()
-    if not is_binary:
-        return text
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-    return head + struct.pack("<I4s", len(text), _JSON) + text + rest
-
-
-def _bare(document: dict[str, Any]) -> dict[str, Any]:
-    kept = {k: v for k, v in document.items() if k not in ("images", "textures", "samplers")}
-    # texture coordinates are read for primitives with a material only
-    count = len(document.get("materials", ()))
-    kept["materials"] = [*({"name": str(index)} for index in range(count)), {}]
-    for mesh in kept.get("meshes", ()):
-        for primitive in mesh["primitives"]:
-            primitive.setdefault("material", count)
-    return kept

@@ -230,14 +230,22 @@ def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueVie
     )
 
 
-def read_exr(path: Path) -> dict[str, Array]:
-    """All channels of an EXR file's first part by name, (H, W) float32 each."""
+class TooLargeError(ValueError):
+    """A picture has more numbers than are read."""
+
+
+def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, Array]:
+    """All channels of an EXR file's first part by name, (H, W) float32 each.
+
+    Raises:
+        TooLargeError: If they have more numbers than `most` together.
+    """
     with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
         header = opened.header()
         low, high = header["dataWindow"]
         sides = [int(last) - int(first) + 1 for first, last in zip(low, high, strict=True)]
-        if math.prod(sides) * len(header["channels"]) > _MAX_NUMBERS:
-            raise ValueError(f"{path.name} has {sides[0]}x{sides[1]} pixels")
+        if math.prod(sides) * len(header["channels"]) > most:
+            raise TooLargeError(f"it has {sides[0]} by {sides[1]} pixels")
     with OpenEXR.File(str(path), separate_channels=True) as opened:
         return {name: np.asarray(c.pixels, np.float32) for name, c in opened.channels().items()}
 

@@ -26,6 +26,8 @@ MADE: tuple[Made, ...] = get_args(Made)
 _MANIFEST = {"fingerprint": str}
 _REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
 
+_MOST_LETTERS, _MOST_TAGS = 1000, 100
+
 _KINDS = ((0.5, "metal"), (0.05, "partly metal"), (0.0, "no metal"))
 """Tag of an object by the least share of its surface that is metal."""
 
@@ -51,7 +53,12 @@ class AssetFacts:
     formats: tuple[Made, ...] = ("blend",)
 
     def __post_init__(self) -> None:
-        """Refuse what the file of catalogues cannot say."""
+        """Refuse what the file of catalogues cannot say, and what is no line of text."""
+        for text in (self.author, self.licence, *self.tags):
+            if len(text) > _MOST_LETTERS or not text.isprintable():
+                raise ConfigError(f"{text[:40]!a} is no line of up to {_MOST_LETTERS} letters")
+        if len(self.tags) > _MOST_TAGS:
+            raise ConfigError(f"{len(self.tags)} tags are more than {_MOST_TAGS}")
         parts = self.catalogue.split("/")
         is_whole = self.catalogue == "" or all(part.strip() == part != "" for part in parts)
         if not is_whole or ":" in self.catalogue or not self.catalogue.isprintable():

@@ -23,17 +23,16 @@ from typing import Any
 
 from robir.errors import CancelledError, DeviceError, RobirError, StorageError, UsageError
 
-_DISK = 6
-"""What the command exits with where a file cannot be written or read."""
-
 _ERRORS: dict[int, type[RobirError]] = {
-    _DISK: StorageError,
-    **{error.exit_code: error for error in (UsageError, DeviceError, CancelledError)},
+    error.exit_code: error for error in (UsageError, DeviceError, CancelledError, StorageError)
 }
 
 _EXECUTABLE = "ROBIR_BLENDER"
 _ADDON = "ROBIR_ADDON"
 _COMMAND = "robir_scene"
+_PATIENCE = 20.0
+"""Seconds that Blender may take to end after its last report."""
+
 _FOLLOWED = "ROBIR_FOLLOWED"
 """Tells the command that its standard input ends with whoever waits for it, and it then, too."""
 
@@ -115,14 +114,15 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
                 process.stdin.close()
         except BaseException:
             process.terminate()
+            _end_of(process, is_told=True)
             raise
-        code = process.wait()
+        code = _end_of(process, is_told="files" in last)
         complaints.seek(0)
         sentence = _sentence(complaints.read())
     if code != 0:
         unknown: type[RobirError] = DeviceError if code < 0 else RobirError
         kind = _ERRORS.get(code, unknown)
-        raise kind(sentence or f"Blender ended with code {code}")
+        raise kind(sentence or f"Blender ended with code {code}; try again")
     if "files" not in last:
         raise RobirError("Blender ended without a word about what it wrote")
     after = os.times()
@@ -135,6 +135,21 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         - before.children_user
         - before.children_system,
     )
+
+
+def _end_of(process: subprocess.Popen[str], *, is_told: bool) -> int:
+    """Exit code of a process that has closed its reports; what hangs at its exit is ended.
+
+    Args:
+        process: Blender.
+        is_told: Whether it has said what it wrote: then all is done, however it ends.
+    """
+    try:
+        return process.wait(_PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return 0 if is_told else DeviceError.exit_code
 
 
 def _command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:

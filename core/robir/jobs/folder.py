@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from robir.errors import StorageError, UsageError
@@ -12,37 +12,44 @@ from robir.jobs.names import leads_out
 from robir.jobs.paths import JobPaths
 
 
-def special_fault(paths: JobPaths) -> str | None:
-    """What is wrong with a result folder that holds pipes, devices or links out of it, or None.
+def special_fault(root: Path, names: Iterable[str] | None = None) -> str | None:
+    """What is wrong with a folder of ours that holds pipes, devices or links out of it, or None.
 
-    A pipe stops who opens it, and what is written by way of a link lands elsewhere.
+    A pipe stops who opens it, and what is written by way of a link lands elsewhere. Captures,
+    results and libraries are all asked by this.
+
+    Args:
+        root: Result folder or library.
+        names: What is looked at of what lies directly in it; None for all.
     """
-    for parent, folders, names in os.walk(paths.root):
-        for name in (*folders, *names):
-            path = Path(parent, name)
-            if path.is_symlink() and leads_out(path, [paths.root]):
-                return f"{path} is a link that leads out of the result folder; remove it"
-            if _is_special(path):
-                return f"{path} is neither a file nor a folder; remove it"
+    home, found = Path(os.path.realpath(root)), [root]
+    while found:
+        folder = found.pop()
+        try:
+            entries = list(os.scandir(folder))
+        except OSError:
+            continue  # another process has removed it meanwhile, or it is not there yet
+        for entry in entries:
+            if folder is root and names is not None and entry.name not in names:
+                continue
+            if entry.is_symlink():
+                if leads_out(Path(entry.path), [home]):
+                    return f"{entry.path} is a link that leads out of {root}; remove it"
+            elif entry.is_dir(follow_symlinks=False):
+                found.append(Path(entry.path))
+            elif not entry.is_file(follow_symlinks=False):
+                return f"{entry.path} is neither a file nor a folder; remove it"
     return None
 
 
-def refuse_special(paths: JobPaths) -> None:
-    """Refuse a result folder that holds more than files and folders.
+def refuse_special(root: Path, names: Iterable[str] | None = None) -> None:
+    """Refuse a folder that holds more than files and folders, see `special_fault`.
 
     Raises:
         UsageError: Names the first of what does not belong there.
     """
-    if fault := special_fault(paths):
+    if fault := special_fault(root, names):
         raise UsageError(f"{fault}, or give another folder with -o")
-
-
-def _is_special(path: Path) -> bool:
-    try:
-        kind = path.lstat().st_mode
-    except OSError:
-        return False  # another process has removed it meanwhile
-    return not (stat.S_ISDIR(kind) or stat.S_ISREG(kind) or stat.S_ISLNK(kind))
 
 
 def create(paths: JobPaths) -> None:
@@ -69,7 +76,7 @@ def create(paths: JobPaths) -> None:
         raise StorageError(
             f"the output folder {root} cannot be made: {error.strerror}; give another with -o"
         ) from error
-    refuse_special(paths)
+    refuse_special(root)
     if strangers and not paths.run.exists():
         raise UsageError(
             f"{root} holds other files ({', '.join(sorted(strangers)[:3])}) and is not a result "

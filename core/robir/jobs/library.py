@@ -7,15 +7,16 @@ import os
 import signal
 import subprocess
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from robir.jobs.client import detached
+from robir.jobs.folder import special_fault
 from robir.jobs.lock import holder
-from robir.jobs.names import file_in
+from robir.jobs.names import UnsafeNameError, file_in
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import read_record
 
@@ -79,7 +80,7 @@ class LibraryPaths:
     def taken(self) -> frozenset[str]:
         """Names that no result may have."""
         files = (self.plan, self.state, self.lock, self.page, self.catalogues, self.openjd)
-        return frozenset(file.name for file in files)
+        return frozenset(file.name for file in (*files, self.own))
 
     def result(self, name: str) -> JobPaths:
         """Result folder of a capture.
@@ -104,13 +105,24 @@ class LibraryPaths:
         return self.own / "preferred"
 
 
+def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
+    """Refuse a library whose own files, or results of some names, are links out of it or pipes.
+
+    Raises:
+        UnsafeNameError: Names the first of what does not belong there.
+    """
+    if fault := special_fault(paths.root, {*paths.taken, *results}):
+        raise UnsafeNameError(fault)
+
+
 def read_batch(paths: LibraryPaths) -> dict[str, Any]:
     """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
 
     Raises:
         OSError: If there is none.
-        ValueError: If it is damaged.
+        ValueError: If it is damaged; or see `refuse_strange`.
     """
+    refuse_strange(paths)
     return read_record(paths.state, _STATE)
 
 
@@ -130,7 +142,9 @@ def start_batch(
 
     Raises:
         OSError: If the program cannot be run, or the library cannot be written.
+        UnsafeNameError: See `refuse_strange`.
     """
+    refuse_strange(paths)
     paths.own.mkdir(parents=True, exist_ok=True)
     words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
     with (paths.own / "log.txt").open("wb") as log:
@@ -159,9 +173,9 @@ def drop(paths: LibraryPaths, name: str) -> None:
 
     Raises:
         OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere.
+        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
     """
-    _touch(paths.dropped, name)
+    _touch(paths, paths.dropped, name)
 
 
 def prefer(paths: LibraryPaths, name: str) -> None:
@@ -169,9 +183,9 @@ def prefer(paths: LibraryPaths, name: str) -> None:
 
     Raises:
         OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere.
+        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
     """
-    _touch(paths.preferred, name)
+    _touch(paths, paths.preferred, name)
 
 
 def preferred(paths: LibraryPaths) -> list[str]:
@@ -181,7 +195,8 @@ def preferred(paths: LibraryPaths) -> list[str]:
     return [file.name for file in sorted(files, key=lambda file: -file.stat().st_mtime_ns)]
 
 
-def _touch(folder: Path, name: str) -> None:
+def _touch(paths: LibraryPaths, folder: Path, name: str) -> None:
+    refuse_strange(paths)
     file = file_in(folder, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.touch()

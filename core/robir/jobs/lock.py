@@ -7,6 +7,7 @@ lock of a killed process is free at once and the file it left is taken over.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
@@ -15,6 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from robir.errors import UsageError
+from robir.jobs.names import open_regular
 
 if sys.platform == "win32":
     import msvcrt
@@ -46,12 +48,11 @@ def holder(path: Path) -> int | None:
     Returns:
         Its number, 0 where it has not said yet, or None if nobody holds the lock.
     """
-    wait_for_nothing = getattr(os, "O_NONBLOCK", 0)
     try:
         try:
-            handle = os.open(path, os.O_RDWR | wait_for_nothing)
+            handle = open_regular(path, os.O_RDWR, follows_links=False)
         except PermissionError:  # another user's run can be followed all the same
-            handle = os.open(path, os.O_RDONLY | wait_for_nothing)
+            handle = open_regular(path, follows_links=False)
     except OSError:
         return None
     try:
@@ -73,7 +74,7 @@ def folder_lock(path: Path) -> Iterator[None]:
         path: Lock file; its folder exists.
 
     Raises:
-        UsageError: If another process holds it; names that process.
+        UsageError: If another process holds it; names that process. Or if it is a link or a pipe.
     """
     handle = _acquire(path)
     try:
@@ -95,7 +96,12 @@ def folder_lock(path: Path) -> Iterator[None]:
 def _acquire(path: Path) -> int:
     tries = 0
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            handle = open_regular(path, os.O_RDWR | os.O_CREAT, follows_links=False)
+        except OSError as error:
+            if error.errno not in (errno.ELOOP, errno.EINVAL) or path.is_dir():
+                raise
+            raise UsageError(f"{path} is no lock but a link or a pipe; remove it") from error
         try:
             _try_lock(handle)
         except OSError as error:

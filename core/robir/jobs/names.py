@@ -88,11 +88,13 @@ def leads_out(path: Path, folders: Iterable[Path]) -> bool:
     return not any(real == home or real.startswith(home.rstrip(os.sep) + os.sep) for home in homes)
 
 
-def open_regular(path: Path) -> int:
-    """Open a file for reading if it is a regular one: no pipe, no device, no folder.
+def open_regular(path: Path, flags: int = os.O_RDONLY, *, follows_links: bool = True) -> int:
+    """Open a file if it is a regular one: no pipe, no device, no folder.
 
     Args:
-        path: File; links are followed.
+        path: File.
+        flags: How it is opened; one that is to be made may be missing.
+        follows_links: Whether it may be a link.
 
     Returns:
         The operating system's handle, for `os.fdopen` or `open`.
@@ -100,15 +102,23 @@ def open_regular(path: Path) -> int:
     Raises:
         OSError: If it cannot be opened or is anything else.
     """
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
     # a device may do something merely by being opened, so it is looked at first as well
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
-    handle = os.open(path, flags)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
+    if os.path.lexists(path) or not flags & os.O_CREAT:
+        _refuse_irregular(path.stat() if follows_links else path.lstat(), path)
+    handle = os.open(path, flags, 0o644)
+    try:
+        _refuse_irregular(os.fstat(handle), path)
+    except OSError:
         os.close(handle)
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise
     return handle
+
+
+def _refuse_irregular(found: os.stat_result, path: Path) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
 
 
 def read_regular(path: Path, most: int) -> bytes:

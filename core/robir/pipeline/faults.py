@@ -14,7 +14,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from robir.errors import CancelledError, DeviceError, QualityError, RobirError, StorageError
+from robir.errors import (
+    CancelledError,
+    CaptureError,
+    DeviceError,
+    QualityError,
+    RobirError,
+    StorageError,
+)
 
 _FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
 _DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
@@ -27,6 +34,9 @@ _DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(err
 
 _FULL_BELOW_BYTES = 1 << 20
 
+_held: list[int] = []
+"""While a stop has to wait: a zero, then the signals that have come."""
+
 _MEMORY_CURES = {
     "capture": "capture.max_side",
     "geometry": "geometry.level_cells",
@@ -37,13 +47,13 @@ _MEMORY_CURES = {
 """The setting that decides most about each stage's memory."""
 
 
-def translated(error: BaseException, stage: str, out: Path) -> BaseException:
+def translated(error: BaseException, stage: str, out: Path | None) -> BaseException:
     """The error as a sentence for the user where it is not a fault of the program.
 
     Args:
         error: What ended the run.
         stage: Stage at work.
-        out: Result folder.
+        out: Result folder; None where there is none.
 
     Returns:
         A RobirError, or the error itself where it is a bug.
@@ -54,8 +64,9 @@ def translated(error: BaseException, stage: str, out: Path) -> BaseException:
         return CancelledError("stopped; continue with --resume")
     disk = _disk_error(error, out)
     if disk is not None:
+        what, place = disk.filename or out or "a file", stage or "the result folder"
         return StorageError(
-            f"{disk.filename or out} cannot be read or written in {stage or 'the result folder'}: "
+            f"{what} cannot be read or written in {place}: "
             f"{disk.strerror}; make room or mend the folder, then continue with --resume"
         )
     if _is_out_of_memory(error):
@@ -63,7 +74,15 @@ def translated(error: BaseException, stage: str, out: Path) -> BaseException:
             f"out of memory in {stage}: lower {_MEMORY_CURES.get(stage, 'the preset')} with --set, "
             "then continue with --resume"
         )
-    if _is_full(out):
+    if isinstance(error, ImportError):
+        return DeviceError(
+            f"the installation is damaged or not whole ({error}); install robir again"
+        )
+    if isinstance(error, PermissionError) and error.filename:
+        return CaptureError(
+            f"{error.filename} cannot be read: {error.strerror}; give yourself the right to read it"
+        )
+    if out is not None and _is_full(out):
         return StorageError(f"the disk of {out} is full; make room, then continue with --resume")
     return error
 
@@ -102,7 +121,10 @@ def stop_requested() -> Iterator[None]:
         return
 
     def stop(number: int, _frame: object) -> None:
-        raise CancelledError(f"stopped by {signal.Signals(number).name}; continue with --resume")
+        if _held:
+            _held.append(number)
+        else:
+            raise _stopped(number)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -112,7 +134,27 @@ def stop_requested() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _disk_error(error: BaseException, out: Path) -> OSError | None:
+@contextmanager
+def stop_held() -> Iterator[None]:
+    """Let a stop that comes within the block wait for its end.
+
+    A process that is started there is then known to who has to end it.
+    """
+    _held.append(0)
+    try:
+        yield
+    finally:
+        numbers = [number for number in _held if number]
+        _held.clear()
+    if numbers:
+        raise _stopped(numbers[-1])
+
+
+def _stopped(number: int) -> CancelledError:
+    return CancelledError(f"stopped by {signal.Signals(number).name}; continue with --resume")
+
+
+def _disk_error(error: BaseException, out: Path | None) -> OSError | None:
     """The disk's own error, also where another came of it: closing a half-written file fails."""
     link: BaseException | None = error
     seen: set[int] = set()
@@ -136,12 +178,18 @@ def _is_out_of_memory(error: BaseException) -> bool:
     )
 
 
-def _is_below(error: OSError, out: Path) -> bool:
-    return error.filename is not None and Path(str(error.filename)).is_relative_to(out)
+def _is_below(error: OSError, out: Path | None) -> bool:
+    return (
+        out is not None
+        and error.filename is not None
+        and Path(str(error.filename)).is_relative_to(out)
+    )
 
 
 def _is_full(out: Path) -> bool:
+    """Whether the disk of a folder, which need not be there yet, has no room."""
+    there = next((folder for folder in (out, *out.absolute().parents) if folder.exists()), out)
     try:
-        return shutil.disk_usage(out).free < _FULL_BELOW_BYTES
+        return shutil.disk_usage(there).free < _FULL_BELOW_BYTES
     except OSError:
-        return True
+        return False

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -25,8 +27,8 @@ from robir.settings import (
 _RUN = {
     "state": str, "preset": str,
     "capture": {
-        "path": str, "masks": (None, str), "fingerprint": str,
-        "mesh?": (None, {"path": str, "fingerprint": str}),
+        "name": str, "place": str, "masks": (None, str), "fingerprint": str,
+        "mesh?": (None, {"name": str, "fingerprint": str}),
     },
     "seconds": {...: {"wall": float, "cpu": float}}, "peak_memory_bytes": {...: int},
     "warnings": [{"stage": str, "message": str}],
@@ -76,7 +78,7 @@ def new_run(
     return {
         "robir_version": __version__,
         "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "platform": f"{platform.system()} {platform.machine()}",
         "torch": version("torch"),
         "device": execution.device,
         "threads": execution.threads,
@@ -93,7 +95,7 @@ def new_run(
 def capture_facts(
     source: Path, masks: Path | None, mesh: Path | None, fingerprints: tuple[str, str]
 ) -> dict[str, Any]:
-    """What `run.json` says of a run's inputs.
+    """What `run.json` says of a run's inputs: no path, for the folder travels.
 
     Args:
         source: Capture as given.
@@ -103,11 +105,40 @@ def capture_facts(
     """
     capture, shape = fingerprints
     return {
-        "path": str(source.resolve()),
-        "masks": None if masks is None else str(masks.resolve()),
-        "mesh": None if mesh is None else {"path": str(mesh.resolve()), "fingerprint": shape},
+        "name": source.resolve().name,
+        "place": _place(source),
+        "masks": None if masks is None else masks.resolve().name,
+        "mesh": None if mesh is None else {"name": mesh.name, "fingerprint": shape},
         "fingerprint": capture,
     }
+
+
+def _place(source: Path) -> str:
+    """What tells one folder of this machine from others without naming it."""
+    return hashlib.sha256(os.fsencode(source.resolve())).hexdigest()[:16]
+
+
+def refuse_unnamed(
+    paths: JobPaths, run: Mapping[str, Any], option: str, given: Path | None
+) -> None:
+    """Refuse to go on without what a run was given from elsewhere: a stranger may have written it.
+
+    Args:
+        paths: The result folder.
+        run: What `run.json` says.
+        option: "masks" or "mesh".
+        given: What is named now.
+
+    Raises:
+        UsageError: Says what was given.
+    """
+    before = run["capture"].get(option)
+    if before is not None and given is None:
+        name = before if option == "masks" else before["name"]
+        raise UsageError(
+            f"{paths.root} was begun with the {option} {name!r}; name the same with --{option}, "
+            "or give another output folder with -o"
+        )
 
 
 def refuse_other_mesh(
@@ -118,10 +149,10 @@ def refuse_other_mesh(
     Raises:
         UsageError: If the surface was made with another mesh or with none; names both.
     """
-    before = run["capture"].get("mesh") or {"path": "no mesh", "fingerprint": ""}
+    before = run["capture"].get("mesh") or {"name": "no mesh", "fingerprint": ""}
     if before["fingerprint"] != fingerprint and paths.manifest("geometry").exists():
         raise UsageError(
-            f"{paths.root} was made with {before['path']}, not with "
+            f"{paths.root} was made with {before['name']}, not with "
             f"{'no mesh' if mesh is None else mesh.resolve()} as it is now; "
             "give another output folder with -o"
         )
@@ -136,9 +167,9 @@ def refuse_other_capture(
         UsageError: If the folder was made from another capture; names both.
     """
     before = run["capture"]
-    if before["path"] != str(source.resolve()) and before["fingerprint"] != capture:
+    if before["place"] != _place(source) and before["fingerprint"] != capture:
         raise UsageError(
-            f"{paths.root} holds the result of {before['path']}, not of {source.resolve()}; "
+            f"{paths.root} holds the result of {before['name']}, not of {source.resolve()}; "
             "give another output folder with -o"
         )
 

@@ -24,6 +24,11 @@ _TRUTH = "truth"
 """Ground truth is never an input of a reconstruction."""
 
 
+def is_capture_file(path: Path) -> bool:
+    """Whether a regular file may be a capture by itself: a video, or one of poses."""
+    return path.is_file() and (is_video(path) or path.suffix.lower() in _POSES)
+
+
 def file_hash(path: Path) -> str:
     """SHA-256 of a regular file's contents, 64 hex digits.
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,10 @@ from robir.appearance.smooth_normals import Surface
 from robir.appearance.solution import Solution
 from robir.capture.store import load_settled
 from robir.errors import UsageError
+from robir.evaluation.aligned import Alignment, truth_of
 from robir.evaluation.light_scores import RecoveredLight, level_and_hue
 from robir.evaluation.tone_scores import true_curve
-from robir.evaluation.truth import Truth, lamps_of, load_truth, read_exr
+from robir.evaluation.truth import Truth, lamps_of, load_truth, read_exr, true_environment
 from robir.geometry.mesh.triangles import vertex_normals
 from robir.jobs.paths import JobPaths
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
@@ -145,14 +146,29 @@ class Oracle:
     """The truth of one capture, put where a step left its estimate."""
 
     def __init__(self, capture: Path, out: Path) -> None:
-        """Read the truth.
+        """Nothing is read before a step asks.
 
         Args:
             capture: With its truth.
             out: Result folder of the run that is put right.
         """
-        self._truth, self._out = load_truth(capture), out
+        self._capture, self._out = capture, out
         self._known: _Known | None = None
+
+    @cached_property
+    def _aligned(self) -> tuple[Truth, Alignment | None]:
+        """The truth where the result stands; its cameras are there once the steps run."""
+        return truth_of(self._capture, JobPaths(self._out))
+
+    @property
+    def _truth(self) -> Truth:
+        return self._aligned[0]
+
+    @property
+    def _turn(self) -> NDArray[np.float64]:
+        """From the truth's frame to the result's."""
+        alignment = self._aligned[1]
+        return np.eye(3) if alignment is None else alignment.place.turn
 
     def _points(self, state: Solution) -> tuple[_Known, NDArray[np.int64], NDArray[np.bool_]]:
         if self._known is None:
@@ -243,19 +259,18 @@ class Oracle:
         return replace(state, light=self._true_light(state.light))
 
     def _true_light(self, light: Light) -> Light:
-        scene, factor = self._truth.scene, self._truth.exposed
-        image = read_exr(self._truth.root / "truth" / "environment.exr")
-        linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
+        truth, turn = self._truth, self._turn
+        scene, factor = truth.scene, truth.exposed
+        lamps = lamps_of(scene)
         sizes = [lamp.get("size", 2 * _LEAST_RADIUS) for lamp in scene.get("lamps", [])]
-        suns = [
-            (*lamp, size)
-            for lamp, size in zip_longest(lamps_of(scene), sizes, fillvalue=2 * _LEAST_RADIUS)
-        ]
+        sizes += [2 * _LEAST_RADIUS] * (len(lamps) - len(sizes))
+        suns = [(turn @ d, e, size) for (d, e), size in zip(lamps, sizes, strict=True)]
+        linear = true_environment(truth.root, scene | {"lamps": []}, turn)
         directions = equirect_directions(len(linear)).numpy()
-        if not scene["sun_is_lamp"] and scene.get("classes", {}).get("sun") == "sun":
-            inside = directions @ np.array(scene["sun_direction"]) > np.cos(np.radians(_SPOT))
+        if not scene.get("sun_is_lamp") and scene.get("classes", {}).get("sun") == "sun":
+            inside = directions @ truth.sun_direction > np.cos(np.radians(_SPOT))
             around = np.median(linear[~inside], axis=0)
-            suns.append((scene["sun_direction"], scene["sun_irradiance_rgb"], 2 * _LEAST_RADIUS))
+            suns.append((truth.sun_direction, scene["sun_irradiance_rgb"], 2 * _LEAST_RADIUS))
             linear = np.where(inside[..., None], np.minimum(linear, around), linear)
         small = resize_local_mean(linear, (_ROWS, 2 * _ROWS)).reshape(-1, 3)
         # square roots of solid angles, as least squares square them
@@ -267,12 +282,14 @@ class Oracle:
         radii = np.radians(np.maximum([0.5 * size for *_, size in suns], _LEAST_RADIUS))
         return replace(
             light,
-            axes=np.array([d for d, *_ in suns], np.float32).reshape(-1, 3),
+            axes=np.array([direction for direction, *_ in suns], np.float32).reshape(-1, 3),
             # a disc's mean squared angle from its middle is half its radius squared
             sharpness=(2 / radii**2).astype(np.float32).reshape(-1),
             amplitudes=Amplitudes(
                 soft=torch.from_numpy((soft * factor).clip(1e-6)).float(),
-                sharp=factor * torch.tensor([e for _, e, _ in suns]).float().reshape(-1, 3),
+                sharp=torch.from_numpy(
+                    (np.array([e for _, e, _ in suns]).reshape(-1, 3) * factor).astype(np.float32)
+                ),
             ),
         )
 
@@ -290,7 +307,8 @@ _CORRECTIONS: dict[str, tuple[str, ...]] = {
 
 def corrections(name: str, oracle: Oracle) -> dict[str, Correction]:
     """What is done after which step."""
-    return dict.fromkeys(_CORRECTIONS[name], getattr(oracle, name))
+    correction: Correction = getattr(oracle, name)
+    return dict.fromkeys(_CORRECTIONS[name], correction)
 
 
 def main(words: Sequence[str]) -> int:

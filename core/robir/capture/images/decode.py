@@ -53,7 +53,7 @@ DEVELOPED = "developed"
 """Where a picture's `info` says that it was developed here, without a tone curve."""
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
-_SCAN = b"\xff\xda"
+SCAN = b"\xff\xda"
 
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
 """What Pillow raises for broken files."""
@@ -237,7 +237,7 @@ def _check_scans(path: Path, pixels: int) -> None:
     scans, last = 0, b""
     with regular(path, MAX_FILE_BYTES) as file:
         while block := file.read(1 << 20):
-            scans += (last + block).count(_SCAN)
+            scans += (last + block).count(SCAN)
             last = block[-1:]
     if scans > 1 and scans * pixels > MAX_DECODED:
         raise refuse(

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-import base64
 import io
+import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,16 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.images.decode import MAX_PIXELS
+from robir.capture.gltf_json import MeshFaultError, buffer_of, entry
+from robir.capture.images.decode import MAX_DECODED, MAX_PIXELS, MAX_SIDE, SCAN
 
 Codes = NDArray[np.uint8]
 Document = dict[str, Any]
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
-
-
-MOST_PIXELS = 4 * MAX_PIXELS
-"""Of all normal maps of a file together."""
 
 
 def normal_images(document: Document) -> list[Document]:
@@ -58,14 +56,20 @@ def normal_maps(
     maps, pixels = [], 0
     for named in distinct:
         content = _content(_image(document, named), document, binary, parts)
-        with Image.open(io.BytesIO(content), formats=_FORMATS) as file:
-            size = file.width * file.height
-            if size > MAX_PIXELS:
-                raise ValueError(f"it has {file.width} by {file.height} pixels")
-            pixels += size
-            if pixels > MOST_PIXELS:
-                raise ValueError(f"its parts have more than {MOST_PIXELS} pixels together")
-            codes = np.array(file.convert("RGB"))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the size is looked at here
+                file = Image.open(io.BytesIO(content), formats=_FORMATS)
+            with file:
+                pixels += file.width * file.height
+                scans = content.count(SCAN) if file.format == "JPEG" else 1
+                if pixels > MAX_PIXELS or max(file.size) > MAX_SIDE:
+                    raise MeshFaultError(f"{file.width} by {file.height} pixels are too many")
+                if scans > 1 and scans * file.width * file.height > MAX_DECODED:
+                    raise MeshFaultError(f"it stores its picture in {scans} passes")
+                codes = np.array(file.convert("RGB"))
+        except (OSError, SyntaxError, Image.DecompressionBombError) as fault:
+            raise MeshFaultError("it is no picture that can be read, or damaged") from fault
         maps.append(_scaled(codes, float(named.get("scale", 1.0))))
     return tuple(maps), of_material
 
@@ -74,10 +78,14 @@ def _scaled(codes: Codes, strength: float) -> Codes:
     """A map whose bumps are so many times as steep."""
     if strength == 1.0:
         return codes
-    normal = codes / 127.5 - 1
-    normal[..., :2] *= strength
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return np.rint(127.5 * (normal + 1)).astype(np.uint8)
+    if not math.isfinite(strength):
+        raise MeshFaultError("its strength is no number")
+    for row in codes:  # one after another, for a whole map may have a hundred million texels
+        normal = row / 127.5 - 1
+        normal[..., :2] *= strength
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        row[:] = np.rint(127.5 * (normal + 1))
+    return codes
 
 
 def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
@@ -87,11 +95,14 @@ def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
     distinct: list[Document] = []
     of_material: dict[int, int] = {}
     for material in sorted(used):
-        named = document["materials"][material].get("normalTexture")
+        table = entry(document.get("materials", []), material, "a face", "material")
+        named = table.get("normalTexture")
         if named is None:
             continue
+        if not isinstance(named, dict):
+            raise MeshFaultError("it is named by no table")
         if named.get("texCoord", 0) != 0 or "KHR_texture_transform" in named.get("extensions", {}):
-            raise ValueError("it has texture coordinates of its own")
+            raise MeshFaultError("it has texture coordinates of its own")
         if named not in distinct:
             distinct.append(named)
         of_material[material] = distinct.index(named)
@@ -100,9 +111,10 @@ def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
 
 def _image(document: Document, named: Document) -> Document:
     """Entry of the image that a material's normal texture shows."""
-    texture = document["textures"][named["index"]]
+    texture = entry(document.get("textures", []), named.get("index"), "it", "texture")
     webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
-    return document["images"][texture.get("source", webp.get("source"))]
+    source = texture.get("source", webp.get("source"))
+    return entry(document.get("images", []), source, "its texture", "image")
 
 
 def _content(
@@ -110,17 +122,11 @@ def _content(
 ) -> bytes:
     uri = image.get("uri")
     if uri is None:
-        view = document["bufferViews"][image["bufferView"]]
+        view = entry(document.get("bufferViews", []), image.get("bufferView"), "it", "buffer view")
         start = view.get("byteOffset", 0)
-        buffer = document["buffers"][view["buffer"]].get("uri")
-        source = binary if buffer is None else _of_uri(buffer, parts)
+        buffer = entry(document.get("buffers", []), view["buffer"], "its buffer view", "buffer")
+        source = binary if "uri" not in buffer else buffer_of(buffer["uri"], parts)
+        if min(start, view["byteLength"]) < 0:
+            raise MeshFaultError("its buffer view lies outside the buffer")
         return source[start : start + view["byteLength"]]
-    return _of_uri(uri, parts)
-
-
-def _of_uri(uri: str, parts: Mapping[str, bytes]) -> bytes:
-    if uri.startswith("data:"):
-        return base64.b64decode(uri.partition(",")[2])
-    if uri not in parts:
-        raise ValueError(f"{uri} is not there")
-    return parts[uri]
+    return buffer_of(uri, parts)

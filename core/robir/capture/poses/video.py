@@ -14,7 +14,7 @@ from PIL import Image
 from scipy import ndimage
 
 from robir.capture.capture import Finding
-from robir.capture.images.decode import INSTALL_PHOTOS, MAX_PIXELS
+from robir.capture.images.decode import INSTALL_PHOTOS
 from robir.capture.images.regular import regular
 from robir.capture.refusal import note, refuse
 from robir.capture.views import Progress
@@ -28,6 +28,9 @@ SHARPNESS_SIDE = 480
 
 MAX_BYTES = 1 << 35
 """Largest video."""
+
+MAX_FRAME_PIXELS = 36_000_000
+"""Largest frame, a little more than 8K: decoders keep up to sixteen of them."""
 
 _CONTAINERS: dict[str, str] = {
     **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
@@ -80,10 +83,18 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
             if not container.streams.video:
                 raise refuse("bad-video", f"{video} holds no pictures", _EXCLUDED, video.name)
             codec = container.streams.video[0].codec_context
-            if codec.width * codec.height > MAX_PIXELS:
+            if codec is None:
+                raise refuse(
+                    "bad-video",
+                    f"{video} is encoded in a way that the package av does not know",
+                    _EXCLUDED,
+                    video.name,
+                )
+            if codec.width * codec.height > MAX_FRAME_PIXELS:
                 raise refuse("bad-video", f"{video} has huge frames", _EXCLUDED, video.name)
-            total = _frame_count(container)
-            for best in _sharpest(container, total, progress):
+            # of every frame: later ones may be larger than the first
+            codec.options = {"max_pixels": str(MAX_FRAME_PIXELS)}
+            for best in _sharpest(container, _frame_count(container), progress):
                 taken.append(best)
                 _write(best.frame, folder / f"frame_{best.number:06d}.png")
     except (FFmpegError, OSError, ValueError) as fault:
@@ -108,12 +119,10 @@ def sharpness(grey: NDArray[np.uint8]) -> float:
 
 
 def _frame_count(container: Any) -> int:
-    """Frames of a video, at least one; an estimate where the file does not say."""
-    stream = container.streams.video[0]
-    if stream.frames:
-        return stream.frames
-    seconds = (container.duration or 0) / 1e6
-    return max(1, round(seconds * float(stream.average_rate or 30)))
+    """Frames that a video has, whatever its header claims, at least one; none is decoded."""
+    count = sum(packet.size > 0 for packet in container.demux(video=0))
+    container.seek(0)
+    return max(1, count)
 
 
 def _sharpest(container: Any, total: int, progress: Progress) -> Iterator[_Best]:

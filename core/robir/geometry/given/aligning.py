@@ -26,10 +26,10 @@ from robir.geometry.given.placing import (
     Agreement,
     Outlines,
     better_place,
+    covering,
 )
 from robir.geometry.given.symmetry import best_turned
 from robir.geometry.given.verdict import poor_fit
-from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
     # about the middle of the unit sphere, for a scan may be far from its origin
     from_unit = _from_unit(centre, radius)
     vertices = from_unit.inverse(given.vertices)
-    tracer = EmbreeTracer(vertices.astype(np.float32), given.faces)
+    tracer = covering(vertices, given.faces)
     if not config.fit_mesh:
         now = Outlines(capture.train, FINE_SIDE).of(tracer, from_unit)
         if now.share >= FITS:

@@ -139,6 +139,22 @@ class Outlines:
         )
 
 
+def covering(vertices: Array, faces: NDArray[np.int32]) -> EmbreeTracer:
+    """Tracer of what a mesh covers: a ray that meets one of many equal faces meets them all.
+
+    Args:
+        vertices: (Nv, 3), any frame; rays are in the same frame.
+        faces: (Nf, 3).
+    """
+    # faces of one place have one middle; where none have, nothing more is looked at
+    middles = vertices[faces].sum(axis=1) @ np.array([1.0, np.pi, np.e])
+    if len(np.unique(middles)) < len(faces):
+        _, places = np.unique(vertices, axis=0, return_inverse=True)
+        corners = np.sort(places.reshape(-1)[faces], axis=1)
+        faces = faces[np.unique(corners, axis=0, return_index=True)[1]]
+    return EmbreeTracer(vertices.astype(np.float32), faces)
+
+
 def is_met(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> NDArray[np.bool_]:
     """Whether rays meet a mesh that a similarity brings to its place.
 

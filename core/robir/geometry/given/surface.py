@@ -22,7 +22,15 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.given.aligning import aligned
 from robir.geometry.given.fit_picture import show_fit
 from robir.geometry.given.occluders import cleared
-from robir.geometry.given.placing import BETTER, FINE_SIDE, FITS, Agreement, Outlines, better_place
+from robir.geometry.given.placing import (
+    BETTER,
+    FINE_SIDE,
+    FITS,
+    Agreement,
+    Outlines,
+    better_place,
+    covering,
+)
 from robir.geometry.given.ready import made_ready, welded
 from robir.geometry.given.sides import inside_out
 from robir.geometry.given.verdict import is_related, poor_fit
@@ -154,7 +162,7 @@ def _placed(
     """The mesh where the photographs show it, as it is or, if that is asked for, moved."""
     views = captures[1].train
     vertices, faces = given.vertices, given.faces
-    tracer = EmbreeTracer(vertices.astype(np.float32), faces)
+    tracer = covering(vertices, faces)
     now = Outlines(views, FINE_SIDE).of(tracer, AS_IT_IS)
     is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
     if not is_judge or (now.share >= FITS and not config.fit_mesh):

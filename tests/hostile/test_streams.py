@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams, folders and installations that are not as they should be are told as what they are."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robir import cli
+from robir.config import RunConfig
+from robir.errors import CaptureError, ConfigError, DeviceError
+from robir.export.asset import AssetFacts
+from robir.jobs.paths import JobPaths
+from robir.pipeline.faults import translated
+from robir.settings import settings_from_table
+from robir.specimen import write_specimen
+
+ROOT = Path(__file__).parents[2]
+ROBIR = f"{sys.executable} -P -m robir"
+
+
+def shell(words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    variables = {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
+    command = ["/bin/bash", "-o", "pipefail", "-c", words]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=variables)
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code", "said"),
+    [
+        ("| true", 0, ""),
+        ("> /dev/full", 6, "standard output cannot be written: No space left"),
+        ("2>&-", 0, ""),
+        ("2> /dev/full", 0, ""),
+        ("2> >(true)", 0, ""),
+        ("<&- >&- 2>&-", 0, ""),
+    ],
+)
+def test_streams_that_nobody_reads(tmp_path, redirection, code, said):
+    write_specimen(tmp_path / "sphere")
+    done = shell(f"{ROBIR} check sphere --json --progress plain {redirection}", tmp_path)
+    assert done.returncode == code, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr and "internal error" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+def test_a_working_folder_that_is_gone(tmp_path):
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "cap").mkdir()
+    words = f"cd gone; rmdir ../gone; {ROBIR} reconstruct {tmp_path}/cap -o {tmp_path}/out"
+    done = shell(words, tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "the working folder has been deleted" in done.stderr
+
+
+def test_a_damaged_installation_is_no_full_disk(tmp_path):
+    """OUT is not there yet, so nothing can be asked of its disk."""
+    fault = translated(ImportError("No module named 'skimage.transform'"), "", tmp_path / "a" / "b")
+    assert isinstance(fault, DeviceError)
+    assert "skimage.transform" in str(fault)
+    bug = ZeroDivisionError()
+    assert translated(bug, "", tmp_path / "a" / "b") is bug
+
+
+def test_files_that_may_not_be_read(tmp_path):
+    fault = translated(PermissionError(13, "Permission denied", "cap/train/x"), "", tmp_path)
+    assert isinstance(fault, CaptureError)
+    assert "cap/train/x cannot be read: Permission denied" in str(fault)
+
+
+@pytest.mark.parametrize("word", ["caf\udce9", "a\ud800"])
+def test_names_that_are_no_text(word, capsys):
+    with pytest.raises(SystemExit) as ending:
+        cli.main(["check", word])
+    assert ending.value.code == 2
+    assert "no path of valid text" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{"author": "x" * 200_000}, {"licence": "a\0b"}, {"tags": ("a\nb",)}, {"tags": ("a",) * 101}],
+)
+def test_facts_of_an_asset_are_lines_of_text(facts):
+    with pytest.raises(ConfigError):
+        AssetFacts(**facts)
+
+
+def test_numbers_that_are_hardly_there():
+    tiny = {"white_point": [0.5, 0.5, 1e-320, 1e-320, 1e-320], "sun": [1e-320, 0.0, 0.0]}
+    for name, value in tiny.items():
+        with pytest.raises(ConfigError, match="finite number"):
+            settings_from_table(RunConfig, {"appearance": {name: value}}, "--set")
+
+
+def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):
+    """That photographs may lie elsewhere is said on the command line, each time."""
+    from argparse import Namespace
+
+    from robir.commands import _settings
+    from robir.jobs.paths import write_json
+    from robir.settings import toml_from_settings
+
+    paths = JobPaths(tmp_path)
+    run = {"state": "running", "preset": "draft", "seconds": {}, "peak_memory_bytes": {}}
+    run |= {"capture": {"name": "c", "place": "0", "masks": None, "fingerprint": ""}}
+    run |= {"warnings": []}
+    write_json(paths.run, run)
+    text = toml_from_settings(RunConfig()).replace('outside = "refuse"', 'outside = "take"')
+    assert 'outside = "take"' in text
+    paths.config.write_text(text)
+    options = Namespace(
+        out=tmp_path, resume=True, preset=None, masks=None, mesh=None, config=None,
+        assignments=[], seed=None,
+    )  # fmt: skip
+    assert _settings(options)[1].capture.outside == "refuse"
+    options.assignments = ["capture.outside=take"]
+    assert _settings(options)[1].capture.outside == "take"
