@@ -167,8 +167,8 @@ def checked_table(
 
 
 def table_from_settings(settings: Any) -> dict[str, Any]:
-    """Nested plain values of a settings dataclass."""
-    return msgspec.to_builtins(settings)
+    """Nested plain values of a settings dataclass, as a JSON file has them: tuples are lists."""
+    return msgspec.json.decode(msgspec.json.encode(settings))
 
 
 def toml_from_settings(settings: Any) -> str:
@@ -230,7 +230,7 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     members = value if isinstance(value, list | tuple) else [value]
     try:
         if any(isinstance(one, float) and not _is_sane(one) for one in members):
-            raise ConfigError(f"{source}: {dotted} is {value!r}; it must be finite")
+            raise ConfigError(f"{source}: {dotted} is {value!r}; it must be a finite number")
         return msgspec.convert(value, _of_members(hint))
     except msgspec.ValidationError as error:
         allowed = "".join(f"; it must be in {text}" for text in _ranges(hint))

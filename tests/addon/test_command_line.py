@@ -107,7 +107,7 @@ def test_headless_commands_are_those_of_the_module(tmp_path, own_blender, extens
         str(tmp_path),
         user=tmp_path / "user",
     )
-    assert answer == [["extension", "robir", "robir_scene"], 1]
+    assert answer == [["extension", "robir", "robir_scene"], 6]
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])

@@ -18,11 +18,14 @@ sys.path[:0] = [str(ROOT / "core"), str(ROOT)]  # this checkout, whichever is in
 from robir import cli, presets  # noqa: E402
 from robir.pipeline.reporter import RunReporter  # noqa: E402
 
-
-def quick_to_place(given):
-    """Looks for a mesh's place by fewer photographs and among fewer turns."""
-    placing = replace(given.placing, views=6, turns=150, followed=2, evaluations=150)
-    return replace(given, placing=placing, symmetry=replace(given.symmetry, followed=2))
+QUICK_TO_PLACE = (
+    "geometry.given.placing._VIEWS=6",
+    "geometry.given.placing._TURNS=150",
+    "geometry.given.placing._FOLLOWED=2",
+    "geometry.given.placing._EVALUATIONS=150",
+    "geometry.given.symmetry._FOLLOWED=2",
+)
+"""Constants by which a mesh's place is looked for by fewer photographs and among fewer turns."""
 
 
 def tiny():
@@ -30,7 +33,7 @@ def tiny():
     base = presets.draft()
     geometry = replace(
         base.geometry, image_side=48, hull_cells=24, level_cells=(24, 32), level_steps=(50, 50),
-        rays=256, face_budget=600, unwrap_seconds=20.0, given=quick_to_place(base.geometry.given),
+        rays=256, face_budget=600, unwrap_seconds=20.0,
     )  # fmt: skip
     transport = replace(base.transport, num_surfels=600, num_directions=64)
     appearance = replace(
@@ -39,8 +42,9 @@ def tiny():
     )  # fmt: skip
     export = replace(base.export, renders=False)
     return replace(
-        base, geometry=geometry, transport=transport, appearance=appearance, export=export
-    )
+        base, geometry=geometry, transport=transport, appearance=appearance, export=export,
+        constants=QUICK_TO_PLACE,
+    )  # fmt: skip
 
 
 def main() -> int:

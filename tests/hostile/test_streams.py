@@ -115,7 +115,7 @@ def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):
     paths.config.write_text(text)
     options = Namespace(
         out=tmp_path, resume=True, preset=None, masks=None, mesh=None, config=None,
-        assignments=[], seed=None,
+        assignments=[], constants=[], seed=None,
     )  # fmt: skip
     assert _settings(options)[1].capture.outside == "refuse"
     options.assignments = ["capture.outside=take"]

@@ -14,7 +14,6 @@ from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
-from robir.capture.readers import nerf_synthetic
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere
@@ -131,10 +130,6 @@ def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
     compared = Course().carry_out(COMPARISON, compared)
     odd = {views[number].name for number in (5, 16, 20)}
     assert compared.other_light == odd
-    rendered = replace(capture, format=nerf_synthetic.FORMAT)
-    alike = Comparison.of(transport, tracer, rendered, AppearanceConfig(), 0)
-    assert Course().carry_out(COMPARISON, alike) is alike
-    assert compared.exposures is None
     left = transport.without_views(compared.other_light).observations
     assert set(left.views) == {view.name for view in capture.train} - odd
     kept = np.isin(transport.observations.views, left.views)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -239,6 +240,13 @@ def test_lights_are_not_settled_where_the_shoulder_is_plainly_nearer(stage):
     judged = Judged.of(models_of(scene, 10), CONFIG)
     assert judged.lead(0, 1, 150, 0).total < -2
     assert not judged.settled
+
+
+@pytest.mark.parametrize(("origin", "margin"), [("auto", -1.0), ("camera", -2.0), ("render", 2.0)])
+def test_where_photographs_are_from_is_a_prior_on_the_curve(stage, origin, margin):
+    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), 700)
+    told = replace(CONFIG, origin=origin)
+    assert Judged.of(models_of(scene, 2), told).lead(0, 1, 0, 0).margin == margin
 
 
 def test_pairs_of_two_materials_do_not_count(stage):

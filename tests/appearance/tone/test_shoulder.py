@@ -47,6 +47,7 @@ def test_the_plain_curve_must_lead_clearly(shadows, highlights, noise, clear):
     codes = (table(3.0 / 255), table((3.0 + (highlights or 0)) / 255, noise / 255))
     bright = None if highlights is None else codes
     lead = PlainLead.of(("standard", "filmic"), pairs, bright, ToneConfig())
+    lead = replace(lead, margin=2.0)
     assert lead.shoulder == "filmic"
     assert lead.shadows.value == pytest.approx(shadows)
     assert lead.highlights is None or lead.highlights.value == pytest.approx(highlights)

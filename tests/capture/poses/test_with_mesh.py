@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from addon.tiny_engine import quick_to_place
+from addon.tiny_engine import QUICK_TO_PLACE
 from capture.poses.room import RADIUS, Registered, Walk
 from geometry.given.test_surface import Quiet
 
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import Workshop, read_capture
 from robir.capture.store import load_settled, save_capture
+from robir.constants import changed
 from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
 from robir.jobs.context import StageContext
@@ -57,18 +57,18 @@ def test_cameras_of_photographs_alone_come_to_the_mesh(
     capture = read_capture(walk.folder, None, CaptureConfig(), workshop=workshop, mesh=mesh)
     paths, listener = JobPaths(tmp_path), Listener()
     save_capture(paths.stage("capture"), capture)
-    metrics = stage.run(
-        StageContext(
-            paths=paths,
-            config=replace(GeometryConfig(), given=quick_to_place()),
-            source=walk.folder,
-            masks=None,
-            seed=0,
-            device="cpu",
-            reporter=listener,
-            mesh=mesh,
-        )
+    context = StageContext(
+        paths=paths,
+        config=GeometryConfig(),
+        source=walk.folder,
+        masks=None,
+        seed=0,
+        device="cpu",
+        reporter=listener,
+        mesh=mesh,
     )
+    with changed(QUICK_TO_PLACE):
+        metrics = stage.run(context)
     assert metrics["outline_agreement"] > 0.95
     assert any("brought to the mesh" in text for text in listener.told)
     assert any("do not tell the turn about" in text for text in listener.told)
