@@ -60,7 +60,7 @@ class AppearanceConfig:
         proof: By which photographs whatever enters the model is proven.
         smooth_normals: How normals of a photographed surface are freed of its grain.
         model_size: How much of the light model a scene needs beside its suns.
-        proven_suns: Whether photographs prove the suns.
+        proven_suns: Whether photographs disprove the suns.
         render: Our own re-renders of views.
         material: How gloss and metal are found.
         tone: How the tone curve is chosen.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether photographs prove the suns that were found in them.
+"""Whether photographs disprove the suns that were found in them.
 
 A sun is searched among thousands of directions by the shadows it would cast, and a surface that is
 a percent off casts enough of its own for one of them to fit. So the light is solved once more by
@@ -38,7 +38,7 @@ _NUM_SAMPLES = 4000
 
 
 def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
-    """The solution, or that under the sky alone where photographs prove no sun.
+    """The solution, or that under the sky alone where photographs speak against its suns.
 
     Args:
         tone: Curves, the taken one first.

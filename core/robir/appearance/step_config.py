@@ -51,13 +51,14 @@ class ModelSizeConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProvenSunsConfig:
-    """Whether photographs prove the suns.
+    """Whether photographs disprove the suns.
 
     Attributes:
-        margin: By which suns must lead, as whatever enters the model must.
+        margin: By which suns must lead. A convex thing without highlights has no shadow that could
+            tell; its suns stay.
     """
 
-    margin: Annotated[float, Within(-100, 100, "standard errors")] = 1.0
+    margin: Annotated[float, Within(-100, 100, "standard errors")] = -0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
