@@ -152,8 +152,8 @@ def test_rotation_turns_the_light_counter_clockwise(built, tmp_path):
 
 def test_wrong_requests_end_in_one_sentence(built, tmp_path):
     for arguments, code, words in (
-        (["scene", tmp_path], 1, "cannot be read"),
-        (["render", tmp_path], 1, "cannot be read"),
+        (["scene", tmp_path], 6, "cannot be read"),
+        (["render", tmp_path], 6, "cannot be read"),
         (["render", built.root, "--views", "nobody"], 2, "no view is named 'nobody'"),
         (["relight", built.root, "--environment", "mars"], 2, "ships only city"),
     ):
