@@ -193,14 +193,20 @@ def found_environment(given: Path) -> Path:
     """
     if given.is_file():
         if given.suffix.lower() not in (".exr", ".hdr"):
-            raise RequestError(f"{given}: unknown kind {given.suffix!r}; use .exr or .hdr")
+            raise RequestError(
+                "{file} is of an unknown kind, {kind}; use .exr or .hdr",
+                file=given,
+                kind=repr(given.suffix),
+            )
         return given.resolve()
     folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
     shipped = folder / f"{given}.exr"
     if shipped.is_file():
         return shipped
     names = ", ".join(sorted(file.stem for file in folder.glob("*.exr")))
-    raise RequestError(f"{given}: no such file, and Blender ships only {names}")
+    raise RequestError(
+        "{file}: no such file, and Blender ships only {names}", file=given, names=names
+    )
 
 
 def shows_recovered_light(world: bpy.types.World) -> bool:

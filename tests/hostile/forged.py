@@ -28,7 +28,7 @@ from robir import cli
 from robir.jobs.paths import STAGES, JobPaths
 from robir.specimen import write_specimen
 
-CODES = (0, 1, 2, 3, 4, 5)
+CODES = (0, 1, 2, 3, 4, 5, 6)
 """Every end that a command may come to by itself."""
 
 UNWRAP = "robir.geometry.mesh.charts"
