@@ -234,12 +234,20 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
         return msgspec.convert(value, _of_members(hint))
     except msgspec.ValidationError as error:
         allowed = "".join(f"; it must be in {text}" for text in _ranges(hint))
-        if get_origin(hint) is Literal:
-            allowed = f"; choose one of {', '.join(repr(choice) for choice in get_args(hint))}"
+        if choices := _choices(hint):
+            allowed = f"; choose one of {', '.join(map(repr, choices))}"
         text = str(error)
         for theirs, ours in _WORDS.items():
             text = text.replace(theirs, ours)
         raise ConfigError(f"{source}: {dotted} is {value!r}: {text}{allowed}") from error
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """What a setting, or each member of a list, is chosen from; empty where that is free."""
+    members = get_args(hint)
+    if get_origin(hint) is Literal:
+        return members
+    return _choices(members[0]) if get_origin(hint) is tuple and members else ()
 
 
 def _of_members(hint: Any) -> Any:
