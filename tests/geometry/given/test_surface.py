@@ -74,7 +74,7 @@ def capture():
 def test_equal_faces_cost_nothing(capture):
     solid = placed(statue())
     equal = trimesh.Trimesh(solid.vertices, np.tile(solid.faces[:1], (50_000, 1)), process=False)
-    rays = Outlines(capture.train, 40, GeometryConfig().given.placing)
+    rays = Outlines(capture.train, 40)
     seconds = []
     for mesh in (solid, equal):
         tracer = covering(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
