@@ -170,7 +170,7 @@ def test_a_card_that_torch_cannot_use(monkeypatch):
 
 def test_a_full_temporary_folder(monkeypatch):
     verdict = verdict_of(OSError(28, "No space left on device"), monkeypatch)
-    assert verdict.exit_code == 1
+    assert verdict.exit_code == 6
     assert "temporary folder" in verdict.message
     assert "make room" in verdict.cure
 
