@@ -37,7 +37,7 @@ def test_exit_codes_are_those_of_the_command_line(home, capture, tmp_path):
         (["robir", empty, "-o", tmp_path / "out", "--engine", sys.executable], 3, "no photographs"),
         (["robir", capture, "--engine", sys.executable], 2, "-o"),
         (["robir", "--help"], 0, ""),
-        (["robir_scene", "render", empty], 1, "cannot be read"),
+        (["robir_scene", "render", empty], 6, "cannot be read"),
         (["robir_scene", "paint", empty], 2, "invalid choice"),
     ):
         done = blender(home, *words)
