@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, retold, specular_towards
+from robir.appearance.material.gloss import Gloss, retold
 from robir.appearance.material.roughness import MATTE
 from robir.appearance.photometry.statistics import display_mean, linear_observations
-from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.appearance.texture.texels import TexelAlbedo, Texels, radiance_towards
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.jobs.choice import Choice
@@ -214,25 +214,19 @@ class Jury:
 
     def _radiance(self, asset: Asset) -> Floats:
         """(N, V, 3) that an asset sends to the photographs' cameras."""
-        problem, light, values = asset.problem, asset.light, asset.values
-        points, seen = self._points, self._seen
-        blend = Blend(problem, points)
-        soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-        rays = 2 * problem.scene.config.light.problem.sun_ray_pairs
-        sun = sun_transfer(problem, light, points, light.sharpness, rays)
-        irradiance = soft + sun @ light.amplitudes.sharp.numpy()
+        points, seen, values = self._points, self._seen, asset.values
         point, view = np.nonzero(seen.weight > 0)
         towards = seen.positions[view] - points.position[point]
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        dielectric, metal, through = specular_towards(
-            problem, light, asset.gloss, blend.nearest[point], towards.astype(np.float32)
+        texel = self._some[point]
+        whole, _ = radiance_towards(
+            (asset.problem, asset.light, asset.gloss),
+            points,
+            (point, towards.astype(np.float32)),
+            (values.albedo[texel], values.metallic[texel, None]),
         )
-        albedo = values.albedo[self._some][point]
-        metallic = values.metallic[self._some][point, None]
-        matt = albedo * irradiance[point] / np.pi
         sent = np.zeros((*seen.weight.shape, 3), np.float32)
-        sent[point, view] = (1 - metallic) * (through * matt + dielectric)
-        sent[point, view] += metallic * albedo * metal
+        sent[point, view] = whole
         return sent
 
     def _codes(self, radiance: Floats) -> Floats:

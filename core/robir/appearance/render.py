@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, specular_towards
-from robir.appearance.texture.texels import Blend, TexelAlbedo, Texels, sun_transfer
+from robir.appearance.material.gloss import Gloss
+from robir.appearance.texture.texels import TexelAlbedo, Texels, radiance_towards
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
@@ -199,18 +199,9 @@ def _radiance(
         normal=np.concatenate([one.points.normal for one in seen]),
     )
     texel = np.concatenate([one.texel for one in seen])
-    blend = Blend(problem, points)
-    soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-    rays = 2 * problem.scene.config.light.problem.sun_ray_pairs
-    sun = sun_transfer(problem, light, points, light.sharpness, rays)
-    irradiance = soft + sun @ light.amplitudes.sharp.numpy()
-    albedo = values.albedo[texel]
-    metallic = values.metallic[texel, None]
-    dielectric, metal, through = specular_towards(
-        problem, light, gloss, blend.nearest, np.concatenate([one.towards for one in seen])
-    )
-    matt = albedo * irradiance / np.pi
-    return (1 - metallic) * (through * matt + dielectric) + metallic * albedo * metal, matt
+    towards = np.concatenate([one.towards for one in seen])
+    paint = values.albedo[texel], values.metallic[texel, None]
+    return radiance_towards((problem, light, gloss), points, (slice(None), towards), paint)
 
 
 def _picture(

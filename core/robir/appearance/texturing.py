@@ -137,8 +137,7 @@ def _hear_photographs(state: Texture) -> Texture:
 
     jury = Jury(state.problem, texels, state.views, state.tracer)
     word = heard(jury, asset, read, texels)
-    kept = asset if word.asset is asset else word.asset
-    return replace(state, gloss=kept.gloss, values=kept.values, word=word)
+    return replace(state, gloss=word.asset.gloss, values=word.asset.values, word=word)
 
 
 def _refine_detail(state: Texture) -> Texture:
