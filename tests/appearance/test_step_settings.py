@@ -36,7 +36,7 @@ def test_settings_of_steps_are_written_with_their_ranges():
     [
         "photometry.own_light.sheen_degree=0",
         "light.problem.pair_reaches=[0.1]",
-        "evidence.hue.step=0",
+        "evidence.level.num_patches=0",
         "proof.every=1",
     ],
 )

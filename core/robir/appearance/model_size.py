@@ -29,33 +29,10 @@ from robir.appearance.light.problem import Problem, blocks_of
 from robir.appearance.light.solver import Light, fit
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.proof import Proof
-from robir.appearance.step_config import ModelSizeConfig
 from robir.appearance.tone.ranking import pair_errors
 from robir.jobs.choice import Choice
 
 SHADED, REFLECTED = "as shading has it", "as paint reflects it"
-
-
-def without_bounces(
-    problem: Problem, light: Light, config: ModelSizeConfig
-) -> tuple[Problem, Choice]:
-    """The problem without the light from the object itself if there is none, and why."""
-    rows = problem.scene.rows
-    whole = light.irradiance(problem, rows).mean(1)
-    shares = problem.indirect[rows].mean(1) / whole.clamp(min=1e-9)
-    share = float(shares.quantile(config.bounced_quantile))
-    kept, left_out = "one bounce, measured", "none"
-    is_kept = share >= config.least_bounced
-    if not is_kept:
-        problem = replace(problem, indirect=torch.zeros_like(problem.indirect))
-    return problem, Choice(
-        choice="light from the object itself",
-        chosen=kept if is_kept else left_out,
-        alternatives=(left_out if is_kept else kept,),
-        why=f"it is {float(shares.median()):.1%} of the light of the middle sample and "
-        f"{share:.1%} where there is most; it has no unknowns and is left out below "
-        f"{config.least_bounced:.0%}",
-    )
 
 
 def with_even_sky(

@@ -6,35 +6,29 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
-from robir.appearance.light.told import Told
 from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import Gains
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.rivals import fits_alike
 from robir.jobs.choice import Choice
 
-GREY, BY_ALL, BY_HIGHLIGHTS, BY_PAINT = (
+GREY, BY_ALL, BY_PAINT = (
     "grey as a whole",
     "by all that tells it",
-    "as of the highlights",
     "by the paint that you know",
 )
 
 
-def light_choices(
-    tone: ToneChoice, light: Light, known: Told, seconds: dict[str, float]
-) -> tuple[Choice, ...]:
+def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
     """On the tone curve and the light.
 
     Args:
         tone: The curves that were compared.
         light: The solved light.
-        known: What evidence told of it as a whole.
         seconds: Processor time by task: "tone_curve", "light".
     """
     candidates, evidence = tone.candidates, tone.evidence
     is_known = tone.scene.known_paint is not None
-    told = BY_PAINT if is_known else BY_HIGHLIGHTS
     reason = {
         True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
         False: "bright pixels thin out towards code 255: the curve rolls off",
@@ -66,10 +60,9 @@ def light_choices(
         ),
         Choice(
             choice="hue of the light",
-            chosen=told if is_known or known.hue is not None else GREY,
-            alternatives=(GREY if known.hue is not None else told,),
-            why="highlights on paint have the colour of the light; where too few show, nothing "
-            "tells it from the colour of all albedos, but paint that you know",
+            chosen=BY_PAINT if is_known else GREY,
+            alternatives=(GREY if is_known else BY_PAINT,),
+            why="nothing tells the light's colour from that of all albedos but paint that you know",
         ),
         Choice(
             choice="brightness of the light",

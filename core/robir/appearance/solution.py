@@ -13,9 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.hue import told_hue
 from robir.appearance.evidence.level import told_level
-from robir.appearance.evidence.mirrored_sky import sky_by_metal
 from robir.appearance.evidence.white_point import sent_by_paint
 from robir.appearance.evidence.witness import BY_PAINT, Witness
 from robir.appearance.light.problem import Problem
@@ -23,7 +21,7 @@ from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
-from robir.appearance.model_size import with_even_sky, with_reflected_sky, without_bounces
+from robir.appearance.model_size import with_even_sky, with_reflected_sky
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
@@ -86,11 +84,6 @@ def solve(
     return course.carry_out(SOLUTION, start)
 
 
-def _leave_out_bounces(state: Solution) -> Solution:
-    problem, choice = without_bounces(state.problem, state.light, state.config.model_size)
-    return replace(state, problem=problem, choices=(*state.choices, choice))
-
-
 def _even_the_sky(state: Solution) -> Solution:
     problem, light, choice = with_even_sky(state.problem, state.light, state.config)
     return replace(state, problem=problem, light=light, choices=(choice, *state.choices))
@@ -128,15 +121,6 @@ def _with_gloss(state: Solution, step: int, told: float | None = None) -> Soluti
     return replace(state, gloss=gloss, matte=matte)
 
 
-def _hue(state: Solution) -> Solution:
-    told, witnesses = told_hue(state.problem, state.light, state.material, state.matte.scene.rows)
-    state = replace(state, witnesses=(*state.witnesses, *witnesses))
-    if told is None:
-        return state
-    error = state.config.evidence.hue.error
-    return replace(state, told=replace(state.told, hue=told, hue_error=error))
-
-
 def _level(state: Solution) -> Solution:
     solved = state.matte.scene.rows
     told = told_level(state.problem, state.light, state.material, solved, state.seed)
@@ -167,11 +151,6 @@ def _refit(state: Solution) -> Solution:
     return replace(state, light=refit(state.matte, state.light, state.told, state.thorough))
 
 
-def _mirrored_sky(state: Solution) -> Solution:
-    light = sky_by_metal(state.problem, state.light, state.material, state.config.evidence)
-    return state if light is None else _gloss(replace(state, light=light))
-
-
 def _reflected_sky(state: Solution) -> Solution:
     told = with_reflected_sky(state.problem, state.light, state.material, state.config)
     if told is None:
@@ -184,12 +163,6 @@ def _reflected_sky(state: Solution) -> Solution:
 
 
 SOLUTION: tuple[Step[Solution], ...] = (
-    Step(
-        name="no-bounces",
-        purpose="leaves out light from the object itself where there is none",
-        source="ours",
-        run=_leave_out_bounces,
-    ),
     Step(
         name="even-sky",
         purpose="takes one lobe for an overcast sky, where that predicts as well",
@@ -217,12 +190,6 @@ SOLUTION: tuple[Step[Solution], ...] = (
         is_on_trial=False,
     ),
     Step(
-        name="hue-by-highlights",
-        purpose="takes the light's hue from highlights of paint",
-        source="dichromatic reflection model (Shafer 1985)",
-        run=_hue,
-    ),
-    Step(
         name="level",
         purpose="takes the light's level from highlights, metal, common paints and exposures",
         source="ours: Bayes' rule; Fresnel reflectance of .04 at normal incidence",
@@ -246,12 +213,6 @@ SOLUTION: tuple[Step[Solution], ...] = (
         purpose="finds highlights and metal under the last light",
         source="GGX microfacets (Heitz 2014), a roughness a patch",
         run=_gloss,
-    ),
-    Step(
-        name="mirrored-sky",
-        purpose="takes the sky from its image in metal, where there is some",
-        source="ours: light probe (Debevec 1998) of the object's own metal",
-        run=_mirrored_sky,
     ),
     Step(
         name="reflected-sky",

@@ -45,7 +45,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 82
+REVISION = 83
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
@@ -102,19 +102,19 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     shape = lit.mesh, tracer, own_tracer
     texture = textured((problem, light, gloss), shape, capture.without(other), config, course)
     light, gloss, inside = texture.light, texture.gloss, texture.inside
-    values, normals = texture.values, texture.normals
+    values = texture.values
     reporter.progress(0.9, "rendering held-out views")
-    surface = Painted(replace(mesh, normals=normals), own_tracer, AtlasLookup(mesh, inside), values)
+    surface = Painted(lit.mesh, own_tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
     _show(context.paths, capture, config.render)
     _write_textures(folder, inside, values, gloss)
-    _write_normals(folder, normals)
+    _write_normals(folder, lit.mesh.normals)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
     _write_last_word(folder, texture.word)
     write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
     choices = (
-        *light_choices(tone, light, solution.told, seconds),
+        *light_choices(tone, light, seconds),
         *gloss.choices,
         *solution.choices,
         *(() if texture.word is None else (texture.word.choice,)),

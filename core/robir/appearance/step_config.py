@@ -36,15 +36,11 @@ class ModelSizeConfig:
     """How much of the light model a scene needs beside its suns.
 
     Attributes:
-        bounced_quantile: Rank among the samples at which light from the object itself is judged.
-        least_bounced: Share of a sample's light below which there is none.
         num_partners: Others that each sample is compared with where albedos must be alike, drawn
             from all; those of another hue count little.
         other_paint: Difference beyond which two are of other paints.
     """
 
-    bounced_quantile: Annotated[float, Within(0, 1)] = 0.99
-    least_bounced: Annotated[float, Within(0, 1)] = 0.02
     num_partners: Annotated[int, Within(1, 1000)] = 16
     other_paint: Annotated[float, Within(0.01, 10, "log albedo")] = 0.7
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Textures of the whole atlas, and the normals that go with them, step by step."""
+"""Textures of the whole atlas, step by step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.detail import finer
-from robir.appearance.texture.shading_normals import shading_normals
 from robir.appearance.texture.texel_size import (
     most_side,
     pixel_width,
@@ -53,7 +52,6 @@ class Texture:
         inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
         atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
         values: Of these texels.
-        normals: (V, 3) of the vertices, to render them with.
         course: Of the stage's steps, for what is read again.
         word: What photographs took back; None before they were heard.
     """
@@ -70,7 +68,6 @@ class Texture:
     inside: NDArray[np.bool_]
     atlas: tuple[NDArray[np.int32], Floats]
     values: TexelAlbedo
-    normals: Floats
     course: Course = field(compare=False)
     word: LastWord | None = field(default=None, compare=False)
 
@@ -82,7 +79,7 @@ def textured(
     config: AppearanceConfig,
     course: Course,
 ) -> Texture:
-    """Texels of the atlas at the side that photographs resolve, and normals of the vertices.
+    """Texels of the atlas at the side that photographs resolve.
 
     Args:
         solved: Scene under the chosen tone curve, its light, and specular material.
@@ -115,15 +112,9 @@ def textured(
         inside=inside,
         atlas=atlas,
         values=texel_albedo(solved, texels, views, tracer, course),
-        normals=mesh.normals,
         course=course,
     )
     return course.carry_out(TEXTURE, start)
-
-
-def _turn_normals(state: Texture) -> Texture:
-    normals = shading_normals(state.problem, state.light, state.mesh, state.atlas, state.values)
-    return replace(state, normals=normals)
 
 
 def _hear_photographs(state: Texture) -> Texture:
@@ -167,12 +158,6 @@ def _hold_to_known_paint(state: Texture) -> Texture:
 
 
 TEXTURE: tuple[Step[Texture], ...] = (
-    Step(
-        name="shading-normals",
-        purpose="turns normals so that the smoothed albedo repeats the photographs",
-        source="shape from shading about a known shape (Wu et al. 2011)",
-        run=_turn_normals,
-    ),
     Step(
         name="last-word",
         purpose="takes back, block by block, what shows photographs worse than their mean does",

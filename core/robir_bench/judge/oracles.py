@@ -65,7 +65,7 @@ _SURE = 0.01
 _LEAST_RADIUS = 0.5
 """Least radius of a sun, degrees."""
 
-_NO_SKIES = 'appearance.without=["mirrored-sky","reflected-sky"]'
+_NO_SKIES = 'appearance.without=["reflected-sky"]'
 """Steps that would replace a sky that is told."""
 
 
@@ -294,7 +294,7 @@ class Oracle:
         )
 
 
-_GLOSSES = ("first-gloss", "gloss", "mirrored-sky", "reflected-sky")
+_GLOSSES = ("first-gloss", "gloss", "reflected-sky")
 _CORRECTIONS: dict[str, tuple[str, ...]] = {
     "level": ("level",),
     "metal": _GLOSSES,

@@ -10,27 +10,6 @@ from robir.settings import Within
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HueConfig:
-    """When highlights of paint tell the hue of the light.
-
-    Attributes:
-        least_contrast: Highlight against what is below it from which its hue is read: below, errors
-            of the normals and what shines back from coloured surfaces weigh as much.
-        least_views: Views that must show such a highlight.
-        most_deviations: Of those that lights have, beyond which a hue is misread.
-        step: Every so manieth of the samples that take part in the light solve is looked at.
-        error: Root of the mean square error of a hue told so, of six rendered scenes under two
-            lights each.
-    """
-
-    least_contrast: Annotated[float, Within(0, 10)] = 0.2
-    least_views: Annotated[int, Within(2, 100000)] = 50
-    most_deviations: Annotated[float, Within(0, 100)] = 3.0
-    step: Annotated[int, Within(1, 100)] = 2
-    error: Annotated[float, Within(1e-4, 10, "log units")] = 0.04
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelConfig:
     """What tells how bright the light as a whole is.
 
@@ -92,30 +71,6 @@ class LobeChangesConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MirroredSkyConfig:
-    """The sky as metal mirrors it.
-
-    Attributes:
-        least_metal: Share of metal among the samples that is needed: the normals of little metal,
-            mostly small and bent, displace all that it mirrors.
-        sun_share: Share of a sun in what metal shows from which a view says nothing about the sky
-            beside it.
-        shown_error: Error of what metal shows, as a share of it.
-        least_error: What is added to that, as a share of the median of all views.
-        kept_error: Share by which the irradiance of paint may change.
-        base_freedom: Usual change of the logarithm of the metal's base colour, which is read anew
-            afterwards.
-    """
-
-    least_metal: Annotated[float, Within(0.001, 1)] = 0.08
-    sun_share: Annotated[float, Within(0, 1)] = 0.3
-    shown_error: Annotated[float, Within(0, 10)] = 0.3
-    least_error: Annotated[float, Within(1e-3, 10)] = 0.1
-    kept_error: Annotated[float, Within(1e-4, 10)] = 0.02
-    base_freedom: Annotated[float, Within(1e-4, 10, "log units")] = 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReflectedSkyConfig:
     """The sky as paint reflects it.
 
@@ -161,17 +116,13 @@ class EvidenceConfig:
     """What highlights, known paint and reflections tell of the light.
 
     Attributes:
-        hue: When highlights tell its hue.
         level: What tells how bright it is.
         lobe_changes: How lobes of the sky are changed.
-        mirrored_sky: The sky as metal mirrors it.
         reflected_sky: The sky as paint reflects it.
         white_point: What known paint tells.
     """
 
-    hue: HueConfig = field(default_factory=HueConfig)
     level: LevelConfig = field(default_factory=LevelConfig)
     lobe_changes: LobeChangesConfig = field(default_factory=LobeChangesConfig)
-    mirrored_sky: MirroredSkyConfig = field(default_factory=MirroredSkyConfig)
     reflected_sky: ReflectedSkyConfig = field(default_factory=ReflectedSkyConfig)
     white_point: WhitePointConfig = field(default_factory=WhitePointConfig)

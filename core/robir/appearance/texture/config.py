@@ -173,34 +173,6 @@ class DetailConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShadingNormalsConfig:
-    """How far normals turn to explain what was taken out of albedo.
-
-    Attributes:
-        error_ratio: Error of a normal over its difference from its neighbours'.
-        least_error: Least error of a normal.
-        most_error: Largest.
-        read_error: Standard deviation of log albedo as read from the photographs that is neither
-            known of nor due to normals.
-        most_change: Of log albedo: what differs by more is another error than the normal's.
-        most_turn: No normal is turned further.
-        least_cosine: To a sun, below which the share of it that arrives cannot be told.
-        rounds: Steps of the conjugate gradients at most.
-        tolerance: Remainder, relative, at which they end.
-    """
-
-    error_ratio: Annotated[float, Within(0, 10)] = 0.7
-    least_error: Annotated[float, Within(1e-4, 1.5, "radians")] = 0.01
-    most_error: Annotated[float, Within(1e-4, 1.5, "radians")] = 0.3
-    read_error: Annotated[float, Within(0.001, 10)] = 0.08
-    most_change: Annotated[float, Within(0, 10)] = 0.5
-    most_turn: Annotated[float, Within(1e-4, 1.5, "radians")] = 0.35
-    least_cosine: Annotated[float, Within(1e-4, 1)] = 0.01
-    rounds: Annotated[int, Within(1, 10000)] = 60
-    tolerance: Annotated[float, Within(0, 1)] = 1e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TexturingConfig:
     """How many photographs, far from each other, textures are read from.
 
@@ -225,7 +197,6 @@ class TextureConfig:
         residual_shading: What errors of mesh and light leave in albedo.
         uncertainty: The error that is stated.
         detail: Paint finer than the solved texels.
-        shading_normals: Normals that repeat the photographs.
     """
 
     texel_size: TexelSizeConfig = field(default_factory=TexelSizeConfig)
@@ -235,4 +206,3 @@ class TextureConfig:
     residual_shading: ResidualShadingConfig = field(default_factory=ResidualShadingConfig)
     uncertainty: UncertaintyConfig = field(default_factory=UncertaintyConfig)
     detail: DetailConfig = field(default_factory=DetailConfig)
-    shading_normals: ShadingNormalsConfig = field(default_factory=ShadingNormalsConfig)
