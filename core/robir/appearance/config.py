@@ -12,7 +12,6 @@ from robir.appearance.material.config import MaterialConfig
 from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.step_config import (
     BlocksConfig,
-    ModelSizeConfig,
     ProofConfig,
     ProvenSunsConfig,
     RenderConfig,
@@ -59,7 +58,6 @@ class AppearanceConfig:
         blocks: What standard errors are taken over.
         proof: By which photographs whatever enters the model is proven.
         smooth_normals: How normals of a photographed surface are freed of its grain.
-        model_size: How much of the light model a scene needs beside its suns.
         proven_suns: Whether photographs disprove the suns.
         render: Our own re-renders of views.
         material: How gloss and metal are found.
@@ -88,7 +86,6 @@ class AppearanceConfig:
     blocks: BlocksConfig = field(default_factory=BlocksConfig)
     proof: ProofConfig = field(default_factory=ProofConfig)
     smooth_normals: SmoothNormalsConfig = field(default_factory=SmoothNormalsConfig)
-    model_size: ModelSizeConfig = field(default_factory=ModelSizeConfig)
     proven_suns: ProvenSunsConfig = field(default_factory=ProvenSunsConfig)
     render: RenderConfig = field(default_factory=RenderConfig)
     material: MaterialConfig = field(default_factory=MaterialConfig)

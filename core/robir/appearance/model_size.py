@@ -8,8 +8,6 @@ errors do to its light.
 
 Light that the object throws on itself is measured by the photographs and has no unknowns, so no
 error can be lowered by leaving it out; it is left out where there is none.
-
-The sky that paint reflects has more freedom than shading tells it, and is taken only on proof.
 """
 
 from __future__ import annotations
@@ -21,18 +19,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.blocks import Table, block_numbers, difference_error, mean_of, table_of
+from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.reflected_sky import ReflectedSkies, ReflectedSky, skies_by_paint
-from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, blocks_of
 from robir.appearance.light.solver import Light, fit
-from robir.appearance.material.gloss import Gloss
-from robir.appearance.proof import Proof
 from robir.appearance.tone.ranking import pair_errors
 from robir.jobs.choice import Choice
-
-SHADED, REFLECTED = "as shading has it", "as paint reflects it"
 
 
 def with_even_sky(
@@ -101,73 +93,3 @@ def _on_pairs(problem: Problem, chosen: NDArray[np.int64]) -> Problem:
     """The problem with some of its pairs."""
     part = problem.scene.pairs.of(torch.from_numpy(chosen))
     return replace(problem, scene=replace(problem.scene, pairs=part))
-
-
-def with_reflected_sky(
-    problem: Problem, light: Light, gloss: Gloss, config: AppearanceConfig
-) -> tuple[Problem, Light, float | None, Choice] | None:
-    """The sky as paint reflects it, where views prove it.
-
-    What reaches the diffuse surface changes by little, or by more where that makes albedos more
-    alike: views alone would take any freedom that they are given.
-
-    Args:
-        problem: Scene under a tone curve, highlights included.
-        light: Solved light.
-        gloss: Specular material under it.
-        config: Sizes, and what is tried.
-
-    Returns:
-        The problem, the light under it, the roughness of all paint if that is told, and why; None
-        where too little paint is seen.
-    """
-    started = time.process_time()
-    told = skies_by_paint(problem, light, gloss, config.num_soft_lobes, config.evidence)
-    if told is None:
-        return None
-    chosen, *freer = told.skies
-    is_taken = Proof.of(told.before, chosen.errors, told.groups).is_given
-    for sky in freer:
-        proof = Proof.of(chosen.errors if is_taken else told.before, sky.errors, told.groups)
-        if proof.is_given and _is_evener(told, chosen, sky, config):
-            chosen, is_taken = sky, True
-    proof = Proof.of(told.before, chosen.errors, told.groups)
-    choice = Choice(
-        choice="sky in paint",
-        chosen=REFLECTED if is_taken else SHADED,
-        alternatives=(SHADED if is_taken else REFLECTED,),
-        held_out_error=proof.rich if is_taken else proof.plain,
-        cost_seconds=time.process_time() - started,
-        why=f"with the sky as paint reflects it {proof.words}",
-    )
-    if not is_taken:
-        return problem, light, None, choice
-    return told.problem, chosen.light, chosen.roughness, choice
-
-
-def _is_evener(
-    told: ReflectedSkies, plain: ReflectedSky, rich: ReflectedSky, config: AppearanceConfig
-) -> bool:
-    """Whether what is of one hue, wherever it lies, differs less in albedo under the second sky.
-
-    Neighbours alone would not tell: the shading of a lone thing varies slowly.
-    """
-    rng, asked = np.random.default_rng(0), config.model_size
-    count = len(told.rows)
-    first = np.repeat(np.arange(count), asked.num_partners)
-    second = rng.integers(0, count, len(first))
-    albedos = [
-        log_ratio(sky.diffuse, sky.light.irradiance(told.problem, told.rows)).double().numpy()
-        for sky in (plain, rich)
-    ]
-    bright = [albedo.mean(1) for albedo in albedos]
-    hues = [albedo - value[:, None] for albedo, value in zip(albedos, bright, strict=True)]
-    apart = np.mean([np.abs(hue[first] - hue[second]).sum(1) for hue in hues], axis=0)
-    weight = np.exp(-0.5 * (apart / config.light.shade.alike_hue) ** 2)
-    position = told.problem.scene.transport.surfels.position[told.rows]
-    block = block_numbers(position, config.blocks)[first]
-    simple, other = (
-        table_of(block, np.abs(value[first] - value[second]).clip(max=asked.other_paint), weight)
-        for value in bright
-    )
-    return mean_of(simple) - mean_of(other) > difference_error(simple, other)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Light and material of a scene under its tone curve, step by step.
 
-Light first, then gloss, then the light's strengths once more without the highlights, and gloss
-again: under the first light a highlight too sharp for any view to show may fit best; the second
-light is nearer to the truth.
+Light first, then gloss, then the light's strengths once more without the highlights.
 """
 
 from __future__ import annotations
@@ -21,9 +19,12 @@ from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
-from robir.appearance.model_size import with_even_sky, with_reflected_sky
+from robir.appearance.model_size import with_even_sky
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
+
+_GLOSS_STEP = 2
+"""Every so manieth sample tells of gloss: all of them tell no more, in twice the time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,18 +101,9 @@ def _by_every_sample(state: Solution) -> Solution:
     return replace(state, problem=whole, matte=whole, light=light)
 
 
-def _first_gloss(state: Solution) -> Solution:
-    """Only to be judged anew under the next light: half of the samples will do."""
-    return _with_gloss(state, step=2)
-
-
 def _gloss(state: Solution) -> Solution:
-    return _with_gloss(state, step=1)
-
-
-def _with_gloss(state: Solution, step: int, told: float | None = None) -> Solution:
     gloss, diffuse = estimate_gloss(
-        state.problem, state.light, state.config.num_materials, state.seed, step, told
+        state.problem, state.light, state.config.num_materials, state.seed, _GLOSS_STEP
     )
     matte, rows = state.problem.without_highlights(diffuse), state.problem.scene.rows
     # metal has no diffuse light, so that its brightness tells nothing of what it receives
@@ -151,17 +143,6 @@ def _refit(state: Solution) -> Solution:
     return replace(state, light=refit(state.matte, state.light, state.told, state.thorough))
 
 
-def _reflected_sky(state: Solution) -> Solution:
-    told = with_reflected_sky(state.problem, state.light, state.material, state.config)
-    if told is None:
-        return state
-    problem, light, roughness, choice = told
-    state = replace(state, choices=(*state.choices, choice))
-    if light is state.light:
-        return state
-    return _with_gloss(replace(state, problem=problem, light=light), 1, roughness)
-
-
 SOLUTION: tuple[Step[Solution], ...] = (
     Step(
         name="even-sky",
@@ -183,10 +164,10 @@ SOLUTION: tuple[Step[Solution], ...] = (
         is_on_trial=False,
     ),
     Step(
-        name="first-gloss",
-        purpose="finds highlights and metal under the first light",
+        name="gloss",
+        purpose="finds highlights and metal",
         source="GGX microfacets (Heitz 2014), a roughness a patch",
-        run=_first_gloss,
+        run=_gloss,
         is_on_trial=False,
     ),
     Step(
@@ -207,18 +188,6 @@ SOLUTION: tuple[Step[Solution], ...] = (
         purpose="solves the strengths without the highlights, at the level and hue told",
         source="ours",
         run=_refit,
-    ),
-    Step(
-        name="gloss",
-        purpose="finds highlights and metal under the last light",
-        source="GGX microfacets (Heitz 2014), a roughness a patch",
-        run=_gloss,
-    ),
-    Step(
-        name="reflected-sky",
-        purpose="takes the sky from what paint reflects of it, where that is proven",
-        source="inverse lighting (Ramamoorthi and Hanrahan 2001)",
-        run=_reflected_sky,
     ),
 )
 """All steps, in their order."""

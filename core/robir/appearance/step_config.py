@@ -32,20 +32,6 @@ class ProofConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ModelSizeConfig:
-    """How much of the light model a scene needs beside its suns.
-
-    Attributes:
-        num_partners: Others that each sample is compared with where albedos must be alike, drawn
-            from all; those of another hue count little.
-        other_paint: Difference beyond which two are of other paints.
-    """
-
-    num_partners: Annotated[int, Within(1, 1000)] = 16
-    other_paint: Annotated[float, Within(0.01, 10, "log albedo")] = 0.7
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ProvenSunsConfig:
     """Whether photographs disprove the suns.
 

@@ -65,9 +65,6 @@ _SURE = 0.01
 _LEAST_RADIUS = 0.5
 """Least radius of a sun, degrees."""
 
-_NO_SKIES = 'appearance.without=["reflected-sky"]'
-"""Steps that would replace a sky that is told."""
-
 
 def settings_of(name: str, capture: Path) -> tuple[str, ...]:
     """Settings that tell a quantity, or leave out what would change it again.
@@ -85,7 +82,7 @@ def settings_of(name: str, capture: Path) -> tuple[str, ...]:
         if truth.scene.get("classes", {}).get("sun") != "sun":
             return ("appearance.num_sharp_lobes=0",)
         return (f"appearance.sun={[round(float(v), 6) for v in truth.sun_direction]}",)
-    return (_NO_SKIES,) if name == "light" else ()
+    return ()
 
 
 def mesh_of(name: str, capture: Path) -> Path | None:
@@ -294,11 +291,10 @@ class Oracle:
         )
 
 
-_GLOSSES = ("first-gloss", "gloss", "reflected-sky")
 _CORRECTIONS: dict[str, tuple[str, ...]] = {
     "level": ("level",),
-    "metal": _GLOSSES,
-    "roughness": _GLOSSES,
+    "metal": ("gloss",),
+    "roughness": ("gloss",),
     "normals": ("smooth-normals",),
     "light": ("every-sample", "refit"),
 }

@@ -50,10 +50,6 @@ class Light:
         sharp = problem.scene.sharp_transfer(self.axes, self.sharpness, rows)
         return self.amplitudes.irradiance(problem.transfer(sharp, rows))
 
-    def with_sky(self, soft: Tensor) -> Light:
-        """The same with other amplitudes (K, 3) of the soft lobes."""
-        return replace(self, amplitudes=replace(self.amplitudes, soft=soft))
-
     def tinted(self, log_factor: Tensor) -> Light:
         """Every lobe exp(log_factor) (3,) as bright."""
         strengths, factor = self.amplitudes, log_factor.exp()

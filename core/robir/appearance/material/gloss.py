@@ -33,7 +33,7 @@ from robir.appearance.material.reflections import (
     reflected_share,
     view_rays,
 )
-from robir.appearance.material.roughness import Patches, choose_roughness, known_roughness
+from robir.appearance.material.roughness import Patches, choose_roughness
 from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import texture_weights
@@ -184,7 +184,6 @@ def estimate_gloss(
     num_materials: int,
     seed: int,
     step: int = 1,
-    told: float | None = None,
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
@@ -194,7 +193,6 @@ def estimate_gloss(
         num_materials: How many patches of paint have a roughness each.
         seed: Of the clustering.
         step: Every so manieth of the samples that take part in the light solve is judged.
-        told: Roughness of all paint where it is known already.
 
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
@@ -218,10 +216,7 @@ def estimate_gloss(
     part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)
     patches = Patches(features=means(features, cluster), number=cluster[in_solve])
-    if told is None:
-        choice = choose_roughness(highlights, patches, trial, ~is_metal, material)
-    else:
-        choice = known_roughness(told, len(patches.features), material.highlights)
+    choice = choose_roughness(highlights, patches, trial, ~is_metal, material)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)

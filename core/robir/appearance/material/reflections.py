@@ -259,28 +259,6 @@ class Reflections:
         sharpness = min(sharpness, self._config.sharpest_kernel)
         return torch.exp(sharpness * (self._directions @ self._directions.T - 1))
 
-    def from_lobes(self, rays: ViewRays, roughness: float, count: int) -> Tensor:
-        """What soft lobes of amplitude 1 send, per unit of a metal's base colour.
-
-        Args:
-            rays: Observations.
-            roughness: Of the surface.
-            count: Number K of the lobes.
-
-        Returns:
-            (M, K); with the lobes' amplitudes, `from_sky` but for what surfaces send.
-        """
-        kernel = self._kernel(roughness)
-        lobes = sky_radiance(self._directions, torch.eye(count))
-        sample = torch.from_numpy(rays.sample)
-        parts = []
-        for start in range(0, len(sample), CHUNK):
-            some = sample[start : start + CHUNK]
-            around = kernel[rays.mirror[start : start + CHUNK]]
-            mass = (around * self._above[some]).sum(1, keepdim=True)
-            parts.append((around * self._seen[some]) @ lobes / mass.clamp(min=1e-6))
-        return torch.cat(parts) * metal_share(rays, roughness)[:, None]
-
     def near_highlight(self, rays: ViewRays) -> Tensor:
         """Numbers (N,) of the observations near the mirror direction of a sun that is seen."""
         sample = torch.from_numpy(rays.sample)

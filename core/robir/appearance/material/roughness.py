@@ -115,20 +115,6 @@ def choose_roughness(
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
 
 
-def known_roughness(told: float, count: int, config: HighlightsConfig) -> RoughnessChoice:
-    """One roughness for all patches (K = count), told by what paint reflects of the sky."""
-    told = float(_stepped(told, config.step))
-    why = "told by the sky that paint reflects, which no sun's highlights tell better"
-    return RoughnessChoice(
-        has_highlights=True,
-        roughness=np.full(count, told),
-        choices=(
-            Choice(choice="specular", chosen=GLOSSY, alternatives=(DULL,), why=why),
-            Choice(choice="roughness", chosen=ONE, alternatives=(EACH,), why=why),
-        ),
-    )
-
-
 def _fitted(
     highlights: Highlights,
     number: NDArray[np.int64],
