@@ -48,7 +48,6 @@ def shown():
         roughness=np.full(count, ROUGHNESS, np.float32),
         metallic=is_metal,
         metal=np.broadcast_to(METAL, (count, 3)).copy(),
-        metal_reads=None,
         floor=nothing,
         kept=np.ones((count, 1), np.float32),
         has_highlights=True,

@@ -9,7 +9,6 @@ import torch
 
 from robir.appearance.blocks import block_numbers
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.level import log_factors, misread
 from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.photometry.gains import real_share
 from robir.appearance.proof import fitted_views
@@ -36,7 +35,7 @@ def test_settings_of_steps_are_written_with_their_ranges():
     [
         "photometry.own_light.sheen_degree=0",
         "light.problem.pair_reaches=[0.1]",
-        "evidence.level.num_patches=0",
+        "evidence.level.num_factors=2",
         "proof.every=1",
     ],
 )
@@ -61,18 +60,6 @@ def test_light():
         for config in (changed(), changed("light.shade.light_error=0.1"))
     )
     torch.testing.assert_close(after, 2 * before)
-
-
-def test_evidence():
-    told = []
-    for deviation in (0.3, 0.9):
-        config = changed(f"evidence.level.misread={deviation}", "evidence.level.num_factors=81")
-        level, factors = config.evidence.level, log_factors(config.evidence.level)
-        likely = np.exp(misread(-0.5 * ((factors - 0.5) / 0.2) ** 2, level))
-        likely /= likely.sum()
-        told.append(np.sqrt(likely @ (factors - likely @ factors) ** 2))
-    assert len(factors) == 81
-    assert told == pytest.approx(np.hypot([0.3, 0.9], 0.2), rel=0.1)
 
 
 def test_steps_in_no_room():

@@ -42,7 +42,6 @@ class AppearanceConfig:
         num_solve_surfels: Surface samples by which suns and the tone curve are found; the light's
             strengths and the gloss are found by all that two photographs show.
         iterations: Adam steps of the last light solve; trial solves take a third.
-        parsimony_weight: Weight of "few distinct albedos" once the suns stand.
         num_materials: Patches of like albedo and place that share one roughness.
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.
         texture_size: Largest side of the textures, texels: they are as fine as the photographs
@@ -69,12 +68,11 @@ class AppearanceConfig:
 
     families: tuple[str, ...] = FAMILIES
     origin: Literal["auto", "camera", "render"] = "auto"
-    num_soft_lobes: int = 64
+    num_soft_lobes: int = 128
     num_sharp_lobes: int = 2
     num_scan_directions: int = 2000
     num_solve_surfels: int = 5000
     iterations: int = 240
-    parsimony_weight: float = 0.1
     num_materials: int = 40
     shading_size: int = 512
     texture_size: int = 2048
@@ -125,10 +123,6 @@ class AppearanceConfig:
             raise ConfigError(
                 f"appearance.sun is {list(self.sun)}; it must be a direction x, y, z towards the "
                 "sun, and appearance.num_sharp_lobes at least 1"
-            )
-        if self.parsimony_weight < 0:
-            raise ConfigError(
-                f"appearance.parsimony_weight is {self.parsimony_weight}; it must not be negative"
             )
 
 

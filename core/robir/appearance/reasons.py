@@ -14,7 +14,7 @@ from robir.jobs.choice import Choice
 
 GREY, BY_ALL, BY_PAINT = (
     "grey as a whole",
-    "by all that tells it",
+    "as is common",
     "by the paint that you know",
 )
 
@@ -68,8 +68,7 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
             choice="brightness of the light",
             chosen=BY_PAINT if is_known else BY_ALL,
             alternatives=(BY_ALL if is_known else BY_PAINT,),
-            why="paint returns 4% of a light as a highlight, however bright it is itself; how "
-            "bright paints and exposures commonly are tells as well",
+            why="how bright paints and exposures commonly are tells it, or paint that you know",
         ),
     )
 

@@ -19,7 +19,6 @@ from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
-from robir.appearance.model_size import with_even_sky
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
@@ -85,11 +84,6 @@ def solve(
     return course.carry_out(SOLUTION, start)
 
 
-def _even_the_sky(state: Solution) -> Solution:
-    problem, light, choice = with_even_sky(state.problem, state.light, state.config)
-    return replace(state, problem=problem, light=light, choices=(choice, *state.choices))
-
-
 def _polish(state: Solution) -> Solution:
     return replace(state, light=polish(state.problem, state.light, state.config, state.seed))
 
@@ -115,7 +109,7 @@ def _gloss(state: Solution) -> Solution:
 
 def _level(state: Solution) -> Solution:
     solved = state.matte.scene.rows
-    told = told_level(state.problem, state.light, state.material, solved, state.seed)
+    told = told_level(state.problem, state.light, state.material, solved)
     if not told:
         return state
     *_, together = told
@@ -145,12 +139,6 @@ def _refit(state: Solution) -> Solution:
 
 SOLUTION: tuple[Step[Solution], ...] = (
     Step(
-        name="even-sky",
-        purpose="takes one lobe for an overcast sky, where that predicts as well",
-        source="ours: the simplest model within one standard error",
-        run=_even_the_sky,
-    ),
-    Step(
         name="polish",
         purpose="moves and sizes the suns with the whole light known",
         source="ours",
@@ -172,8 +160,8 @@ SOLUTION: tuple[Step[Solution], ...] = (
     ),
     Step(
         name="level",
-        purpose="takes the light's level from highlights, metal, common paints and exposures",
-        source="ours: Bayes' rule; Fresnel reflectance of .04 at normal incidence",
+        purpose="takes the light's level from common paints and exposures",
+        source="ours: Bayes' rule",
         run=_level,
     ),
     Step(

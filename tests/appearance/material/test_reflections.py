@@ -80,7 +80,6 @@ def test_reflections_come_back_in_the_order_they_are_asked_in(problem, light):
         roughness=flat + np.float32(0.4),
         metallic=flat,
         metal=colour,
-        metal_reads=None,
         floor=colour,
         kept=flat[:, None],
         has_highlights=True,

@@ -214,7 +214,6 @@ def lit_floor(paints, is_second):
         metallic=np.zeros(count, np.float32),
         floor=np.zeros((count, 3), np.float32),
         metal=np.ones((count, 3), np.float32),
-        metal_reads=None,
         kept=np.ones((count, 1), np.float32),
         has_highlights=True,
         table=(),

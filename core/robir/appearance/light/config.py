@@ -47,8 +47,6 @@ class LobesConfig:
         spread: Weight of no bright soft lobes where few samples see them, as below the ground. They
             could else be as bright as it takes to shade what is painted.
         shadow: Weight of equal albedo on both sides of a shadow.
-        cluster_width: Width of an albedo cluster at the end of the annealing.
-        cluster_pairs: Pairs of albedos by which a step judges how few these are.
         rate: Learning rate of the first step; it falls to a tenth.
     """
 
@@ -62,8 +60,6 @@ class LobesConfig:
     smooth: Annotated[float, Within(0, 10)] = 0.01
     spread: Annotated[float, Within(0, 10)] = 0.1
     shadow: Annotated[float, Within(0, 100)] = 0.25
-    cluster_width: Annotated[float, Within(0.01, 3, "log units")] = 0.15
-    cluster_pairs: Annotated[int, Within(100, 10000000)] = 20000
     rate: Annotated[float, Within(1e-4, 1)] = 0.06
 
 
@@ -132,11 +128,14 @@ class SolverConfig:
             material.
         smooth: Weight of an even sky where few albedos are asked for: a bright patch of sky would
             turn one material into another.
+        far: Weight of equal albedo where the hue is one, anywhere on the surface. Suns and curve
+            are found without: under a wrong curve it would make albedos alike as well.
     """
 
     neighbour_hue: Annotated[float, Within(0.005, 5, "log albedo")] = 0.2
     shadow: Annotated[float, Within(0, 100)] = 1.0
     smooth: Annotated[float, Within(0, 10)] = 0.05
+    far: Annotated[float, Within(0, 100)] = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.light.config import LobesConfig
+from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.photometry.statistics import Pairs, Radiance
@@ -33,9 +34,6 @@ from robir.transport.visibility import Visibility
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak.
 It says what amplitudes of a light mean."""
-
-EVEN_SHARPNESS = 1e-3
-"""Sharpness of a lobe that stands for an even sky alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +93,7 @@ class _ThinProduct(torch.autograd.Function):
 
 
 def soft_lobes(count: int) -> tuple[Tensor, float]:
-    """Axes (K, 3) and the common sharpness of the fixed soft lobes; one alone is an even sky."""
-    if count == 1:
-        return torch.tensor([[0.0, 0.0, 1.0]]), EVEN_SHARPNESS
+    """Axes (K, 3) and the common sharpness of the fixed soft lobes."""
     return fibonacci_sphere(count).float(), max(1.0, SOFT_SHARPNESS_PER_LOBE * count)
 
 
@@ -158,12 +154,12 @@ class Priors:
         config: Limits and weights.
         told: What evidence tells of the light as a whole; it weighs as `hue` does, per squared
             deviation.
-        parsimony: Weight of few distinct albedos; 0 leaves the step out.
+        far: Weight of equal albedo where the hue is one, see far_pairs.py.
     """
 
     config: LobesConfig
     told: Told = NOTHING_TOLD
-    parsimony: float = 0.0
+    far: float = 0.0
 
 
 def solve_amplitudes(
@@ -189,7 +185,9 @@ def solve_amplitudes(
     """
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
     config = priors.config
+    renewed = {0, iterations // 3, 2 * iterations // 3}
     if start is None:
+        renewed.remove(0)  # nothing is known of the light yet
         start = neutral_start(radiance, transfer, config.start_albedo)
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
@@ -201,9 +199,9 @@ def solve_amplitudes(
     loss_value = 0.0
     neighbours, across = (PairWeights.of(part, radiance.clipped) for part in pairs)
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
+    alike: PairWeights | None = None
     count = len(radiance.seen)
     sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
-    generator = torch.Generator().manual_seed(num_sharp)
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
@@ -211,6 +209,10 @@ def solve_amplitudes(
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
         loss = neighbour + config.shadow * across.loss(log_albedo)
+        if priors.far and step in renewed and (pairs_far := far_pairs(log_albedo.detach(), whole)):
+            alike = PairWeights.of(pairs_far, radiance.clipped)
+        if alike is not None:
+            loss = loss + priors.far * alike.loss(log_albedo)
         loss = loss + config.bounds * range_loss(log_albedo, (whole, sure), priors)
         sky = torch.log(amplitudes.soft.mean(0))
         loss = loss + config.part * PART.absolute(log_soft - sky).mean()
@@ -220,10 +222,6 @@ def solve_amplitudes(
         loss = loss + config.hue * (WHOLE.squared(sent) + priors.told.squared(sent))
         loss = loss + config.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + config.spread * unevenness(amplitudes.soft, hidden)
-        if priors.parsimony > 0:
-            width = config.cluster_width * (4 - 3 * min(1.0, 1.5 * fraction))
-            few = parsimony_loss(log_albedo, whole, width, (config.cluster_pairs, generator))
-            loss = loss + priors.parsimony * few
         loss.backward()
         rate = config.rate * (1 - 0.9 * fraction)
         optimiser.step((rate, rate))
@@ -287,30 +285,6 @@ def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
     """
     square = (hidden @ soft**2) / hidden.sum().clamp(min=1e-6)
     return (square / soft.mean(0) ** 2).clamp(min=1).log().mean()
-
-
-def parsimony_loss(
-    log_albedo: Tensor, whole: Tensor, width: float, drawn: tuple[int, torch.Generator | None]
-) -> Tensor:
-    """Few distinct albedos: Welsch kernel over random pairs, a bound on the palette's entropy.
-
-    Args:
-        log_albedo: (U, 3).
-        whole: Samples of which no channel is clipped.
-        width: Width of the kernel, log units.
-        drawn: How many pairs, and their source.
-    """
-    if len(whole) < 2:
-        return log_albedo.sum() * 0
-    count, generator = drawn
-    first = whole[torch.randint(len(whole), (count,), generator=generator)]
-    second = whole[torch.randint(len(whole), (count,), generator=generator)]
-    # a channel at a time: rows of three cost thrice as much, there and back
-    columns = log_albedo.T.contiguous().unbind()
-    apart = (c.index_select(0, first) - c.index_select(0, second) for c in columns)
-    squared = torch.stack([difference**2 for difference in apart]).sum(0)
-    kernel = torch.exp(-squared / (2 * width**2))
-    return -torch.log(kernel.mean() + 1e-4)
 
 
 def lobes_of(

@@ -162,13 +162,6 @@ class Problem:
         radiance = diffuse_radiance(self.scene.transport.observations, diffuse, statistics)
         return replace(self, radiance=radiance)
 
-    def with_lobes(self, count: int) -> Problem:
-        """The problem with so many soft lobes."""
-        transport = self.scene.transport
-        normal, rows = transport.surfels.normal, np.arange(len(transport.surfels))
-        soft = soft_transfer(transport.visibility, normal, rows, count)
-        return replace(self, scene=replace(self.scene, soft=soft))
-
     def by_every_sample(self, rng: np.random.Generator) -> Problem:
         """The problem in which every sample takes part that two views see.
 

@@ -136,9 +136,12 @@ def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) 
     priors = Priors(
         config=replace(config.light.lobes, smooth=solver.smooth, shadow=solver.shadow),
         told=told,
-        parsimony=config.parsimony_weight,
+        far=solver.far,
     )
     amplitudes, loss = solve_amplitudes(
         radiance, transfer, parts, priors, config.iterations // 2, start=light.amplitudes
     )
-    return replace(light, amplitudes=amplitudes, loss=loss)
+    solved = replace(light, amplitudes=amplitudes, loss=loss)
+    # pairs tell ratios; the level by which they are most alike is that of the mesh's errors
+    sent = log_sent(amplitudes.irradiance(transfer), transfer.indirect)
+    return solved.tinted(told.missing(sent))

@@ -52,8 +52,6 @@ class Gloss:
         metallic: (S,) float32, 0 or 1.
         metal: (S, 3) float32, base colour of the nearest metal part, linear Rec.709; 0 where the
             scene has none.
-        metal_reads: Mean over all metal of the log of the brightest channel of its base colour, as
-            it is read under the light; None where there is none.
         floor: (S, 3) float32, specular radiance in the mean of the views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
         has_highlights: Whether anything but metal has a specular layer.
@@ -64,7 +62,6 @@ class Gloss:
     roughness: Floats
     metallic: Floats
     metal: Floats
-    metal_reads: float | None
     floor: Floats
     kept: Floats
     has_highlights: bool
@@ -230,7 +227,6 @@ def estimate_gloss(
         Gloss(
             **gloss,
             metal=metal,
-            metal_reads=float(parts.read[parts.part[is_metal]].mean()) if is_metal.any() else None,
             has_highlights=shown,
             table=_table((choice.roughness, cluster), (parts.roughness, part)),
             choices=(*choice.choices, metal_choice),

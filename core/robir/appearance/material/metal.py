@@ -46,18 +46,16 @@ class MetalParts:
         part: (U,) part of every sample, -1 where it is no metal after all.
         base: (P, 3) base colour, linear Rec.709.
         roughness: (P,) perceptual.
-        read: (P,) log of the brightest channel of what each reads under the light as it is.
     """
 
     part: Rows
     base: Floats
     roughness: Floats
-    read: Floats
 
     def of(self, kept: NDArray[np.bool_]) -> MetalParts:
         """Some (P,) of the parts, numbered anew."""
         number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
-        return MetalParts(number[self.part], self.base[kept], self.roughness[kept], self.read[kept])
+        return MetalParts(number[self.part], self.base[kept], self.roughness[kept])
 
 
 def metal_among(
@@ -209,7 +207,6 @@ def metal_parts(
         part=part,
         base=base.astype(np.float32),
         roughness=np.array(roughness, np.float32),
-        read=log.max(1).astype(np.float32),
     )
 
 

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples anywhere on the surface whose albedos have one hue.
+
+Neighbours do not see the shading of a smooth thing, which varies as slowly as its light. Two
+samples of the same hue are often of one paint, wherever they lie and face, and under the right
+light they are as bright as each other. Like hue under a wrong light is like hue still where the
+light is near grey, so a light that is half solved is enough to find them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from robir.appearance.photometry.statistics import Pairs
+
+_DRAWS = 8
+"""Partners of a sample: the nearest in hue of as many draws, so that they lie all over."""
+
+_SHARE = 8
+"""A draw is one sample in so many."""
+
+_FEWEST = 60
+"""Samples of a draw at least; with fewer than twice as many in all there are no pairs."""
+
+_HUE = 0.06
+"""Difference of two log chromaticities at which a pair counts exp(-1/2)."""
+
+
+def far_pairs(log_albedo: Tensor, whole: Tensor) -> Pairs | None:
+    """Pairs of one hue.
+
+    Args:
+        log_albedo: (U, 3) natural logarithm of linear Rec.709, under a light that is known so far.
+        whole: (W,) indices of the samples that take part: no channel of theirs is clipped.
+
+    Returns:
+        Pairs among the U samples, two of a hue counting most; None with too few samples. The same
+        for the same samples: draws are seeded.
+    """
+    if len(whole) < 2 * _FEWEST:
+        return None
+    values, rows = log_albedo.numpy(), whole.numpy()
+    hue = np.stack([values[:, 0] - values[:, 1], values[:, 2] - values[:, 1]], axis=1)[rows]
+    rng, every = np.random.default_rng(0), np.arange(len(rows))
+    partners = [_nearest(hue, rng) for _ in range(_DRAWS)]
+    first, second = np.tile(every, _DRAWS), np.concatenate(partners)
+    apart = first != second
+    first, second = first[apart], second[apart]
+    squared = ((hue[first] - hue[second]) ** 2).sum(1)
+    weight = torch.from_numpy(np.exp(-0.5 * squared / _HUE**2).astype(np.float32))
+    pairs = Pairs(
+        first=torch.from_numpy(rows[first]), second=torch.from_numpy(rows[second]), weight=weight
+    )
+    return pairs.weighted(torch.ones_like(weight))
+
+
+def _nearest(hue: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.int64]:
+    """The nearest in hue (W, 2) to every sample among those drawn, (W,)."""
+    drawn = rng.choice(len(hue), max(_FEWEST, len(hue) // _SHARE), replace=False)
+    return drawn[cKDTree(hue[drawn]).query(hue)[1]]
