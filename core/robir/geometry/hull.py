@@ -31,16 +31,10 @@ _CLEARANCE = 0.015
 
 
 def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Signed distance to a mask's outline, in pixels, negative inside.
+    """Signed distance (H, W) to a mask's outline, in pixels, negative inside.
 
-    The outline runs where the coverage is one half; the coverage of the pixels next to it places
-    it within the pixel.
-
-    Args:
-        coverage: (H, W) in [0, 1].
-
-    Returns:
-        (H, W) float32.
+    The outline runs where the coverage (H, W) in [0, 1] is one half; the coverage of the pixels
+    next to it places it within the pixel.
     """
     inside = coverage >= 0.5
     if inside.all() or not inside.any():
@@ -103,10 +97,8 @@ class HullCarver:
 def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
     """The visual hull of photographs that lie far from each other.
 
-    Args:
-        photos: With masks.
-        guessed: Whether masks were guessed, so that some may be wrong at any point: as many
-            as in the last round of guessing, one at least.
+    Where masks were guessed some may be wrong at any point: as many as in the last round of
+    guessing, one at least.
     """
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, HULL_VIEWS)]
@@ -118,14 +110,7 @@ def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
 
 
 def carve(carver: HullCarver, cells: int) -> Sampled:
-    """Signed distance of the visual hull on a lattice that fits it closely.
-
-    Args:
-        carver: The hull.
-        cells: Cells along the hull's longest side.
-
-    Returns:
-        The lattice and its values (N,), negative inside.
+    """Signed distance of the visual hull on a lattice of so many cells that fits it closely.
 
     Raises:
         CaptureError: If the masks leave nothing inside the bounding sphere.

@@ -1,30 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the fit starts from, and what is done to its field at the end of every level, as steps."""
+"""The steps of the stage: before the fit, at the end of each of its levels, and on its surface."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from robir.capture.capture import Capture
-from robir.geometry.brightness import evened
+from robir.capture.capture import Capture, View
+from robir.capture.checks.sightings import POWER, sight
+from robir.capture.checks.uneven_exposure import uneven_exposures
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.clean import restore_missing
-from robir.geometry.fit.field import ColourNetwork, Field
+from robir.geometry.fit.field import ColourNetwork, Field, restore_missing
 from robir.geometry.fit.mirror_pits import Mirroring
-from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.flatten import Ground
-from robir.geometry.ground.plane import detect
-from robir.geometry.hull import HULL_VIEWS, object_hull
-from robir.geometry.lattice import Lattice, Sampled, resample
-from robir.geometry.prediction import Predictions
+from robir.geometry.ground.backdrop import Backdrop, find_ground
+from robir.geometry.hull import object_hull
+from robir.geometry.lattice import Sampled, resample
+from robir.geometry.mesh.facets import flattened
+from robir.geometry.mesh.simplify import decimate, with_creases
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.rival import Judge, Rival
-from robir.maths.vectors import farthest_points
+from robir.geometry.selection import Dense, Selection
 from robir.steps import Course, Step
+
+
+def evened(capture: Capture) -> Capture:
+    """A capture whose training photographs are equally bright at the points they share.
+
+    The surface is found where photographs agree on colours; exposed apart they agree nowhere, and
+    of a plain ground least of all. The tone curve is not known yet: a power stands for it, so that
+    what is left is what the curve's slope differs by between dark and bright.
+
+    Args:
+        capture: Capture in any frame.
+
+    Returns:
+        The capture itself where its photographs count as exposed alike, or are too few to tell;
+        held-out views are as they were in any case.
+    """
+    views = capture.train
+    offsets = uneven_exposures(views, capture.bounds, sight(views, capture.bounds))
+    if offsets is None:
+        return capture
+    dimmed = {
+        view.name: _brighter(view, -stops) for view, stops in zip(views, offsets, strict=True)
+    }
+    return replace(capture, views=tuple(dimmed.get(v.name, v) for v in capture.views))
+
+
+def _brighter(view: View, stops: float) -> View:
+    """A view with so many stops (log2) more light."""
+    display = np.rint(view.image_display * 2.0 ** (stops / POWER)).clip(0, 255)
+    return replace(view, image_display=display.astype(np.uint8))
+
 
 EVENING: tuple[Step[Capture], ...] = (
     Step(
@@ -36,11 +68,9 @@ EVENING: tuple[Step[Capture], ...] = (
 )
 """What is done to the photographs before the fit."""
 
-
 # distance from the plane within which a surface may be ground that the fit left bumpy (cells)
 _BUMPY = 4.0
 _BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which that is asked
-_IMAGE_SIDE = 200  # longer side of the photographs that tell the ground (pixels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +82,7 @@ class Start:
         config: The stage's configuration.
         generator: Source of random numbers.
         photos: Training photographs at the size of the fit.
-        lattice: Of the visual hull.
-        hull: (N,) its signed distances, with ground once there is one.
+        hull: The visual hull, with flat ground once that is found.
         backdrop: The ground and what lies behind it; None where there is none.
     """
 
@@ -61,31 +90,26 @@ class Start:
     config: GeometryConfig
     generator: torch.Generator
     photos: list[Photo]
-    lattice: Lattice
-    hull: Tensor
+    hull: Sampled
     backdrop: Backdrop | None = None
 
     @property
     def distances(self) -> Tensor:
         """(N,) signed distances that the fit starts from."""
-        return self.hull if self.backdrop is None else self.backdrop.clear(self.lattice, self.hull)
+        return self.hull.values if self.backdrop is None else self.backdrop.clear(*self.hull)
 
 
 def _find_ground(state: Start) -> Start:
-    plane = detect(state.photos, state.lattice, state.hull, state.generator)
-    if plane is None:
+    found = find_ground(state.capture.train, state.photos, state.hull, state.generator)
+    if found is None:
         return state
-    judges = ground_photos(state.capture, state.config)
-    ground = Ground(plane, judges, state.lattice, state.hull)
-    backdrop = Backdrop(ground, judges)
-    hull = ground.flatten(state.lattice, state.hull, ground.start & ~backdrop.foreign)
-    return replace(state, hull=hull, backdrop=backdrop)
+    return replace(state, hull=Sampled(state.hull.lattice, found[1]), backdrop=found[0])
 
 
 GROUND: tuple[Step[Start], ...] = (
     Step(
         name="ground",
-        purpose="finds the flat ground that the object stands on, and takes it as a backdrop",
+        purpose="finds the flat ground that the object stands on, if masks include it",
         source="ours: plane by the masks' rim, columns by photo-consistency",
         run=_find_ground,
     ),
@@ -101,10 +125,9 @@ class Level:
         field: Field of the level.
         network: Its colour network.
         sampler: Source of rays.
-        hull: Lattice and signed distances of the visual hull.
+        hull: The visual hull.
         mirroring: What was learnt of parts that mirror.
-        judge: What photographs say of surfaces.
-        rival: The surfaces by depth maps and by masks alone.
+        selection: What photographs say of surfaces.
         backdrop: The ground; None where there is none, or none any more.
         has_ended: Whether the fit goes no further.
         changes: How often something was changed in place.
@@ -115,29 +138,29 @@ class Level:
     sampler: RaySampler
     hull: Sampled
     mirroring: Mirroring
-    judge: Judge
-    rival: Rival
+    selection: Selection
     backdrop: Backdrop | None
     has_ended: bool = False
     changes: int = 0
 
     @property
-    def sdf(self) -> Tensor:
-        """(N,) signed distances, to be changed in place."""
-        return self.field.sdf.detach()
+    def surface(self) -> Sampled:
+        """The signed distances, to be changed in place."""
+        return Sampled(self.field.lattice, self.field.sdf.detach())
 
     def mended(self, sdf: Tensor) -> Level:
         """The level with other distances (N,), changed in place; itself where they are the same."""
-        if torch.equal(sdf.to(self.sdf), self.sdf):
+        now = self.surface.values
+        if torch.equal(sdf.to(now), now):
             return self
-        self.sdf.copy_(sdf)
+        now.copy_(sdf)
         return replace(self, changes=self.changes + 1)
 
 
 def _restore_missing(state: Level) -> Level:
-    lattice, hull = state.hull
-    allowed = resample(hull, lattice, state.field.lattice).to(state.sdf.device)
-    return state.mended(restore_missing(state.field, allowed, state.sampler))
+    lattice, sdf = state.surface
+    allowed = resample(state.hull.values, state.hull.lattice, lattice).to(sdf.device)
+    return state.mended(restore_missing(state.surface, allowed, state.sampler))
 
 
 def _fill_mirror_pits(state: Level) -> Level:
@@ -148,23 +171,23 @@ def _flatten_ground(state: Level) -> Level:
     """A ground that turns out to be a bowl is none."""
     if state.backdrop is None:
         return state
-    ground, lattice = state.backdrop.ground, state.field.lattice
-    top = ground.heights(lattice, state.sdf)
+    ground, (lattice, sdf) = state.backdrop.ground, state.surface
+    top = ground.heights(lattice, sdf)
     columns = ground.settled(top, state.backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
-    flat = ground.flatten(lattice, state.sdf, columns)
+    flat = ground.flatten(lattice, sdf, columns)
     nearly = ground.nearly(top, columns, _BUMPY * lattice.cell)
     if nearly.sum() > _BUMPY_GAIN * columns.sum():
         # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
-        flatter = ground.flatten(lattice, state.sdf, nearly)
-        if state.judge.is_better(Field(lattice, flatter, 1), Field(lattice, flat, 1)):
+        flatter = ground.flatten(lattice, sdf, nearly)
+        if state.selection.is_better(Sampled(lattice, flatter), Sampled(lattice, flat)):
             flat = flatter
     return state.mended(flat)
 
 
-def _ask_rivals(state: Level) -> Level:
-    return replace(state, has_ended=state.rival.beats(state.field))
+def _compare(state: Level) -> Level:
+    return replace(state, has_ended=state.selection.beats(state.surface))
 
 
 LEVEL: tuple[Step[Level], ...] = (
@@ -191,13 +214,13 @@ LEVEL: tuple[Step[Level], ...] = (
         purpose="ends the fit where depth maps or masks alone explain photographs better",
         source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010), "
         "visual hull (Laurentini 1994)",
-        run=_ask_rivals,
+        run=_compare,
     ),
 )
 """What is done at the end of every level of the fit, in this order."""
 
 
-class Settling:
+class Levels:
     """What the fit starts from, and what it calls at the end of every level.
 
     Args:
@@ -211,7 +234,7 @@ class Settling:
         sampler: Source of rays.
         begun: Lattice and signed distances that the fit starts from.
         backdrop: The ground as far as the fit has got.
-        rival: The surfaces by depth maps and by masks alone.
+        selection: The surfaces by depth maps and by masks alone.
     """
 
     def __init__(
@@ -224,35 +247,25 @@ class Settling:
     ) -> None:
         photos = [reduce_view(view, config.image_side) for view in capture.train]
         self.sampler = RaySampler(photos, device, generator)
-        lattice, hull = object_hull(capture, photos, config.hull_cells)
-        start = Start(
-            capture=capture,
-            config=config,
-            generator=generator,
-            photos=photos,
-            lattice=lattice,
-            hull=hull,
-        )
+        hull = object_hull(capture, photos, config.hull_cells)
+        start = Start(capture=capture, config=config, generator=generator, photos=photos, hull=hull)
         self._course = course
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
-        self.begun = Sampled(lattice, start.distances)
-        predictions = Predictions(photos)
-        self._judge = Judge(predictions)
+        self.begun = Sampled(hull.lattice, start.distances)
+        self.selection = Selection(capture.train, photos, (self.begun, hull), config)
         cameras = [photo.camera for photo in photos]
-        self._mirroring = Mirroring(cameras, self.begun, self._judge)
-        self.rival = Rival(capture.train, predictions, (self.begun, Sampled(lattice, hull)), config)
+        self._mirroring = Mirroring(cameras, self.begun, self.selection)
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
-        """Mend the field in place; whether the fit ends because the rival leads."""
+        """Mend the field in place; whether the fit ends because another surface leads."""
         level = Level(
             field=field,
             network=network,
             sampler=self.sampler,
-            hull=Sampled(self.begun.lattice, self._hull),
+            hull=self._hull,
             mirroring=self._mirroring,
-            judge=self._judge,
-            rival=self.rival,
+            selection=self.selection,
             backdrop=self.backdrop,
         )
         ended = self._course.carry_out(LEVEL, level)
@@ -260,18 +273,59 @@ class Settling:
         return ended.has_ended
 
 
-def ground_photos(capture: Capture, config: GeometryConfig) -> list[Photo]:
-    """The training photographs by which ground is told from what stands on it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finishing:
+    """A surface on its way to a mesh.
 
-    A few that see through a point free it, and where they do is cleaned of specks by pixels: both
-    are right for so many photographs of such a size. Of more and finer ones a few always agree by
-    chance, and what mirrors the ground is cut away.
-
-    Args:
-        capture: Capture in the unit frame.
+    Attributes:
+        dense: As it was extracted.
+        mesh: As far as it has got.
         config: The stage's configuration.
+        warn: Takes a sentence for the user.
     """
-    views = capture.train
-    positions = np.stack([view.camera.position for view in views])
-    side = min(config.image_side, _IMAGE_SIDE)
-    return [reduce_view(views[k], side) for k in farthest_points(positions, HULL_VIEWS)]
+
+    dense: Dense
+    mesh: Mesh
+    config: GeometryConfig
+    warn: Callable[[str], None]
+
+
+def finished(
+    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], course: Course
+) -> Mesh:
+    """The unwrapped mesh of an extracted surface."""
+    start = Finishing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
+    return course.carry_out(FINISHING, start).mesh
+
+
+FINISHING: tuple[Step[Finishing], ...] = (
+    Step(
+        name="facets",
+        purpose="makes large flat parts flat, with sharp edges between them",
+        source="RANSAC for planes (Schnabel et al. 2007), seeds at even steps of area",
+        run=lambda state: replace(state, mesh=flattened(state.mesh, state.dense.grain)),
+    ),
+    Step(
+        name="decimate",
+        purpose="leaves the triangles that photographs resolve",
+        source="quadric error metrics (Garland and Heckbert 1997)",
+        run=lambda state: replace(state, mesh=decimate(state.mesh, state.dense.faces)),
+        is_on_trial=False,
+    ),
+    Step(
+        name="unwrap",
+        purpose="gives texture coordinates",
+        source="xatlas",
+        run=lambda state: replace(
+            state, mesh=unwrap(state.mesh, state.config.unwrap_seconds, state.warn)
+        ),
+        is_on_trial=False,
+    ),
+    Step(
+        name="creases",
+        purpose="gives each side of a sharp edge normals of its own",
+        source="smoothing groups by angle",
+        run=lambda state: replace(state, mesh=with_creases(state.mesh)),
+    ),
+)
+"""What is done to the surface that was chosen, in this order."""
