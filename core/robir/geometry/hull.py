@@ -143,14 +143,8 @@ def object_hull(
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
     What a shadow falls on has other colours than the rest of the table, and depth maps see a
-    surface there as well: nothing but its height tells it from the object.
-
-    Args:
-        capture: In the unit frame.
-        photos: Its training photographs, reduced.
-        cells: Cells along the hull's longest side.
-        guessed: Whether masks are as guessed at first: as for `hull_of`. Cut again they agree, and
-            a hull that some may not bound has notches.
+    surface there as well: nothing but its height tells it from the object. `guessed` is as for
+    `hull_of`: masks that were cut again agree, and a hull that some may not bound has notches.
     """
     carver = hull_of(photos, guessed=guessed)
     lattice, values = carve(carver, cells)

@@ -33,14 +33,8 @@ def evened(capture: Capture) -> Capture:
 
     The surface is found where photographs agree on colours; exposed apart they agree nowhere, and
     of a plain ground least of all. The tone curve is not known yet: a power stands for it, so that
-    what is left is what the curve's slope differs by between dark and bright.
-
-    Args:
-        capture: Capture in any frame.
-
-    Returns:
-        The capture itself where its photographs count as exposed alike, or are too few to tell;
-        held-out views are as they were in any case.
+    what is left is what the curve's slope differs by between dark and bright. The capture itself
+    comes back where its photographs count as exposed alike, or are too few to tell.
     """
     views = capture.train
     offsets = uneven_exposures(views, capture.bounds, sight(views, capture.bounds))
@@ -221,21 +215,7 @@ LEVEL: tuple[Step[Level], ...] = (
 
 
 class Levels:
-    """What the fit starts from, and what it calls at the end of every level.
-
-    Args:
-        capture: Evened, unit frame.
-        config: The stage's configuration.
-        device: Torch device.
-        generator: Source of random numbers.
-        course: Of the stage's steps.
-
-    Attributes:
-        sampler: Source of rays.
-        begun: Lattice and signed distances that the fit starts from.
-        backdrop: The ground as far as the fit has got.
-        selection: The surfaces by depth maps and by masks alone.
-    """
+    """What the fit starts from (`begun`), and what it calls at the end of every level."""
 
     def __init__(
         self,

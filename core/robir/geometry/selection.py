@@ -190,9 +190,6 @@ def bending(mesh: Mesh) -> float:
     """Total absolute mean curvature of a surface over the root of its area, of a sphere 3.54.
 
     The sum over edges of length times dihedral angle, halved (Cohen-Steiner and Morvan 2003).
-
-    Args:
-        mesh: Of any frame and unit.
     """
     import trimesh
 

@@ -131,16 +131,10 @@ def reconstruct(
     reporter: Reporter,
     watch: Callable[[float, Present], None] | None = None,
 ) -> Surface:
-    """Surface of a capture whose bounding sphere is the unit sphere.
+    """Surface of a capture in the unit frame.
 
-    Args:
-        capture: Capture in the unit frame.
-        config: The stage's configuration.
-        seed: Seed of every random choice.
-        device: Torch device.
-        reporter: Progress and warnings.
-        watch: Called every few steps of the fit with the share of it that is done and its field as
-            it is, or None; at last with 1.0 and the finished field.
+    `watch` is called every few steps of the fit with the share of it that is done and its field as
+    it is, at last with 1.0 and the finished field.
 
     Raises:
         CaptureError: If there are fewer than three training views with a mask.

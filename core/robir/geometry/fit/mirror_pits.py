@@ -98,12 +98,7 @@ class Judge(Protocol):
 class Mirroring:
     """Where a surface mirrors, as the coarsest level has learnt it, and what fills it.
 
-    Finer levels learn highlights of glossy paint as well.
-
-    Args:
-        cameras: From where it may be looked at.
-        hull: What bounds the surface, signed distances on their lattice.
-        judge: Tells by photographs whether a surface mirrors, and which one is better.
+    Finer levels learn highlights of glossy paint as well. The hull bounds what is filled.
     """
 
     def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:

@@ -112,10 +112,8 @@ class _Optimiser:
 def agreement(mean: Tensor, square: Tensor, taken: int) -> Tensor:
     """How far gradients agree, as the share (K,) of a step that may be made, in [0, 1].
 
-    Args:
-        mean: (K,) mean of `taken` gradients, weights decaying by `_MEMORY`, their sum 1.
-        square: (K,) mean of their squares.
-        taken: Number of gradients.
+    Of the mean (K,) of so many gradients, weights decaying by `_MEMORY`, and of their squares'
+    (K,).
     """
     left = _MEMORY**taken
     chance = (1.0 - _MEMORY) / (1.0 + _MEMORY) * (1.0 + left) / (1.0 - left)

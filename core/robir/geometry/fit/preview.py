@@ -64,12 +64,6 @@ class Preview:
 
     The view is the first held-out one; the metric `held_out_psnr` is its PSNR over the object's
     pixels, dB. Without such a view the first training view is shown, without a metric.
-
-    Args:
-        capture: In the unit frame.
-        path: Picture to replace.
-        device: Torch device of the rays.
-        reporter: Told the metric.
     """
 
     def __init__(self, capture: Capture, path: Path, device: str, reporter: Reporter) -> None:

@@ -169,7 +169,7 @@ def march(
     directions: Tensor,
     jitter: Tensor,
 ) -> Intervals:
-    """Intervals that matter for the pixels of rays, found without gradients.
+    """Intervals that matter for the pixels of rays, found without gradients; there may be none.
 
     Args:
         occupancy: Where the surface may be.
@@ -178,9 +178,6 @@ def march(
         origins: (R, 3).
         directions: (R, 3) unit.
         jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
-
-    Returns:
-        The kept intervals; there may be none.
     """
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, inv_std, origins, directions, jitter)

@@ -68,12 +68,7 @@ class Agreement:
 
 
 class Outlines:
-    """Masks of a few photographs at some pixels.
-
-    Args:
-        views: Training views, unit frame.
-        side: Pixels along the longer side that are looked at.
-    """
+    """Masks of a few training views, unit frame, at some pixels along their longer side."""
 
     def __init__(self, views: Sequence[View], side: int) -> None:
         chosen = farthest_points(np.stack([view.camera.position for view in views]), _VIEWS)

@@ -71,12 +71,7 @@ class Facet:
 
 
 class _Skin:
-    """A mesh prepared for the search.
-
-    Args:
-        mesh: Dense mesh without texture coordinates.
-        cell: Edge of a cell of the field it was extracted from.
-    """
+    """A dense mesh, out of cells so wide, prepared for the search."""
 
     def __init__(self, mesh: Mesh, cell: float) -> None:
         self.cell = cell

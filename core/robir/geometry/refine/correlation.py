@@ -108,13 +108,7 @@ def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
 
 
 class Patches:
-    """Square patches tangent to a mesh's vertices, as photographs show them.
-
-    Args:
-        mesh: Its vertices and normals, unit frame.
-        spacing: Distance between a patch's points, unit frame.
-        half: Points on either side of the middle.
-    """
+    """Square patches tangent to a mesh's vertices, as photographs show them."""
 
     def __init__(self, mesh: Mesh, spacing: float, half: int) -> None:
         self._middle = torch.from_numpy(mesh.vertices)

@@ -126,11 +126,6 @@ class ThinPlate:
 
     The square root of the squared Laplacian counts beyond a width, so that an edge costs no more
     than the bend it makes (iteratively reweighted least squares).
-
-    Args:
-        mesh: Its connections.
-        width: Laplacian at which a crease begins, unit frame.
-        iterations: Of a solution, at most.
     """
 
     def __init__(self, mesh: Mesh, width: float, iterations: int) -> None:

@@ -128,16 +128,10 @@ def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDAr
 
 
 def sweep(own: Picture, others: list[Picture], entry: Floats, far: float) -> DepthMap:
-    """Depths at which a photograph agrees with others.
+    """Depths at which a photograph agrees with at least two others beside it.
 
-    Args:
-        own: The photograph.
-        others: At least two beside it.
-        entry: (H, W) depth at which its rays enter the visual hull, infinite where they miss it.
-        far: Depth behind which nothing lies.
-
-    Returns:
-        Depths of the pixels that are wholly object and meet the hull.
+    Of the pixels that are wholly object and meet the visual hull, which their rays enter at depth
+    `entry` (H, W), infinite where they miss it; nothing lies behind `far`.
     """
     camera = own.camera
     inside = own.whole & np.isfinite(entry)
