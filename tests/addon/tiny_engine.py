@@ -23,7 +23,6 @@ QUICK_TO_PLACE = (
     "geometry.given.placing._TURNS=150",
     "geometry.given.placing._FOLLOWED=2",
     "geometry.given.placing._EVALUATIONS=150",
-    "geometry.given.symmetry._FOLLOWED=2",
 )
 """Constants by which a mesh's place is looked for by fewer photographs and among fewer turns."""
 

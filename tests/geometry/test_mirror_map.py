@@ -8,12 +8,11 @@ import pytest
 from geometry.scenes import ball, capture_of
 from geometry.test_refine import RADIUS, SIDE, sphere
 
-from robir.geometry import mirror_map
-from robir.geometry.mirror_map import learnt_map, mirrored_cells
-from robir.geometry.prediction import Predictions, lead
+from robir.geometry import prediction
+from robir.geometry.prediction import Predictions, lead, learnt_map, mirrored_cells
 from robir.geometry.rays import reduce_view
 
-CELLS = mirror_map._SIDE**2
+CELLS = prediction._SIDE**2
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:
@@ -48,7 +47,7 @@ def test_what_is_mirrored_is_the_reflection():
     ]
     wanted = mirrored_cells(np.array(mirrored), np.array(mirrored))
     cells = mirrored_cells(normals, towards)
-    grazing = (normals * towards).sum(1) <= mirror_map._GRAZING
+    grazing = (normals * towards).sum(1) <= prediction._GRAZING
     np.testing.assert_array_equal(cells[~grazing], wanted[~grazing])
     assert grazing.any() and (cells[grazing] == CELLS).all()
 

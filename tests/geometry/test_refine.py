@@ -12,26 +12,25 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
-from robir.geometry import rival as rival_module
+from robir.geometry import selection as selection_module
 from robir.geometry.config import GeometryConfig
-from robir.geometry.finishing import finished
-from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.pipeline import finished
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import (
     Patches,
     agreement,
     correlations,
+    outline_shifts,
     pixel_size,
     projection,
     seen_by,
 )
-from robir.geometry.refine.outlines import outline_shifts
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.rival import FIELD, HULL, STEREO, Judge, Rival, bending, refined
+from robir.geometry.selection import FIELD, HULL, STEREO, Selection, bending, refined
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
 
@@ -42,7 +41,7 @@ CONFIG = GeometryConfig(stereo_side=SIDE, refine_sides=(SIDE,), face_budget=3000
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 12000)
-    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 48)
+    monkeypatch.setattr("robir.geometry.stereo.fusion._CELLS", 48)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +138,7 @@ def test_how_grazing_a_view_must_be_decides_what_an_outline_is(photos, monkeypat
     mesh, pixel = sphere(), pixel_size([photo.camera for photo in photos])
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     all_ = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
-    monkeypatch.setattr("robir.geometry.refine.outlines._GRAZING", 0.05)
+    monkeypatch.setattr("robir.geometry.refine.correlation._GRAZING", 0.05)
     few = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
     assert 0 < few < 0.7 * all_
 
@@ -223,8 +222,8 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Rival(capture.train, Predictions(photos), (hull, hull), CONFIG)
-        field = Field(lattice, radius - RADIUS + dents * waves(lattice), 1)
+        rival = Selection(capture.train, photos, (hull, hull), CONFIG)
+        field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
         assert (rival.best is not None) == wins
@@ -233,7 +232,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)
-    silent = Rival(capture.train, Predictions(photos), (hull, hull), off)
+    silent = Selection(capture.train, photos, (hull, hull), off)
     assert not silent.beats(field)
 
 
@@ -242,28 +241,28 @@ def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
 ):
     lattice, radius = lattice_and_radius()
     dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
-    monkeypatch.setattr("robir.geometry.rival.stereo_surface", lambda *_: dented)
+    monkeypatch.setattr("robir.geometry.selection.stereo_surface", lambda *_: dented)
     hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Rival(capture.train, Predictions(photos), hulls, CONFIG)
-    assert rival.beats(Field(lattice, dented.values, 1))
+    rival = Selection(capture.train, photos, hulls, CONFIG)
+    assert rival.beats(dented)
     assert rival.best.name == HULL and rival.best.cell == lattice.cell
     (choice,) = rival.choices
     assert choice.chosen == HULL and set(choice.alternatives) == {STEREO, FIELD}
     assert roughness(rival.best.mesh) < 0.01
 
 
-BENT = rival_module._BENT
+BENT = selection_module._BENT
 
 
 @pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
 def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    rival = Rival(capture.train, Predictions(photos), (hull, hull), CONFIG)
+    rival = Selection(capture.train, photos, (hull, hull), CONFIG)
     bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
-    monkeypatch.setattr("robir.geometry.rival.lead", lambda *_: ahead)
-    monkeypatch.setattr("robir.geometry.rival.bending", lambda mesh: next(bends))
-    assert rival.beats(Field(lattice, radius - RADIUS, 1)) == wins
+    monkeypatch.setattr("robir.geometry.selection.lead", lambda *_: ahead)
+    monkeypatch.setattr("robir.geometry.selection.bending", lambda mesh: next(bends))
+    assert rival.beats(Sampled(lattice, radius - RADIUS)) == wins
     assert rival.choices[0].chosen == (STEREO if wins else FIELD)
 
 
@@ -279,11 +278,12 @@ def test_how_much_a_sphere_and_a_box_bend():
     assert bending(plain_mesh(box.vertices, box.faces)) == pytest.approx(wanted, rel=1e-6)
 
 
-def test_a_judge_prefers_the_true_surface_and_sees_no_mirror_in_print(photos):
+def test_the_true_surface_is_better_and_print_is_no_mirror(capture, photos):
     lattice, radius = lattice_and_radius()
     true, dented = (
-        Field(lattice, radius - RADIUS + dents * waves(lattice), 1) for dents in (0.0, 0.05)
+        Sampled(lattice, radius - RADIUS + dents * waves(lattice)) for dents in (0.0, 0.05)
     )
-    judge = Judge(Predictions(photos))
+    hull = Sampled(lattice, radius - 0.63)
+    judge = Selection(capture.train, photos, (hull, hull), CONFIG)
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

@@ -71,7 +71,7 @@ def overlaps(capture: Capture, shots: list[scene.Posed]) -> np.ndarray:
 
 
 def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
-    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 80)
+    monkeypatch.setattr("robir.geometry.stereo.fusion._CELLS", 80)
     heard: list[float] = []
     found = remasked(guessed.normalised(), CONFIG, heard.append)
     before, after = overlaps(guessed, shots), overlaps(found, shots)

@@ -13,11 +13,17 @@ from geometry.scenes import ball, camera_at, capture_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import reduce_view
-from robir.geometry.stereo.fusion import confirmed, depth_maps, fuse, points_at
+from robir.geometry.stereo.fusion import (
+    angles_between,
+    choose_sources,
+    confirmed,
+    depth_maps,
+    fuse,
+    points_at,
+    stereo_surface,
+)
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 from robir.geometry.stereo.smoothest import laplacian, smoothest
-from robir.geometry.stereo.sources import angles_between, choose_sources
-from robir.geometry.stereo.surface import stereo_surface
 from robir.geometry.stereo.sweep import (
     DepthMap,
     Picture,
@@ -32,7 +38,7 @@ RADIUS = 0.6
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    monkeypatch.setattr("robir.geometry.stereo.surface._CELLS", 48)
+    monkeypatch.setattr("robir.geometry.stereo.fusion._CELLS", 48)
 
 
 def grain(points):
@@ -149,7 +155,7 @@ def test_planes_lie_a_pixel_of_parallax_apart():
 
 
 def test_sources_lie_at_a_good_angle_on_different_sides(monkeypatch):
-    monkeypatch.setattr("robir.geometry.stereo.sources._SOURCES", 2)
+    monkeypatch.setattr("robir.geometry.stereo.fusion._SOURCES", 2)
     angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
     positions = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * 3
     first = choose_sources(positions)[0]
@@ -159,7 +165,7 @@ def test_sources_lie_at_a_good_angle_on_different_sides(monkeypatch):
 
 def test_a_sphere_has_its_depths(sphere, monkeypatch):
     """With others at 15 degrees and a start in front of it; a plain one has none to trust."""
-    monkeypatch.setattr("robir.geometry.stereo.sources._BASELINE_DEGREES", 20.0)
+    monkeypatch.setattr("robir.geometry.stereo.fusion._BASELINE_DEGREES", 20.0)
     pictures = [Picture.of(photo) for photo in sphere]
     positions = np.stack([photo.camera.position for photo in sphere])
     own = 12

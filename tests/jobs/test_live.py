@@ -17,7 +17,7 @@ from robir import cli
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
 from robir.capture.images.preview import BACKGROUND, save_preview
-from robir.geometry.fit.field_preview import Preview
+from robir.geometry.fit.preview import Preview
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.jobs.status import StatusWriter, read_status
 from robir.pipeline.runner import reconstruct

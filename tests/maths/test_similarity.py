@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.camera import Camera
 from robir.capture.support import Plane
-from robir.maths.similarity import Similarity, turn_about, turn_in_words
+from robir.maths.similarity import Similarity, turn_in_words
 
 
 def some(seed: int) -> Similarity:
@@ -39,13 +39,6 @@ def test_outside_it_does_the_same_to_what_the_unit_sphere_stands_for():
     place, centre, radius = some(3), np.array([1.0, -2.0, 0.5]), 3.0
     moved = place.outside(centre, radius)(centre + radius * POINTS)
     assert moved == pytest.approx(centre + radius * place(POINTS))
-
-
-def test_a_turn_about_a_point_leaves_it():
-    turn, middle = some(4).turn, np.array([3.0, 1.0, -2.0])
-    place = turn_about(turn, middle)
-    assert place(middle[None])[0] == pytest.approx(middle)
-    assert place(middle + POINTS) - middle == pytest.approx(POINTS @ turn.T)
 
 
 def test_its_words():

@@ -11,10 +11,12 @@ from robir import constants
 from robir.config import RunConfig, resolve
 from robir.constants import changed, of_setting
 from robir.errors import ConfigError
-from robir.geometry.fit import descent, optimise
+from robir.geometry import hull
+from robir.geometry.fit import optimise
+from robir.geometry.ground import backdrop
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.unwrap import unwrap
-from robir.geometry.stereo.sources import choose_sources
+from robir.geometry.stereo.fusion import choose_sources
 from robir.pipeline.ledger import stage_fingerprints
 from robir_bench.plan import BenchRun, with_constants
 
@@ -24,17 +26,17 @@ REVISIONS = dict.fromkeys(("capture", "geometry", "transport", "appearance", "ex
 def test_a_changed_constant_changes_what_a_function_finds_until_the_end_of_the_block():
     angle = np.radians(np.arange(0, 360, 10))
     eyes = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    with changed(["geometry.stereo.sources._SOURCES=2"]):
+    with changed(["geometry.stereo.fusion._SOURCES=2"]):
         assert len(choose_sources(eyes)[0]) == 2
-        assert constants.applied == ["geometry.stereo.sources._SOURCES=2"]
+        assert constants.applied == ["geometry.stereo.fusion._SOURCES=2"]
     assert len(choose_sources(eyes)[0]) == 4
     assert constants.applied == []
 
 
 def test_a_shared_constant_changes_wherever_it_was_imported():
-    with changed(["geometry.fit.descent.FIRST_DECAY=0.5"]):
-        assert descent.FIRST_DECAY == optimise.FIRST_DECAY == 0.5
-    assert descent.FIRST_DECAY == optimise.FIRST_DECAY == 0.9
+    with changed(["geometry.hull.HULL_VIEWS=5"]):
+        assert hull.HULL_VIEWS == backdrop.HULL_VIEWS == 5
+    assert hull.HULL_VIEWS == backdrop.HULL_VIEWS == 48
 
 
 def test_a_constant_reaches_the_process_that_makes_charts():
@@ -64,14 +66,14 @@ def test_what_is_no_constant_is_refused(change, words):
 
 
 def test_what_was_changed_before_a_refusal_is_as_it_was():
-    with pytest.raises(ConfigError), changed(["geometry.fit.descent._DOUBT=1", "nothing.X=1"]):
+    with pytest.raises(ConfigError), changed(["geometry.fit.optimise._BAND=1", "nothing.X=1"]):
         pass
-    assert descent._DOUBT == 3.0
+    assert optimise._BAND == 5.0
 
 
 def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
     usual = stage_fingerprints(RunConfig(), REVISIONS, "capture")
-    config = resolve(RunConfig(), None, ['constants=["geometry.fit.descent._DOUBT=1"]'])
+    config = resolve(RunConfig(), None, ['constants=["geometry.fit.optimise._BAND=1"]'])
     found = stage_fingerprints(config, REVISIONS, "capture")
     assert [stage for stage in usual if usual[stage] == found[stage]] == ["capture"]
     config = resolve(RunConfig(), None, ['constants=["maths.vectors.X=1"]'])
@@ -81,9 +83,9 @@ def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
 
 def test_the_bench_hands_constants_to_its_runs(tmp_path):
     run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=("seed=1",))
-    (swept,) = with_constants([run], ["geometry.fit.descent._DOUBT=1"])
+    (swept,) = with_constants([run], ["geometry.fit.optimise._BAND=1"])
     assert resolve(RunConfig(), None, swept.settings).constants == (
-        "geometry.fit.descent._DOUBT=1",
+        "geometry.fit.optimise._BAND=1",
     )
     assert with_constants([run], []) == [run]
 

@@ -23,7 +23,6 @@ class GeometryConfig:
         refine_sides: Longer side of the photographs at each level of the refinement, pixels.
         face_budget: Most triangles of the final mesh.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
-        refine_poses: Whether given cameras are turned where the photographs ask for it.
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
         without: Names of steps that are left out, to see what they are worth.
@@ -38,7 +37,6 @@ class GeometryConfig:
     refine_sides: tuple[int, ...] = (400, 800)
     face_budget: int = 8000
     unwrap_seconds: float = 40.0
-    refine_poses: bool = True
     fit_mesh: bool = False
     without: tuple[str, ...] = ()
 

@@ -31,16 +31,10 @@ _CLEARANCE = 0.015
 
 
 def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Signed distance to a mask's outline, in pixels, negative inside.
+    """Signed distance (H, W) to a mask's outline, in pixels, negative inside.
 
-    The outline runs where the coverage is one half; the coverage of the pixels next to it places
-    it within the pixel.
-
-    Args:
-        coverage: (H, W) in [0, 1].
-
-    Returns:
-        (H, W) float32.
+    The outline runs where the coverage (H, W) in [0, 1] is one half; the coverage of the pixels
+    next to it places it within the pixel.
     """
     inside = coverage >= 0.5
     if inside.all() or not inside.any():
@@ -103,10 +97,8 @@ class HullCarver:
 def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
     """The visual hull of photographs that lie far from each other.
 
-    Args:
-        photos: With masks.
-        guessed: Whether masks were guessed, so that some may be wrong at any point: as many
-            as in the last round of guessing, one at least.
+    Where masks were guessed some may be wrong at any point: as many as in the last round of
+    guessing, one at least.
     """
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, HULL_VIEWS)]
@@ -118,14 +110,7 @@ def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
 
 
 def carve(carver: HullCarver, cells: int) -> Sampled:
-    """Signed distance of the visual hull on a lattice that fits it closely.
-
-    Args:
-        carver: The hull.
-        cells: Cells along the hull's longest side.
-
-    Returns:
-        The lattice and its values (N,), negative inside.
+    """Signed distance of the visual hull on a lattice of so many cells that fits it closely.
 
     Raises:
         CaptureError: If the masks leave nothing inside the bounding sphere.
@@ -158,14 +143,8 @@ def object_hull(
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
     What a shadow falls on has other colours than the rest of the table, and depth maps see a
-    surface there as well: nothing but its height tells it from the object.
-
-    Args:
-        capture: In the unit frame.
-        photos: Its training photographs, reduced.
-        cells: Cells along the hull's longest side.
-        guessed: Whether masks are as guessed at first: as for `hull_of`. Cut again they agree, and
-            a hull that some may not bound has notches.
+    surface there as well: nothing but its height tells it from the object. `guessed` is as for
+    `hull_of`: masks that were cut again agree, and a hull that some may not bound has notches.
     """
     carver = hull_of(photos, guessed=guessed)
     lattice, values = carve(carver, cells)

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 import torch
 from torch import Tensor
-from torch.nn.functional import embedding_bag
+from torch.nn.functional import embedding_bag, pad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,11 +115,7 @@ class Lattice:
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes and weights of trilinear interpolation; points outside take the nearest cell.
 
-        Args:
-            points: (P, 3) unit frame.
-
-        Returns:
-            Flat node indices (P, 8) int32 and weights (P, 8) float32 that sum to 1.
+        Of points (P, 3): flat node indices (P, 8) int32 and weights (P, 8) whose sum is 1.
         """
         # axis by axis and plane by plane: products along short last axes cost torch thrice as much
         flat, high = self._cells_of(points)
@@ -172,16 +168,7 @@ class _Interpolate(torch.autograd.Function):
 
 
 def interpolate(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
-    """Weighted sums of rows, differentiable in the rows only.
-
-    Args:
-        rows: (N, C) float32.
-        index: (P, K) int32, rows that take part.
-        weight: (P, K) float32.
-
-    Returns:
-        (P, C).
-    """
+    """Weighted sums (P, C) of rows (N, C), index and weight (P, K), differentiable in the rows."""
     if rows.device.type == "cpu":
         return _Interpolate.apply(rows, index, weight)
     return torch.einsum("pkc,pk->pc", rows[index.long()], weight)
@@ -193,3 +180,25 @@ def resample(values: Tensor, source: Lattice, target: Lattice) -> Tensor:
     for part in target.nodes(str(values.device)).split(1 << 18):
         out.append(source.trilinear(values, part))
     return torch.cat(out)
+
+
+def neighbour_mean(grid: Tensor) -> Tensor:
+    """Means over the six neighbours of every node (X, Y, Z); beyond the border its nodes go on."""
+    wide = pad(grid[None, None], (1, 1, 1, 1, 1, 1), mode="replicate")[0, 0]
+    total = wide[2:, 1:-1, 1:-1] + wide[:-2, 1:-1, 1:-1]
+    total += wide[1:-1, 2:, 1:-1]
+    total += wide[1:-1, :-2, 1:-1]
+    total += wide[1:-1, 1:-1, 2:]
+    total += wide[1:-1, 1:-1, :-2]
+    return total.div_(6.0)
+
+
+def smoothed(values: Tensor, lattice: Lattice, passes: int) -> Tensor:
+    """Values (N,) filtered by (1, 2, 1) / 4 along each axis so often, zero beyond the border."""
+    # (1, 2, 1) is (1, 1) twice: sums of two neighbours read and write the least memory
+    grid = pad(values.view(lattice.shape), (passes,) * 6)
+    for axis in range(3):
+        for _ in range(2 * passes):
+            size = grid.shape[axis] - 1
+            grid = grid.narrow(axis, 0, size) + grid.narrow(axis, 1, size)
+    return grid.mul_(0.25 ** (3 * passes)).reshape(-1)

@@ -3,27 +3,33 @@
 
 A pixel is carried over a surface into the photographs beside it. Where the surface is right they
 show the same thing, so this judges surfaces that were found in different ways, without truth, light
-or material. What is polished shows each photograph something else: there a map of what is mirrored,
-see mirror_map.py, goes along wherever it helps to predict.
+or material.
+
+A polished thing shows every photograph another colour of the same spot, and a surface full of pits
+explains that as well as any. But on the surface that is right all spots mirror one surroundings: a
+map learnt at some spots, from some photographs, tells what others show. It goes along wherever it
+helps to predict.
+
+Batch letters: P points, J photographs, C cells of the map.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from scipy import sparse
 from torch.nn.functional import grid_sample
 
-from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.mirror_map import learnt_map, mirrored_cells, nothing_mirrored
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
+
+Array = NDArray[np.floating]
 
 _JUDGES = 12  # photographs that are predicted; they lie far from each other
 _NEAREST = 4  # photographs, the nearest to a judge, that predict it
@@ -32,32 +38,27 @@ _OUTLINE = 2  # distance from the outline within which masks are not believed (p
 _LEARNT_POINTS = 6000  # points of the surface by which what is mirrored is learnt
 _SLACK = 0.01  # distance by which a ray may end before the surface it is to see (unit frame)
 
+# cells along each side of the map; 24 are 8 degrees wide in the middle, as fine as normals are
+# known
+_SIDE = 24
+# cosine of the view below which a normal a few degrees off mirrors quite another direction
+_GRAZING = 0.15
+_HELD = 20.0  # observations by which a cell is held to mirror nothing
+_ROUNDS = 12  # turns of solving spots and map after each other
+_LEAST_VIEWS = 3  # photographs that must show a spot from which the map is learnt
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Spots:
-    """Where the pixels of a judge meet a surface.
 
-    Attributes:
-        rows: Of the pixels that are wholly object.
-        columns: Likewise.
-        met: (N,) bool, which of them meet it.
-        points: (P, 3) where.
-        normals: (P, 3) unit.
-    """
+class _Spots(NamedTuple):
+    """Where the pixels of a judge meet a surface."""
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
-    met: NDArray[np.bool_]
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    pixels: tuple[NDArray[np.int64], ...]  # rows and columns (N,) of those that are wholly object
+    met: NDArray[np.bool_]  # (N,) which of them meet it
+    points: NDArray[np.float64]  # (P, 3) where
+    normals: NDArray[np.float64]  # (P, 3) unit
 
 
 class Predictions:
-    """Photographs that predict some of their number over surfaces.
-
-    Args:
-        photos: Training photographs, unit frame.
-    """
+    """Training photographs, unit frame, some of which the others predict over surfaces."""
 
     def __init__(self, photos: list[Photo]) -> None:
         positions = np.stack([photo.camera.position for photo in photos])
@@ -88,11 +89,7 @@ class Predictions:
         return told if lead(carried, told) > 1.0 else carried
 
     def mirroring(self, mesh: Mesh) -> float:
-        """By how many standard errors photographs predict better with what a surface mirrors.
-
-        Args:
-            mesh: Surface, unit frame.
-        """
+        """By how many standard errors photographs predict better with what a surface mirrors."""
         return lead(*self._both(mesh))
 
     def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
@@ -100,7 +97,7 @@ class Predictions:
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
         maps = self._maps(tracer, list(spots.values()))
-        nothing = nothing_mirrored()
+        nothing = np.zeros((_SIDE * _SIDE + 1, 3))
         pairs = [self._judged(tracer, own, spots[own], (nothing, maps[own])) for own in spots]
         return [without for without, _ in pairs], [told for _, told in pairs]
 
@@ -112,15 +109,11 @@ class Predictions:
         met = np.isfinite(hits.distance)
         corners = mesh.normals[mesh.faces[hits.face[met]]].astype(np.float64)
         normals = (corners * hits.barycentric[met][:, :, None]).sum(1)
-        return _Spots(
-            rows=rows,
-            columns=columns,
-            met=met,
-            points=origins[met] + hits.distance[met][:, None] * directions[met],
-            normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9),
-        )
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        points = origins[met] + hits.distance[met][:, None] * directions[met]
+        return _Spots((rows, columns), met, points, normals)
 
-    def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, NDArray[np.floating]]:
+    def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, Array]:
         """What is mirrored as all photographs but a judge tell it, for each judge."""
         total = sum(len(one.points) for one in spots)
         every = max(1, total // _LEARNT_POINTS)
@@ -136,11 +129,7 @@ class Predictions:
         return maps
 
     def _judged(
-        self,
-        tracer: EmbreeTracer,
-        own: int,
-        spots: _Spots,
-        maps: tuple[NDArray[np.floating], ...],
+        self, tracer: EmbreeTracer, own: int, spots: _Spots, maps: tuple[Array, ...]
     ) -> list[NDArray[np.float32]]:
         """Errors of one judge by what the others show, for each map of what is mirrored."""
         layers = self._layers[own].numpy()
@@ -151,27 +140,24 @@ class Predictions:
             for total, mirrored in zip(totals, maps, strict=True):
                 total += seen[:, None] * (colours - mirrored[cells])
             weight += seen[:, None]
-        towards = _unit(self._cameras[own].position - spots.points)
+        towards = self._cameras[own].position - spots.points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         cells = mirrored_cells(spots.normals, towards)
-        display = layers[spots.rows, spots.columns, :3]
-        inner = _within(layers[..., 3] > _WHOLE, _OUTLINE)
-        inner = inner[spots.rows, spots.columns]
+        display = layers[spots.pixels][:, :3]
+        square, whole = np.ones((2 * _OUTLINE + 1,) * 2, np.uint8), layers[..., 3] > _WHOLE
+        inner = cv2.erode(whole.astype(np.uint8), square, borderValue=1)[spots.pixels]
         blind = ((display - display.mean(0)) ** 2).mean(1)
         results = []
         for total, mirrored in zip(totals, maps, strict=True):
             predicted = total / np.maximum(weight, 1e-6) + mirrored[cells]
             error = ((predicted - display[spots.met]) ** 2).mean(1)
-            result = np.where(inner, blind, np.nan).astype(np.float32)
+            result = np.where(inner == 1, blind, np.nan).astype(np.float32)
             result[spots.met] = np.where(weight[:, 0] > 0, error, np.nan)
             results.append(result)
         return results
 
     def _shown(
-        self,
-        tracer: EmbreeTracer,
-        other: int,
-        points: NDArray[np.float64],
-        normals: NDArray[np.float64],
+        self, tracer: EmbreeTracer, other: int, points: Array, normals: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
         """Colours (P, 3) of points in a photograph, 1 (P,) where it shows them, mirrored cells."""
         camera, layers = self._cameras[other], self._layers[other]
@@ -181,32 +167,15 @@ class Predictions:
         reach = (distance - _SLACK).astype(np.float32)
         directions = away / distance[:, None]
         free = ~tracer.is_blocked(origins, directions.astype(np.float32), reach)
-        values, held = _read(layers, camera, points)
-        sure = (held & (values[:, 3] > _WHOLE)).numpy() & free
-        cells = mirrored_cells(normals, -directions)
-        return values[:, :3].numpy(), sure.astype(np.float32), cells
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-def _within(inside: NDArray[np.bool_], outline: int) -> NDArray[np.bool_]:
-    """The pixels (H, W) of a mask that lie further than `outline` from what is not of it."""
-    square = np.ones((2 * outline + 1, 2 * outline + 1), np.uint8)
-    return cv2.erode(inside.astype(np.uint8), square, borderValue=1) == 1
-
-
-def _read(layers: Tensor, camera: Camera, points: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
-    """Values (P, C) of a picture where a camera sees points, and whether it holds them (P,)."""
-    places, depth = camera.project(points)
-    size = np.array([camera.width, camera.height])
-    held = (depth > 0) & (places > 0).all(1) & (places < size).all(1)
-    grid = torch.from_numpy(places * (2 / size) - 1).float()[None, None]
-    values = grid_sample(
-        layers.permute(2, 0, 1)[None], grid, padding_mode="border", align_corners=False
-    )
-    return values[0, :, 0].T, torch.from_numpy(held)
+        places, depth = camera.project(points)
+        size = np.array([camera.width, camera.height])
+        held = (depth > 0) & (places > 0).all(1) & (places < size).all(1)
+        grid = torch.from_numpy(places * (2 / size) - 1).float()[None, None]
+        planes = layers.permute(2, 0, 1)[None]
+        shown = grid_sample(planes, grid, padding_mode="border", align_corners=False)[0, :, 0]
+        colours, coverage = shown[:3].T.numpy(), shown[3].numpy()
+        seen = (held & free & (coverage > _WHOLE)).astype(np.float32)
+        return colours, seen, mirrored_cells(normals, -directions)
 
 
 def lead(errors: list[NDArray[np.float32]], others: list[NDArray[np.float32]]) -> float:
@@ -229,3 +198,45 @@ def lead(errors: list[NDArray[np.float32]], others: list[NDArray[np.float32]]) -
         return 0.0
     spread = float(np.std(leads, ddof=1)) / len(leads) ** 0.5
     return float(np.mean(leads)) / max(spread, 1e-6)
+
+
+def mirrored_cells(normals: Array, towards: Array) -> NDArray[np.int64]:
+    """Cells (P,) of the directions that points mirror, by an octahedral map.
+
+    Of unit normals and directions towards the camera (P, 3); the number of cells where it looks
+    along the surface or from behind (Meyer et al. 2010, "On floating-point normal vectors").
+    """
+    cosine = (normals * towards).sum(1, keepdims=True)
+    mirrored = 2.0 * cosine * normals - towards
+    flat = mirrored / np.maximum(np.abs(mirrored).sum(1, keepdims=True), 1e-9)
+    x, y, z = flat.T
+    signs = np.where(flat[:, :2] >= 0, 1.0, -1.0)
+    folded = (1.0 - np.abs(flat[:, 1::-1])) * signs
+    place = np.where((z < 0)[:, None], folded, np.stack([x, y], axis=1))
+    row, column = np.clip(((place + 1.0) * (_SIDE / 2)).astype(np.int64), 0, _SIDE - 1).T
+    return np.where(cosine[:, 0] > _GRAZING, row * _SIDE + column, _SIDE * _SIDE)
+
+
+def learnt_map(colours: Array, seen: Array, cells: NDArray[np.int64]) -> Array:
+    """What each direction adds to a spot's own colour, by alternating least squares.
+
+    Of display colours (P, J, 3), seen (P, J) 0 or 1, and cells (P, J): a map (C + 1, 3), about 0.
+    """
+    known, number = seen.sum(1) >= _LEAST_VIEWS, _SIDE * _SIDE
+    seen, cells = seen[known].astype(np.float64), cells[known]
+    shown = colours[known] * seen[:, :, None]
+    point, photograph = np.nonzero(seen)
+    place = point, cells[point, photograph]
+    # (P, C + 1): how often a point mirrors a cell
+    mirrors = sparse.csr_array((np.ones(len(point)), place), shape=(len(seen), number + 1))
+    by_point, views = shown.sum(1), seen.sum(1)[:, None]
+    by_cell = np.stack(
+        [np.bincount(place[1], part, number + 1) for part in shown[point, photograph].T], axis=1
+    )
+    count = mirrors.sum(0)[:, None]
+    result = np.zeros((number + 1, 3))
+    for _ in range(_ROUNDS):
+        own = (by_point - mirrors @ result) / views
+        result = (by_cell - mirrors.T @ own) / (count + _HELD)
+        result[number] = 0.0
+    return result

@@ -68,13 +68,7 @@ def cropped(camera: Camera, kept: tuple[float, float]) -> Camera:
 
 
 class RaySampler:
-    """Random pixels of all photographs, drawn in shuffled order without repeats.
-
-    Args:
-        photos: Reduced photographs.
-        device: Torch device of the rays.
-        generator: Source of the order, on the CPU.
-    """
+    """Random pixels of all photographs, drawn in shuffled order without repeats."""
 
     def __init__(self, photos: list[Photo], device: str, generator: torch.Generator) -> None:
         views, pixels, targets = [], [], []
@@ -104,14 +98,10 @@ class RaySampler:
         self._poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Draw rays.
+        """Draw rays: origins and unit directions (R, 3), unit frame, and targets (R, 4).
 
-        Args:
-            count: Rays R; fewer come back only if the capture has fewer pixels.
-
-        Returns:
-            Origins (R, 3), unit directions (R, 3), unit frame, and targets (R, 4): display RGB
-            times coverage, and coverage, in [0, 1].
+        Targets are display RGB times coverage, and coverage, in [0, 1]. Fewer rays than `count`
+        come back only if the capture has fewer pixels.
         """
         if self._next + count > len(self._order):
             self._order = torch.randperm(len(self._views), generator=self._generator)

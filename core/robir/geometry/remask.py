@@ -20,13 +20,11 @@ from robir.capture.masks.guess import SIDE
 from robir.capture.masks.recut import recut
 from robir.capture.masks.sight import Picture, reduced
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.field import Field
 from robir.geometry.hull import mask_distance, object_hull
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.rays import reduce_view
-from robir.geometry.rival import smooth_surface
-from robir.geometry.stereo.fusion import entry_depth
-from robir.geometry.stereo.surface import stereo_surface
+from robir.geometry.selection import smooth_surface
+from robir.geometry.stereo.fusion import entry_depth, stereo_surface
 
 # size of the photographs and of the lattice for these surfaces, as a share of the final ones
 _COARSENESS = 0.64
@@ -36,19 +34,13 @@ _ROUNDS = 2  # surfaces and cuts, in turns
 def remasked(
     capture: Capture, config: GeometryConfig, progress: Callable[[float], None]
 ) -> Capture:
-    """A capture whose masks are cut again, the held-out photographs' too.
-
-    Args:
-        capture: With guessed masks, unit frame.
-        config: Of the stage.
-        progress: Told the share of the work done.
-    """
+    """A capture, whose masks were guessed, with masks cut again, the held-out views' too."""
     side = round(_COARSENESS * config.stereo_side)
     pictures = reduced(capture.views, SIDE)
     for number in range(_ROUNDS):
         photos = [reduce_view(view, side) for view in capture.train]
         hull = object_hull(capture, photos, config.hull_cells, guessed=True)
-        mesh = smooth_surface(Field(*stereo_surface(photos, hull, _COARSENESS), 1))
+        mesh = smooth_surface(stereo_surface(photos, hull, _COARSENESS))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / _ROUNDS)
@@ -58,13 +50,7 @@ def remasked(
 def cut_about(
     tracer: EmbreeTracer, views: Sequence[View], pictures: Sequence[Picture] | None = None
 ) -> tuple[View, ...]:
-    """Views with masks that end where colours and edges say so, near the outline of a surface.
-
-    Args:
-        tracer: Of the surface, unit frame.
-        views: Photographs of it.
-        pictures: Their small copies, where these were made before.
-    """
+    """Views with masks that end where colours and edges say so, near a surface's outline."""
     pictures = pictures or reduced(views, SIDE)
     sizes = [picture.lab.shape[1::-1] for picture in pictures]
     cameras = [view.camera.resized(*size) for view, size in zip(views, sizes, strict=True)]

@@ -8,33 +8,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from PIL import Image
 
 from robir.capture.capture import Capture
-from robir.capture.store import load_capture, save_frame, save_masks, save_turned
+from robir.capture.store import load_capture, save_frame, save_masks
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.finishing import FINISHING, Dense, finished
-from robir.geometry.fit.field_preview import Present, Preview
-from robir.geometry.fit.growing import save_growing
-from robir.geometry.fit.held_out import save_field_views
 from robir.geometry.fit.optimise import fit
-from robir.geometry.fit.pose_trial import CamerasChangedError, PoseTrial
+from robir.geometry.fit.preview import Present, Preview, save_field_views, save_growing
 from robir.geometry.given.surface import hand_in
 from robir.geometry.ground.plane import SupportPlane
+from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.triangles import LIGHT, Mesh
-from robir.geometry.rays import RaySampler
+from robir.geometry.pipeline import EVENING, FINISHING, GROUND, LEVEL, Levels, finished
 from robir.geometry.remask import remasked
-from robir.geometry.rival import FIELD, refined, smooth_surface
-from robir.geometry.settling import EVENING, GROUND, LEVEL, Settling
+from robir.geometry.selection import FIELD, Dense, refined, smooth_surface
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Course, Step, check_left_out
 
-REVISION = 40
+REVISION = 41
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
@@ -45,14 +40,7 @@ STEPS: tuple[Step[Any], ...] = (*EVENING, *GROUND, *LEVEL, *FINISHING)
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
-    """Reconstruct the surface of the stored capture.
-
-    Args:
-        context: Configuration, paths, seed, device and reporter.
-
-    Returns:
-        Metrics for the stage's manifest.
-    """
+    """Reconstruct the surface of the stored capture; metrics for the stage's manifest."""
     check_left_out(STEPS, context.config.without, "geometry.without")
     stored = load_capture(context.paths.stage("capture"))
     context.paths.growing.unlink(missing_ok=True)  # of another run, perhaps of another capture
@@ -69,29 +57,18 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         )
         save_masks(context.paths, capture.views)
     preview = Preview(capture, context.paths.preview, context.device, context.reporter)
-    trial = PoseTrial(capture, context.seed, context.device)
-    total = sum(context.config.level_steps)
-    held_out = context.paths.stage("geometry") / "field_held_out.npz"
-
-    def watch(share: float, present: Present, sampler: RaySampler) -> None:
-        if share == 1.0:
-            views = trial.capture.held_out
-            save_field_views(held_out, views, present.render, context.device)
-            return
-        if preview.show(present.render):
-            save_growing(context.paths.growing, present.surface, stored.bounds)
-        if context.config.refine_poses:
-            trial.look(round(share * total), present.render, sampler)
-
-    while True:
-        try:
-            surface = reconstruct(
-                trial.capture, context.config, context.seed, context.device, context.reporter, watch
-            )
-            break
-        except CamerasChangedError:
-            context.reporter.progress(0.0, "beginning anew with cameras that fit better")
     folder = context.paths.stage("geometry")
+
+    def watch(share: float, present: Present) -> None:
+        if share == 1.0:
+            file = folder / "field_held_out.npz"
+            save_field_views(file, capture.held_out, present.render, context.device)
+        elif preview.show(present.render):
+            save_growing(context.paths.growing, present.surface, stored.bounds)
+
+    surface = reconstruct(
+        capture, context.config, context.seed, context.device, context.reporter, watch
+    )
     surface.mesh.save(folder / "mesh.npz")
     write_json(folder / "choices.json", [choice.plain() for choice in surface.choices])
     write_json(context.paths.steps("geometry"), surface.steps)
@@ -99,11 +76,8 @@ def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
         normal = surface.ground.axes[2]
         plane = {"normal": normal.tolist(), "offset": float(normal @ surface.ground.origin)}
         write_json(context.paths.ground, plane)
-    metrics = surface.metrics
-    if trial.turns.any():
-        metrics |= _tell(context, trial)
     context.reporter.progress(1.0, "surface done")
-    return metrics
+    return surface.metrics
 
 
 def _take(
@@ -128,23 +102,6 @@ def _take(
             Image.fromarray(normals).save(temporary, format="PNG", compress_level=1)
     context.reporter.progress(1.0, "mesh taken")
     return handed.metrics
-
-
-def _tell(context: StageContext[GeometryConfig], trial: PoseTrial) -> dict[str, float | str]:
-    """Store the cameras that were turned, tell the user, and give figures for the manifest."""
-    angles = np.degrees(np.linalg.norm(trial.turns, axis=1))
-    names = [view.name for view in trial.capture.views]
-    save_turned(context.paths, {view.name: view.camera for view in trial.capture.views})
-    context.reporter.warn(
-        f"The photographs contradict the given cameras, which were turned by "
-        f"{np.median(angles):.2f} degrees in the median, at most by {angles.max():.2f} "
-        f"({names[int(angles.argmax())]}). The result stands in the given cameras' frame; their "
-        "files are as they were. Good cameras from the start give a better result."
-    )
-    return {
-        "turned_degrees_median": round(float(np.median(angles)), 4),
-        "turned_degrees_largest": round(float(angles.max()), 4),
-    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,18 +129,12 @@ def reconstruct(
     seed: int,
     device: str,
     reporter: Reporter,
-    watch: Callable[[float, Present, RaySampler], None] | None = None,
+    watch: Callable[[float, Present], None] | None = None,
 ) -> Surface:
-    """Surface of a capture whose bounding sphere is the unit sphere.
+    """Surface of a capture in the unit frame.
 
-    Args:
-        capture: Capture in the unit frame.
-        config: The stage's configuration.
-        seed: Seed of every random choice.
-        device: Torch device.
-        reporter: Progress and warnings.
-        watch: Called every few steps of the fit with the share of it that is done, its field as it
-            is, and the source of its rays, or None; at last with 1.0 and the finished field.
+    `watch` is called every few steps of the fit with the share of it that is done and its field as
+    it is, at last with 1.0 and the finished field.
 
     Raises:
         CaptureError: If there are fewer than three training views with a mask.
@@ -197,36 +148,37 @@ def reconstruct(
     course = Course(config.without)
     capture = course.carry_out(EVENING, capture)
     generator = torch.Generator().manual_seed(seed)
-    settling = Settling(capture, config, device, generator, course)
-    sampler = settling.sampler
+    levels = Levels(capture, config, device, generator, course)
 
     def progress(share: float, present: Present) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
         if watch is not None:
-            watch(share, present, sampler)
+            watch(share, present)
 
-    start = settling.begun._replace(values=settling.begun.values.to(device))
-    field = fit(sampler, start, config, generator, progress, settling)
-    best = settling.rival.best
+    start = levels.begun._replace(values=levels.begun.values.to(device))
+    field = fit(levels.sampler, start, config, generator, progress, levels)
+    cell = field.lattice.cell
+    best = levels.selection.best
     if best is not None:
         reporter.progress(0.86, "moving the mesh to where photographs agree")
         dense = refined(best, capture.train, config)
     else:
         reporter.progress(0.86, "cleaning the mesh")
-        dense = Dense(smooth_surface(field), field.lattice.cell, config.face_budget)
+        surface = smooth_surface(Sampled(field.lattice, field.sdf))
+        dense = Dense(surface, cell, config.face_budget)
     mesh = finished(dense, config, reporter.warn, course)
-    backdrop = settling.backdrop if best is None else None
+    backdrop = levels.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
-        "cell": field.lattice.cell,
+        "cell": cell,
         "ground": "none" if backdrop is None else "flattened",
         "surface": FIELD if best is None else best.name,
     }
     return Surface(
         mesh=mesh,
         metrics=metrics,
-        choices=settling.rival.choices,
+        choices=levels.selection.choices,
         steps=course.plain(STEPS),
         ground=None if backdrop is None else backdrop.ground.columns.plane,
     )

@@ -63,11 +63,6 @@ class Similarity:
 AS_IT_IS = Similarity(turn=np.eye(3), scale=1.0, shift=np.zeros(3))
 
 
-def turn_about(turn: Array, middle: Array) -> Similarity:
-    """A turn (3, 3) about a point (3,)."""
-    return Similarity(turn=turn, scale=1.0, shift=middle - turn @ middle)
-
-
 def turn_in_words(turn: Array) -> str:
     """Angle and axis of a rotation (3, 3), for the user."""
     axis = Rotation.from_matrix(turn).as_rotvec(degrees=True)

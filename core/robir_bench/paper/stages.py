@@ -19,12 +19,12 @@ from torch import nn
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
 from robir.geometry.config import GeometryConfig
-from robir.geometry.finishing import Dense, finished
-from robir.geometry.fit.field import Field
+from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
-from robir.geometry.rival import smooth_surface
+from robir.geometry.pipeline import finished
+from robir.geometry.selection import Dense, smooth_surface
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.steps import Course
 from robir.transport.observe import observe
@@ -49,7 +49,6 @@ HELD_OUT_SIDE = 80
 """Longest side of re-rendered held-out views, pixels."""
 
 _NETWORKS = "networks.npz"
-_FEATURES = 4
 _CHUNK = 1 << 14
 _RAY_OFFSET = 0.004
 
@@ -92,7 +91,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     generator = job.begin()
     field = fit_neus(job.pixels(), job.config.neus, generator)
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
-    surface = smooth_surface(Field(lattice, values, _FEATURES))
+    surface = smooth_surface(Sampled(lattice, values))
     dense = Dense(surface, lattice.cell, config.face_budget)
     mesh = finished(dense, config, lambda _: None, Course())
     folder = _folder(job, "geometry")

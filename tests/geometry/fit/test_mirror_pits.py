@@ -11,7 +11,7 @@ from robir.capture.camera import Camera
 from robir.geometry.fit import mirror_pits, optimise
 from robir.geometry.fit.field import Field
 from robir.geometry.fit.mirror_pits import Mirroring, change_with_view
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.maths.vectors import fibonacci_sphere
 
 LATTICE = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.05, shape=(41, 41, 41))
@@ -71,14 +71,14 @@ class Verdict:
         self._mirrors, self._prefers_more = mirrors, prefers_more
         self.asked: list[float] = []
 
-    def is_mirror(self, field: Field) -> bool:
+    def is_mirror(self, surface: Sampled) -> bool:
         """As told; the pit's depth is kept."""
-        self.asked.append(depth(field.sdf, LATTICE))
+        self.asked.append(depth(surface.values, LATTICE))
         return self._mirrors
 
-    def is_better(self, field: Field, other: Field) -> bool:
-        """As told; of the field of which more is filled."""
-        assert (field.sdf <= other.sdf + 1e-6).all()
+    def is_better(self, surface: Sampled, other: Sampled) -> bool:
+        """As told; of the surface of which more is filled."""
+        assert (surface.values <= other.values + 1e-6).all()
         return self._prefers_more
 
 

@@ -7,12 +7,15 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
+from robir.geometry.config import GeometryConfig
 from robir.geometry.fit import optimise as fit
-from robir.geometry.fit.field import ColourNetwork
-from robir.geometry.fit.regularise import smoothed
+from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.sampling import Occupancy, march
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled, smoothed
+from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
+
+SOFT = fit._SOFT_PASSES
 
 
 def test_the_network_learns_what_a_mirror_shows() -> None:
@@ -81,8 +84,98 @@ def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
     intervals = march(occupancy, height, inv_std, origins, directions, jitter)
     between = intervals.distance.diff()[intervals.joined > 0]
     torch.testing.assert_close(between, torch.full_like(between, 0.2 / steps), rtol=1e-3, atol=1e-5)
-    field = fit.Field(lattice, height, 8, fit._SOFT_PASSES)
+    field = Field(lattice, height, 8, fit._SOFT_PASSES)
     rays = (origins, directions)
     _, coverage = field.render(intervals, ColourNetwork(8), rays, inv_std)
     # the band ends where the surface still covers a per cent
     assert (coverage > 0.97).all()
+
+
+@pytest.mark.parametrize("steps", [10, 60, 300])
+def test_random_signs_show_the_agreement_that_chance_gives(steps: int) -> None:
+    signs = torch.randint(2, (steps, 20000), generator=torch.Generator().manual_seed(0)) * 2.0 - 1.0
+    weights = fit._MEMORY ** torch.arange(steps - 1.0, -1.0, -1.0)
+    mean = (weights[:, None] * signs).sum(0) / weights.sum()
+    typical = mean.square().mean().sqrt()[None]
+    share = fit.agreement(typical, torch.ones(1), steps)
+    assert share.item() == pytest.approx(1.0 / (1.0 + fit._DOUBT**2), rel=0.1)
+
+
+def test_nodes_out_of_reach_stay_and_keep_their_moments() -> None:
+    """Half the nodes wait for some steps; both halves then end the same."""
+    lattice = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(24, 12, 12))
+    everywhere = torch.ones(lattice.count, dtype=torch.bool)
+    low = torch.zeros(lattice.shape, dtype=torch.bool)
+    low[:12] = True
+    whole, part = (Field(lattice, torch.zeros(lattice.count), 4) for _ in range(2))
+    one, two = (fit._Optimiser(field, ColourNetwork(4), 0.1) for field in (whole, part))
+    one.follow(whole, everywhere, whole.place_features(everywhere))
+    for step in range(6):
+        wanted = everywhere if step % 2 == 0 else low.view(-1)
+        two.follow(part, wanted, part.place_features(wanted))
+        before = part.sdf.detach().clone().view(lattice.shape)
+        for leaf, steps in ((whole, one), (part, two)):
+            leaf.sdf.grad = torch.full((lattice.count,), -1.0)
+            steps._move_distances(0.1)
+        if step % 2:
+            after = part.sdf.detach().view(lattice.shape)
+            torch.testing.assert_close(after[12:], before[12:])
+            assert (after[:12] > before[:12]).all()
+    ended = (field.sdf.detach().view(lattice.shape)[:12] for field in (part, whole))
+    torch.testing.assert_close(*ended)
+
+
+def test_the_network_is_shown_the_surface_without_its_lumps() -> None:
+    lattice = Lattice(lower=(-12.0, -12.0, -6.0), cell=1.0, shape=(25, 25, 13))
+    nodes = lattice.nodes()
+    lumps = 0.3 * torch.sin(nodes[:, 0] * torch.pi / 2.0 + 0.4)
+    points = torch.zeros(200, 3)
+    points[:, 0] = torch.linspace(-4.0, 4.0, 200)
+    field = Field(lattice, nodes[:, 2] + 0.2 * nodes[:, 0], 4, SOFT)
+    clean = field.gradient(points)
+    with torch.no_grad():
+        field.sdf += lumps
+    field.soften()
+    shown = field.gradient(points)
+    expected = torch.tensor([0.2, 0.0, 1.0]).expand(200, 3)
+    torch.testing.assert_close(clean, expected, atol=5e-3, rtol=0.0)
+    torch.testing.assert_close(shown, expected, atol=0.03, rtol=0.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_border_does_not_turn_what_the_network_is_shown(axis: int) -> None:
+    """A slope three cells from the border, the margin around a hull, seen across and along it."""
+    lattice = Lattice(lower=(-15.0, -15.0, -15.0), cell=1.0, shape=(31, 31, 31))
+    normal = torch.nn.functional.normalize(torch.tensor([[0.0, 0.5, 1.0]]), dim=1).roll(axis, 1)
+    points = torch.tensor([[12.0, 0.0, 3.0], [0.0, 12.0, 3.0], [3.0, 0.0, 12.0]])
+    for point in points:
+        field = Field(lattice, ((lattice.nodes() - point) * normal).sum(1), 4, SOFT)
+        shown = torch.nn.functional.normalize(field.gradient(point[None]), dim=1)
+        assert (shown * normal).sum().item() > 0.998
+
+
+class _Empty(RaySampler):
+    """Rays through the unit ball that all meet nothing."""
+
+    def __init__(self) -> None:
+        self._source = torch.Generator().manual_seed(2)
+
+    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        aims = torch.randn(count, 3, generator=self._source) * 0.3
+        origins = torch.tensor([0.0, 0.0, 3.0]).expand(count, 3).contiguous()
+        directions = torch.nn.functional.normalize(aims - origins, dim=1)
+        return origins, directions, torch.zeros(count, 4)
+
+
+def test_the_fit_shows_the_network_the_surface_as_it_is_by_then() -> None:
+    lattice = Lattice.around(-torch.ones(3).numpy(), torch.ones(3).numpy(), 16)
+    ball = lattice.nodes().norm(dim=1) - 0.8
+    config = GeometryConfig(level_cells=(16,), level_steps=(20,), rays=256)
+    generator = torch.Generator().manual_seed(0)
+    nothing = (lambda *_: None, lambda *_: False)
+    field = fit.fit(_Empty(), Sampled(lattice, ball), config, generator, *nothing)
+    points = torch.randn(50, 3, generator=generator) * 0.4
+    shown, start = field.gradient(points), Field(lattice, ball, 4, SOFT).gradient(points)
+    field.soften()
+    torch.testing.assert_close(shown, field.gradient(points))
+    assert (shown - start).abs().max() > 0.05

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,40 +115,6 @@ def test_another_object_is_refused_and_the_figure_told(capture, tmp_path):
         bring(capture, trimesh.creation.torus(0.8, 0.2), known(0), tmp_path)
     assert f"of {aligning._ALIGNS:.0%} that it takes" in str(refusal.value)
     assert (tmp_path / "fit.png").exists()
-
-
-def vase() -> trimesh.Trimesh:
-    """Round about an axis, with another foot than mouth."""
-    profile = [(0.0, -0.7), (0.25, -0.7), (0.5, -0.2), (0.15, 0.3), (0.35, 0.6), (0.0, 0.6)]
-    return trimesh.creation.revolve(profile, sections=48)
-
-
-@pytest.mark.slow
-def test_the_turn_about_the_axis_of_a_vase_is_said_to_be_unknown(tmp_path):
-    place = known(3)
-    found = bring(of(vase()), vase(), place, tmp_path)
-    assert found.frame is not None
-    axis = found.frame.turn.T @ place.turn @ np.array([0.0, 0.0, 1.0])
-    assert axis[2] > np.cos(np.radians(1.0))
-    about = place.turn @ np.array([0.0, 0.0, 1.0])
-    (note,) = [text for text in found.notes if "do not tell the turn about" in text]
-    said = np.array([float(x) for x in note[note.index("(") + 1 : note.index(")")].split(", ")])
-    assert abs(said @ about) > 0.999
-
-
-@pytest.mark.slow
-def test_both_ways_round_of_a_box_are_told(tmp_path):
-    box = trimesh.creation.box((1.0, 0.7, 0.3))
-    found = bring(of(box), box, known(5), tmp_path)
-    (note,) = [text for text in found.notes if "hardly tell how the mesh stands" in text]
-    assert len(re.findall(r"(180\.\d|179\.9)\d degrees about", note)) == 3
-
-
-@pytest.mark.slow
-def test_a_ball_is_said_to_be_one(tmp_path):
-    ball = trimesh.creation.icosphere(3, 0.7)
-    found = bring(of(ball), ball, known(6), tmp_path)
-    assert any("as good as a ball" in note for note in found.notes)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from geometry.scenes import ball, capture_of, checker
+from geometry.scenes import capture_of, checker
 from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Bounds, Finding
@@ -282,31 +282,3 @@ def test_guessed_masks_give_way_to_the_outline(capture, tmp_path):
     for view, true in zip(handed.views, capture.views, strict=True):
         differs = (view.mask > 127) != (true.mask > 127)
         assert differs.sum() < 0.03 * (true.mask > 127).sum()
-
-
-@pytest.mark.parametrize("layout", [grid, None])
-def test_noise_is_smoothed_for_light_and_normals_and_stays_in_the_mesh(tmp_path, layout):
-    unit = capture_of(ball(0.8, (0.0, 0.0, 0.0)), views=12, side=64, low=-0.6)
-    solid = ball(0.8, (0.0, 0.0, 0.0))
-    solid.vertices += 0.004 * np.random.default_rng(0).normal(size=solid.vertices.shape)
-    given = solid if layout is None else with_layout(solid, layout)
-    (tmp_path / "scan.glb").write_bytes(y_up(given).export(file_type="glb"))
-    handed = hand_in(
-        tmp_path / "scan.glb", (unit, unit), GeometryConfig(), tmp_path / "fit.png", Quiet()
-    )
-    mesh, light = handed.mesh, handed.light
-    assert light is not None
-    assert handed.metrics["noise"] == pytest.approx(0.004, rel=0.2)
-    assert any("scatter by 0.4" in note for note in handed.notes)
-    assert mesh.vertices[mesh.faces] == pytest.approx(solid.triangles, abs=1e-5)
-    if layout is not None:
-        kept = mesh.uvs[mesh.uv_faces].reshape(-1, 2)
-        assert kept == pytest.approx(layout(len(mesh.faces)), abs=1e-6)
-    corners = mesh.vertices[mesh.faces]
-    outward = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
-    was = np.einsum("fd,fcd->fc", solid.face_normals, outward)
-    now = np.einsum("fcd,fcd->fc", mesh.normals[mesh.faces], outward)
-    assert np.degrees(np.arccos(was.clip(-1, 1))).mean() > 6
-    assert np.degrees(np.arccos(now.clip(-1, 1))).mean() < 2.5
-    radius, before = (np.linalg.norm(m.vertices, axis=1) for m in (light, mesh))
-    assert radius.std() < 0.8 * before.std()

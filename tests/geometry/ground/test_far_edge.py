@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robir.geometry.ground.far_edge import OutlineRays, level
+from robir.geometry.ground.plane import OutlineRays, level
 
 EDGE = 0.9
 ROUNDING = 0.012

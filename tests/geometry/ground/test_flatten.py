@@ -16,7 +16,7 @@ from robir.geometry.ground import flatten
 from robir.geometry.ground.backdrop import Backdrop
 from robir.geometry.ground.flatten import Ground
 from robir.geometry.lattice import Sampled
-from robir.geometry.settling import LEVEL, Level
+from robir.geometry.pipeline import LEVEL, Level
 from tests.geometry.scenes import disc, drum, ground_of
 
 HIGHEST = flatten._HIGHEST
@@ -139,20 +139,19 @@ def test_bumpy_ground_is_made_flat_where_that_is_judged_better(monkeypatch, is_b
     surface = np.maximum(np.maximum(height - waves, -height - 0.1), radius - 0.9)
     # photographs that tell nothing of the ground but its rim
     monkeypatch.setattr(Ground, "settled", lambda self, top, known: self.joined(self.start & False))
-    judge = Mock(is_better=Mock(return_value=is_better))
+    selection = Mock(is_better=Mock(return_value=is_better))
     state = Level(
         field=Field(lattice, torch.from_numpy(surface).float(), 1),
         network=Mock(),
         sampler=Mock(),
         hull=Sampled(lattice, hull),
         mirroring=Mock(),
-        judge=judge,
-        rival=Mock(),
+        selection=selection,
         backdrop=Backdrop(ground, photos),
     )
     step = next(step for step in LEVEL if step.name == "flat-ground")
-    after = step.run(state).sdf.numpy()
+    after = step.run(state).surface.values.numpy()
     bump = (surface < 0) & (height > 0.6 * lattice.cell) & (radius < 0.7)
     assert bump.sum() > 100
-    judge.is_better.assert_called_once()
+    selection.is_better.assert_called_once()
     assert ((after[bump] > 0).mean() > 0.95) == is_better

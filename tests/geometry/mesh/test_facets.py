@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.facets import find_facets, flattened
-from robir.geometry.mesh.isosurface import extract
-from robir.geometry.mesh.smoothing import face_geometry, taubin
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.isosurface import extract, taubin
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 
 TURN = torch.tensor(Rotation.from_euler("xyz", [0.3, 0.5, 0.2]).as_matrix()).float()
 LATTICE = Lattice.around(np.full(3, -0.75), np.full(3, 0.75), 64)
@@ -32,7 +31,7 @@ def box(half: list[float]) -> torch.Tensor:
 
 def slant(mesh: Mesh) -> float:
     """Mean angle, by area, between faces and the nearest of the turned axes, degrees."""
-    normals, areas, _ = face_geometry(mesh.vertices.astype(np.float64), mesh.faces)
+    normals, areas = face_geometry(mesh.vertices.astype(np.float64), mesh.faces)
     nearest = np.abs(normals @ TURN.numpy()).max(axis=1).clip(max=1.0)
     return float((np.degrees(np.arccos(nearest)) * areas).sum() / areas.sum())
 

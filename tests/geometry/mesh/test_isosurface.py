@@ -18,9 +18,8 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
-from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.isosurface import extract, taubin
 from robir.geometry.mesh.simplify import decimate
-from robir.geometry.mesh.smoothing import taubin
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.maths.volume import log_survival_between, weights

@@ -9,14 +9,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from robir.geometry.fit.regularise import smoothed
 from robir.geometry.fit.sampling import Intervals
-from robir.geometry.lattice import Lattice, interpolate, resample, taken
+from robir.geometry.lattice import Lattice, Sampled, interpolate, resample, smoothed, taken
+from robir.geometry.rays import RaySampler
 from robir.maths.volume import log_survival_between, weights
 
 # frequencies at which the mirrored direction is shown to the network as well (radians)
 _OCTAVES = (2.0, 4.0, 8.0)
 _WIDTH = 64  # units of a hidden layer
+_BATCHES = 40  # batches of 2048 rays that are searched for missing parts
 
 
 class ColourNetwork(nn.Module):
@@ -46,16 +47,7 @@ class ColourNetwork(nn.Module):
         nn.init.zeros_(self.last.bias)
 
     def forward(self, features: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
-        """Display colours.
-
-        Args:
-            features: (R, C) composited features.
-            normals: (R, 3) unit.
-            directions: (R, 3) unit, from the camera.
-
-        Returns:
-            (R, 3) display RGB in [0, 1].
-        """
+        """Display RGB (R, 3) of composited features (R, C), unit normals and directions (R, 3)."""
         cosine = (normals * directions).sum(1, keepdim=True)
         mirrored = directions - 2.0 * cosine * normals
         waves = [
@@ -101,15 +93,10 @@ class Field:
         self._soft = smoothed(self.sdf.detach(), self.lattice, self._soft_passes)
 
     def place_features(self, wanted: Tensor) -> Tensor:
-        """Give the wanted nodes features, keep those that have some, drop the others.
+        """Give the wanted nodes (N,) bool features, keep those that have some, drop the others.
 
-        New rows start at the mean of the kept ones.
-
-        Args:
-            wanted: (N,) bool.
-
-        Returns:
-            (A,) int32, old row of each new row, 0 where it had none.
+        Returns the old row (A,) int32 of each new row, 0 where it had none: those start at the
+        mean.
         """
         nodes = wanted.nonzero()[:, 0]
         old = torch.cat([self.row.new_zeros(1), self.row[nodes]])
@@ -154,16 +141,13 @@ class Field:
         rays: tuple[Tensor, Tensor],
         inv_std: float,
     ) -> tuple[Tensor, Tensor]:
-        """Composite rays.
+        """Display RGB (R, 3) of what rays meet, and their coverage (R,), both in [0, 1].
 
         Args:
             intervals: Packed intervals of the rays.
             network: Colour network.
             rays: Origins (R, 3) and unit directions (R, 3).
-            inv_std: NeuS steepness.
-
-        Returns:
-            Display RGB of what the ray meets (R, 3), and its coverage (R,), in [0, 1].
+            inv_std: NeuS steepness, 1 / unit frame.
         """
         origins, directions = rays
         ray = intervals.ray
@@ -184,3 +168,25 @@ class Field:
         mixed = mixed / coverage.clamp(min=1e-4)[:, None]
         rgb = network(mixed, normals, directions)
         return rgb, coverage
+
+
+def restore_missing(field: Sampled, hull: Tensor, sampler: RaySampler) -> Tensor:
+    """Distances (N,) with what the fit lost although the masks show it, from the hull's (N,).
+
+    A thin part that is smoothed away at a coarse level leaves no surface that a gradient could pull
+    on. Rays inside the masks that meet nothing find it again.
+    """
+    lattice, sdf = field
+    marked = torch.zeros(lattice.count, dtype=torch.bool, device=sdf.device)
+    steps = torch.arange(0.0, 2.2, 1.4 * lattice.cell, device=sdf.device)
+    for _ in range(_BATCHES):
+        origins, directions, target = sampler.draw(2048)
+        solid = target[:, 3] > 0.95
+        origins, directions = origins[solid], directions[solid]
+        along = steps - (origins * directions).sum(1, keepdim=True) - 1.1
+        lines = zip(origins.unbind(1), directions.unbind(1), strict=True)
+        planes = [start[:, None] + along * slope[:, None] for start, slope in lines]
+        nodes = lattice.nearest(torch.stack(planes).movedim(0, -1))
+        nodes = nodes[(taken(sdf, nodes) >= 2.0 * lattice.cell).all(1)].view(-1)
+        marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
+    return torch.where(lattice.dilated(marked, 2), torch.minimum(sdf, hull), sdf)

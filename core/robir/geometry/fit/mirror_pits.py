@@ -11,7 +11,7 @@ starts from the filled surface, with a network that knows reflections.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -20,8 +20,14 @@ from torch.nn.functional import max_pool3d, normalize
 
 from robir.capture.camera import Camera
 from robir.geometry.fit.field import ColourNetwork, Field
-from robir.geometry.fit.regularise import neighbour_mean, smoothed
-from robir.geometry.lattice import Lattice, Sampled, interpolate, resample
+from robir.geometry.lattice import (
+    Lattice,
+    Sampled,
+    interpolate,
+    neighbour_mean,
+    resample,
+    smoothed,
+)
 from robir.maths.vectors import farthest_points
 
 _NEAR = 0.7  # nodes so close to the surface are asked, each about the surface next to it (cells)
@@ -49,17 +55,10 @@ _ROUNDS = 200  # steps of the filling: 200 fill a hollow of nine cells across
 
 
 def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]) -> Tensor:
-    """How much the fitted colour of a region changes with the direction of view.
+    """How much the fitted colour of a region changes with the direction of view, display units.
 
-    Args:
-        field: Fitted field.
-        network: Its colour network.
-        cameras: From where it is looked at; what hides the surface is not asked, for the network
-            knows only directions.
-
-    Returns:
-        (N,) mean difference from the median over the cameras, display units, mean over a region
-        about each node; 0 far from the surface.
+    The mean difference from the median over the cameras, of a region about each node (N,); 0 far
+    from the surface. What hides the surface is not asked, for the network knows only directions.
     """
     lattice, sdf = field.lattice, field.sdf.detach()
     near = (sdf.abs() < _NEAR * lattice.cell).nonzero()[:, 0]
@@ -87,36 +86,19 @@ def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]
 class Judge(Protocol):
     """What photographs say of surfaces."""
 
-    def is_mirror(self, field: Field) -> bool:
-        """Whether they prove that the surface of a field mirrors."""
+    def is_mirror(self, surface: Sampled) -> bool:
+        """Whether they prove that a surface mirrors."""
         ...
 
-    def is_better(self, field: Field, other: Field) -> bool:
-        """Whether the first field explains them better than the other."""
+    def is_better(self, surface: Sampled, other: Sampled) -> bool:
+        """Whether the first surface explains them better than the other."""
         ...
-
-
-class _Tried(NamedTuple):
-    """Distances filled where nodes' surroundings mirror.
-
-    Attributes:
-        share: (N,) how fast, in [0, 1].
-        values: (N,) signed distances.
-    """
-
-    share: Tensor
-    values: Tensor
 
 
 class Mirroring:
     """Where a surface mirrors, as the coarsest level has learnt it, and what fills it.
 
-    Finer levels learn highlights of glossy paint as well.
-
-    Args:
-        cameras: From where it may be looked at.
-        hull: What bounds the surface, signed distances on their lattice.
-        judge: Tells by photographs whether a surface mirrors, and which one is better.
+    Finer levels learn highlights of glossy paint as well. The hull bounds what is filled.
     """
 
     def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:
@@ -126,41 +108,33 @@ class Mirroring:
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
-        """Fill hollows of what mirrors, by one half of a mean curvature flow.
-
-        Args:
-            field: Fitted field; of the coarsest level at first.
-            network: Its colour network.
-
-        Returns:
-            The new signed distances (N,).
-        """
+        """Distances (N,), hollows that mirrored light has dug filled by a mean curvature flow."""
         lattice = field.lattice
         if self._learnt is not None:
             return self._filled(field, _at(self._learnt, lattice))
         change = change_with_view(field, network, self._cameras)
         share = _mirrors(change, _DULL, _MIRRORING)
         more = _mirrors(change, _PROVEN_DULL, _PROVEN_MIRRORING)
-        tried = self._tried(field, share)
+        speed, values = self._tried(field, share)
         if self._common(field, more) > 0.0:
-            mirror = Field(lattice, tried.values, 1)
+            mirror = Sampled(lattice, values)
             if self._judge.is_mirror(mirror):
                 further = self._tried(field, more)
-                if self._judge.is_better(Field(lattice, further.values, 1), mirror):
-                    tried = further
+                if self._judge.is_better(Sampled(lattice, further[1]), mirror):
+                    speed, values = further
             elif self._common(field, share) > _MOST_MIRRORING:
-                tried = self._tried(field, torch.zeros_like(share))
-        self._learnt = Sampled(lattice, tried.share)
-        return tried.values
+                speed, values = self._tried(field, torch.zeros_like(share))
+        self._learnt = Sampled(lattice, speed)
+        return values
 
-    def _tried(self, field: Field, share: Tensor) -> _Tried:
-        """Fill where the surroundings (N,) of nodes mirror."""
+    def _tried(self, field: Field, share: Tensor) -> tuple[Tensor, Tensor]:
+        """How fast (N,) in [0, 1] hollows are filled about what mirrors, and distances (N,)."""
         # off the surface a single spot may speak for a region: alone that is no metal
         if self._common(field, share) == 0.0:
-            return _Tried(torch.zeros_like(share), field.sdf.detach())
+            return torch.zeros_like(share), field.sdf.detach()
         grid, reach = share.view(field.lattice.shape)[None], _REACH
         share = max_pool3d(grid, 2 * reach + 1, stride=1, padding=reach).view(-1)
-        return _Tried(share, self._filled(field, share.view(field.lattice.shape)))
+        return share, self._filled(field, share.view(field.lattice.shape))
 
     def _filled(self, field: Field, share: Tensor) -> Tensor:
         """Signed distances (N,) with hollows filled at the speed `share` (X, Y, Z) in [0, 1]."""

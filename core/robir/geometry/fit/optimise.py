@@ -6,23 +6,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit.descent import FIRST_DECAY, SECOND_DECAY, Descent
 from robir.geometry.fit.field import ColourNetwork, Field
-from robir.geometry.fit.field_preview import Present
-from robir.geometry.fit.regularise import laplacian_step
+from robir.geometry.fit.preview import Present
 from robir.geometry.fit.sampling import Occupancy, march
-from robir.geometry.lattice import Lattice, Sampled
+from robir.geometry.lattice import Lattice, Sampled, neighbour_mean, smoothed
 from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
-
-_SLOT = 0
-"""Where Adam keeps the features."""
-
 
 _FEATURES = 8  # colour features of a node of the field
 _SOFT_PASSES = 6  # passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps
@@ -45,6 +40,14 @@ _FAIRING = 0.25
 # hull (cells a step)
 _FIRST_DISTANCE_RATE = 0.5
 _DISTANCE_RATE = 0.375  # the same at the other levels (cells a step)
+_GRADIENT_PASSES = 2  # passes of the (1, 2, 1) / 4 filter over the gradient of the distances
+_DECAYS = (0.9, 0.99)  # of the first and second moment, of distances, features and network
+# decay of the mean gradient that tells whether gradients agree: over 50 steps every spot is seen
+# from many sides
+_MEMORY = 0.98
+# agreement, in multiples of what gradients of random sign show by chance, at which the step is
+# halved. Chance alone then leaves a tenth of the step, ten times chance all but a tenth.
+_DOUBT = 3.0
 _FEATURE_RATE = 0.3  # Adam's rate of the features
 # Adam's rate of the network: reflections must be learnt before the surface is dug for them
 _NETWORK_RATE = 0.01
@@ -53,7 +56,13 @@ _LAST_RATE = 0.05  # share of the rates that is left at the end
 
 
 class _Optimiser:
-    """Adam over field and network, whose state follows the rows of the features.
+    """Adam over field and network, whose state follows the nodes and the rows of the features.
+
+    The gradient of the distances is smoothed first, so that the surface moves in patches rather
+    than node by node (after Nicolet et al. 2021, "Large steps in inverse rendering of geometry").
+    What the colours cannot follow, highlights above all, pushes the surface to and fro as rays come
+    and go: Adam would dig lumps that nothing levels again, so a node's step is as long as its
+    gradients of many steps agree.
 
     Args:
         field: Field of the present level.
@@ -62,35 +71,66 @@ class _Optimiser:
     """
 
     def __init__(self, field: Field, network: ColourNetwork, rate: float) -> None:
-        self._descent = Descent(field.sdf, field.lattice)
+        self._sdf, self._lattice = field.sdf, field.lattice
         self._reach = rate * field.lattice.cell
+        self._moments = torch.zeros(3, field.lattice.count, device=field.sdf.device)
+        self._taken = 0
         self._rates = (_FEATURE_RATE, *(_NETWORK_RATE for _ in network.parameters()))
-        decays = (FIRST_DECAY, SECOND_DECAY)
-        self._adam = Adam([field.features, *network.parameters()], decays)
+        self._adam = Adam([field.features, *network.parameters()], _DECAYS)
 
     def follow(self, field: Field, wanted: Tensor, old_rows: Tensor) -> None:
-        """Go on with the nodes that carry features; moments go along."""
-        self._descent.follow(wanted)
-        self._adam.replace(_SLOT, field.features, old_rows)
+        """Go on with the nodes (N,) bool that carry features; the others keep their moments."""
+        self._nodes = wanted.nonzero()[:, 0]
+        self._adam.replace(0, field.features, old_rows)
 
     def step(self, loss: Tensor, factor: float) -> None:
         """One step with every learning rate times `factor`."""
         loss.backward()
-        self._descent.step(factor * self._reach)
+        self._move_distances(factor * self._reach)
         self._adam.step([factor * rate for rate in self._rates])
+
+    @torch.no_grad()
+    def _move_distances(self, rate: float) -> None:
+        """Adam's step on the nodes that are followed."""
+        assert self._sdf.grad is not None
+        gradient = smoothed(self._sdf.grad, self._lattice, _GRADIENT_PASSES)
+        gradient = gradient.index_select(0, self._nodes)  # a third of the time of square brackets
+        self._sdf.grad = None
+        self._taken += 1
+        first, second, lasting = self._moments.index_select(1, self._nodes)
+        for mean, decay in ((first, _DECAYS[0]), (lasting, _MEMORY)):
+            mean.lerp_(gradient, 1.0 - decay)
+        second.lerp_(gradient.square(), 1.0 - _DECAYS[1])
+        self._moments.index_copy_(1, self._nodes, torch.stack([first, second, lasting]))
+        square = second.div_(1.0 - _DECAYS[1] ** self._taken)
+        share = agreement(lasting.div_(1.0 - _MEMORY**self._taken), square, self._taken)
+        way = first.mul_(share).div_(square.sqrt_().add_(1e-8))
+        way *= -rate / (1.0 - _DECAYS[0] ** self._taken)
+        self._sdf.index_add_(0, self._nodes, way)
+
+
+def agreement(mean: Tensor, square: Tensor, taken: int) -> Tensor:
+    """How far gradients agree, as the share (K,) of a step that may be made, in [0, 1].
+
+    Of the mean (K,) of so many gradients, weights decaying by `_MEMORY`, and of their squares'
+    (K,).
+    """
+    left = _MEMORY**taken
+    chance = (1.0 - _MEMORY) / (1.0 + _MEMORY) * (1.0 + left) / (1.0 - left)
+    # nodes that no ray has met yet have no gradient
+    odds = (mean.square() / (square * (_DOUBT * chance)).clamp_(min=1e-30)).square_()
+    return odds / (1.0 + odds)
 
 
 def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
-    """The proximal step, in place.
+    """The proximal step at a share of the fit, in place on distances (N,).
 
-    Args:
-        sdf: (N,) signed distances.
-        lattice: Nodes.
-        share: Share of all steps of the fit that are done.
+    Inside Adam the gradients of a regulariser at rarely sampled nodes are blown up to full steps;
+    as steps of their own on the whole lattice they do what their formula says.
     """
-    first = _SMOOTHING * (1.0 - share) ** 2
+    first, grid = _SMOOTHING * (1.0 - share) ** 2, sdf.view(lattice.shape)
     for amount in (first, _FAIRING, -_FAIRING):
-        laplacian_step(sdf, lattice, amount)
+        grid.lerp_(neighbour_mean(grid), amount)
 
 
 def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
@@ -126,14 +166,6 @@ def _occupied(field: Field, inv_std: float) -> Occupancy:
     """Where the soft surface of a field may be."""
     band = _BAND / inv_std + field.lattice.cell
     return Occupancy.of(field.lattice, field.sdf.detach(), band)
-
-
-def _refresh(field: Field, optimiser: _Optimiser, inv_std: float) -> Occupancy:
-    """Update the band around the surface and the nodes that carry features."""
-    occupancy = _occupied(field, inv_std)
-    wanted = field.lattice.dilated(occupancy.near, 1)
-    optimiser.follow(field, wanted, field.place_features(wanted))
-    return occupancy
 
 
 def _present(field: Field, network: ColourNetwork, occupancy: Occupancy, inv_std: float) -> Present:
@@ -182,11 +214,8 @@ def fit(
     field = Field(lattice, sdf, _FEATURES, _SOFT_PASSES)
     longest = float((lattice.upper - lattice.lower).max()) - 6 * lattice.cell
     for cells, steps in zip(config.level_cells, config.level_steps, strict=True):
-        level = Lattice.around(
-            torch.tensor(lattice.lower).numpy() + 3 * lattice.cell,
-            lattice.upper - 3 * lattice.cell,
-            cells,
-        )
+        inset = 3 * lattice.cell
+        level = Lattice.around(np.array(lattice.lower) + inset, lattice.upper - inset, cells)
         field = field.refined(level)
         rate = _DISTANCE_RATE if done else _FIRST_DISTANCE_RATE
         optimiser = _Optimiser(field, network, rate)
@@ -195,7 +224,9 @@ def fit(
             share = done / total
             inv_std = _steepness(share, longest)
             if occupancy is None or step % _REFRESH == 0:
-                occupancy = _refresh(field, optimiser, inv_std)
+                occupancy = _occupied(field, inv_std)
+                wanted = level.dilated(occupancy.near, 1)
+                optimiser.follow(field, wanted, field.place_features(wanted))
                 progress(share, _present(field, network, occupancy, inv_std))
             origins, directions, target = sampler.draw(config.rays)
             jitter = torch.rand(len(origins), generator=generator).to(device)

@@ -89,7 +89,7 @@ def _first_of_runs(ray: Tensor) -> Tensor:
 def _flat_index(
     begin: Tensor, slope: Tensor, along: Tensor, shape: tuple[int, int, int], shift: float
 ) -> Tensor:
-    """Flat indices of the cells that points on rays fall into; outside, of the nearest cell.
+    """Flat indices (K, B) int32 of the cells that points on rays fall into, or the nearest cells.
 
     Args:
         begin: (3, B) or (3, B, 1) cell coordinates of the rays' first points.
@@ -97,9 +97,6 @@ def _flat_index(
         along: (K, B) or (K,) distances of K points a ray from its first.
         shape: Number of cells along x, y and z.
         shift: Added to the coordinates before rounding down.
-
-    Returns:
-        (K, B) or (B, K) int32.
     """
     flat: Tensor | None = None
     for axis in range(3):
@@ -114,17 +111,9 @@ def _flat_index(
 def _occupied_steps(
     occupancy: Occupancy, inv_std: float, origins: Tensor, directions: Tensor, jitter: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Steps of the rays inside the band.
+    """Steps of rays inside the band, of arguments as for `march`.
 
-    Args:
-        occupancy: The band.
-        inv_std: NeuS steepness, 1 / unit frame.
-        origins: (R, 3).
-        directions: (R, 3) unit.
-        jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
-
-    Returns:
-        Ray (S,), step number on the ray (S,), distance at step 0 (R,), and the length of a step.
+    Their ray (S,), number on the ray (S,), distance at step 0 (R,), and the length of a step.
     """
     lattice = occupancy.lattice
     long_step = _BLOCK * lattice.cell
@@ -159,15 +148,10 @@ def _occupied_steps(
 
 
 def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """End points of intervals where an interval ends at the next one's start if they touch.
+    """End points of intervals, where one ends at the next one's start if they touch.
 
-    Args:
-        ray: (S,) ray of each interval, ascending.
-        number: (S,) step number of each interval, ascending on a ray.
-
-    Returns:
-        Of each end point its interval (Q,), and whether it is that interval's end rather than its
-        start (Q,) bool.
+    Of rays and step numbers (S,), ascending: each end point's interval (Q,), and whether it is that
+    interval's end rather than its start (Q,) bool.
     """
     closes = torch.ones_like(ray, dtype=torch.bool)
     closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
@@ -185,7 +169,7 @@ def march(
     directions: Tensor,
     jitter: Tensor,
 ) -> Intervals:
-    """Intervals that matter for the pixels of rays, found without gradients.
+    """Intervals that matter for the pixels of rays, found without gradients; there may be none.
 
     Args:
         occupancy: Where the surface may be.
@@ -194,9 +178,6 @@ def march(
         origins: (R, 3).
         directions: (R, 3) unit.
         jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
-
-    Returns:
-        The kept intervals; there may be none.
     """
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, inv_std, origins, directions, jitter)

@@ -18,7 +18,6 @@ from robir.capture.capture import Bounds, Capture
 from robir.capture.mesh_file import Given
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.fit_picture import show_fit
 from robir.geometry.given.placing import (
     COARSE_SIDE,
     FINE_SIDE,
@@ -27,9 +26,9 @@ from robir.geometry.given.placing import (
     Outlines,
     better_place,
     covering,
+    poor_fit,
+    show_fit,
 )
-from robir.geometry.given.symmetry import best_turned
-from robir.geometry.given.verdict import poor_fit
 from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
@@ -57,13 +56,7 @@ class Aligned:
 
 
 def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Path) -> Aligned:
-    """Bring cameras to where their photographs show the mesh.
-
-    Args:
-        given: The mesh, its own frame.
-        capture: In a frame of ours.
-        config: Of the stage.
-        picture: File in which the mesh is shown over photographs.
+    """Bring cameras in a frame of ours to where their photographs show the mesh.
 
     Raises:
         CaptureError: If outlines and masks agree nowhere, or with the mesh's mirror image only.
@@ -80,24 +73,22 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
             return Aligned(capture=capture, frame=None, agreement=now, notes=())
     to_capture = _from_unit(*Outlines(capture.train, COARSE_SIDE).sphere())
     views = capture.moved(to_capture.inverse).train
-    coarse, fine = (Outlines(views, side) for side in (COARSE_SIDE, FINE_SIDE))
     place, then = better_place(from_unit.inverse(used), tracer, views, is_lost=True)
     if then.share < _ALIGNS or np.linalg.det(place.turn) < 0:
         show_fit(tracer, (place,), views, picture)
         raise CaptureError(_why_not(place, then, picture))
-    standing = best_turned(place, (vertices, given.faces), tracer, (coarse, fine))
-    show_fit(tracer, (standing.place,), views, picture)
-    frame = to_capture.after(standing.place).after(from_unit.inverse).inverse
+    show_fit(tracer, (place,), views, picture)
+    frame = to_capture.after(place).after(from_unit.inverse).inverse
     told = (
         "The photographs' cameras were found and brought to the mesh, which stays where it is: its "
-        f"outlines and the masks share {standing.agreement.share:.1%}, see {picture}."
+        f"outlines and the masks share {then.share:.1%}, see {picture}."
     )
     bounds = Bounds(centre=centre, radius=MARGIN * radius, origin="the mesh")
     return Aligned(
         capture=replace(capture.moved(frame), bounds=bounds),
         frame=frame,
-        agreement=standing.agreement,
-        notes=(told, *poor_fit(standing.agreement, FITS), *standing.notes()),
+        agreement=then,
+        notes=(told, *poor_fit(then)),
     )
 
 

@@ -58,11 +58,7 @@ class Layout:
 
 
 def own_layout(given: Given) -> Layout | str:
-    """The mesh's own layout, or why it cannot be used, as the end of a sentence.
-
-    Args:
-        given: The mesh; it may stand anywhere.
-    """
+    """The mesh's own layout, or why it cannot be used, as the end of a sentence."""
     uvs = given.uvs.astype(np.float32)
     used = uvs[np.unique(given.faces)]
     known = np.isfinite(used).all(1)
@@ -115,14 +111,10 @@ def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
 
 
 def _tile_of(corners: NDArray[np.float64], outside: float) -> NDArray[np.int64]:
-    """Lower left corner (Nf, 2) of the unit square that each face's middle lies in.
+    """Lower left corner (Nf, 2) of the unit square that the middle of each face (Nf, 3, 2) lies in.
 
     Faces without an area may lie on a border whole; they go to the square before it where the
     others of the mesh leave the one behind it empty.
-
-    Args:
-        corners: (Nf, 3, 2).
-        outside: How far corners may leave a square by rounding.
     """
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     is_flat = np.abs(ax * by - ay * bx) < 1e-12

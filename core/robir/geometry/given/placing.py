@@ -10,15 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.jobs.paths import replacing
 from robir.maths.similarity import AS_IT_IS, Similarity
 from robir.maths.vectors import farthest_points
 
@@ -41,6 +45,11 @@ _EVALUATIONS = 250  # places that such a search looks at
 _NEARLY = 0.5
 FITS = 0.9  # share from which it stands right; of its own masks a mesh of ours has 0.97
 BETTER = 0.05  # by how much more of that another place has to have to be believed
+_UNRELATED = 0.5  # below which a mesh shows something else
+# share of the masks that a mesh within them may lack, or of it that may lie beyond them all
+_MOST_APART = 0.8
+_PHOTOGRAPHS = 4  # in a row of the picture of a fit
+_SIDE = 240  # longer side of each (pixels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,22 +60,15 @@ class Agreement:
         share: Of what either has, what both have, mean over the photographs, in [0, 1].
         missing: Share of the masks that the outline leaves free.
         beyond: Share of the outline that lies outside the masks.
-        shares: (V,) what `share` is the mean of.
     """
 
     share: float
     missing: float
     beyond: float
-    shares: Array
 
 
 class Outlines:
-    """Masks of a few photographs at some pixels.
-
-    Args:
-        views: Training views, unit frame.
-        side: Pixels along the longer side that are looked at.
-    """
+    """Masks of a few training views, unit frame, at some pixels along their longer side."""
 
     def __init__(self, views: Sequence[View], side: int) -> None:
         chosen = farthest_points(np.stack([view.camera.position for view in views]), _VIEWS)
@@ -135,17 +137,11 @@ class Outlines:
             share=float(shares.mean()),
             missing=float(1 - both.sum() / max(masked.sum(), 1)),
             beyond=float(1 - both.sum() / max(seen.sum(), 1)) if seen.sum() else 0.0,
-            shares=shares,
         )
 
 
 def covering(vertices: Array, faces: NDArray[np.int32]) -> EmbreeTracer:
-    """Tracer of what a mesh covers: a ray that meets one of many equal faces meets them all.
-
-    Args:
-        vertices: (Nv, 3), any frame; rays are in the same frame.
-        faces: (Nf, 3).
-    """
+    """Tracer of what a mesh covers: a ray that meets one of many equal faces meets them all."""
     # faces of one place have one middle; where none have, nothing more is looked at
     middles = vertices[faces].sum(axis=1) @ np.array([1.0, np.pi, np.e])
     if len(np.unique(middles)) < len(faces):
@@ -156,16 +152,7 @@ def covering(vertices: Array, faces: NDArray[np.int32]) -> EmbreeTracer:
 
 
 def is_met(tracer: EmbreeTracer, place: Similarity, rays: tuple[Array, Array]) -> NDArray[np.bool_]:
-    """Whether rays meet a mesh that a similarity brings to its place.
-
-    Args:
-        tracer: Of the mesh where it is.
-        place: What brings it there.
-        rays: Origins (N, 3) and directions (N, 3).
-
-    Returns:
-        (N,) bool.
-    """
+    """Whether rays, origins and directions (N, 3), meet a mesh that a similarity brings there."""
     origins, directions = rays
     origins = (origins - place.shift) @ place.turn / place.scale
     directions = directions @ place.turn
@@ -179,25 +166,28 @@ def better_place(
     *,
     is_lost: bool = False,
 ) -> tuple[Similarity, Agreement]:
-    """The similarity that brings a mesh where its outline fits the masks best.
+    """The similarity that brings a mesh where its outline fits the masks best, and how well.
+
+    It mirrors only where nothing else fits.
 
     Args:
         vertices: (N, 3) of the mesh, unit frame.
         tracer: Of the mesh where it is.
         views: Training views, unit frame.
-        is_lost: Whether the unit sphere is only roughly the mesh's own, and the mesh's own place
-            tells nothing.
-
-    Returns:
-        What it is, and how well the mesh fits then. It mirrors only where nothing else fits.
+        is_lost: Whether the mesh's own place tells nothing, and the unit sphere little.
     """
     coarse = Outlines(views, COARSE_SIDE)
     fine = Outlines(views, FINE_SIDE)
+
+    def finished(start: Similarity) -> tuple[Similarity, Agreement]:
+        place, _ = _downhill(start, tracer, fine)
+        return place, fine.of(tracer, place)
+
     centre, radius = enclosing_sphere(vertices)
     found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
     if best.share > _NEARLY and not is_lost:
         # what is off by a little is not searched for far away
-        found, best = _finished(found, tracer, fine)
+        found, best = finished(found)
     for handed in (1.0, -1.0):
         if best.share >= FITS:
             break
@@ -210,28 +200,18 @@ def better_place(
             tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
         first = np.argsort(-shares)[:_FOLLOWED]
-        followed = [downhill(tried[k], tracer, coarse) for k in first]
+        followed = [_downhill(tried[k], tracer, coarse) for k in first]
         start = max(followed, key=lambda pair: pair[1])[0]
-        place, agreement = _finished(start, tracer, fine)
+        place, agreement = finished(start)
         if agreement.share > best.share + BETTER:
             found, best = place, agreement
     return found, best
 
 
-def downhill(
-    start: Similarity,
-    tracer: EmbreeTracer,
-    outlines: Outlines,
-    reach: float = 1.0,
+def _downhill(
+    start: Similarity, tracer: EmbreeTracer, outlines: Outlines
 ) -> tuple[Similarity, float]:
-    """The best place near another, and the share there (Nelder and Mead 1965).
-
-    Args:
-        start: The other.
-        tracer: Of the mesh.
-        outlines: The masks.
-        reach: Share of the first steps that are made; with less there are fewer steps as well.
-    """
+    """The best place near another, and the share there (Nelder and Mead 1965)."""
 
     def moved(x: Array) -> Similarity:
         turn = Rotation.from_rotvec(x[:3]).as_matrix() @ start.turn
@@ -242,15 +222,14 @@ def downhill(
             shift=np.exp(x[3]) * Rotation.from_rotvec(x[:3]).apply(start.shift) + x[4:],
         )
 
-    first = [_FIRST_TURN] * 3 + [_FIRST_SCALE] + [_FIRST_SHIFT] * 3
-    steps = reach * np.diag(first)
+    steps = np.diag([_FIRST_TURN] * 3 + [_FIRST_SCALE] + [_FIRST_SHIFT] * 3)
     simplex = np.concatenate([np.zeros((1, 7)), steps])
-    most = int(_EVALUATIONS * reach**0.5)
+    limits = {"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
     found = minimize(
         lambda x: -outlines.of(tracer, moved(x)).share,
         np.zeros(7),
         method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": most, "xatol": 1e-4, "fatol": 1e-4},
+        options={"initial_simplex": simplex, **limits},
     )
     return moved(found.x), -float(found.fun)
 
@@ -287,8 +266,45 @@ def _turns(others: int) -> Array:
     return np.concatenate([axes, Rotation.random(others, random_state=0).as_matrix()])
 
 
-def _finished(
-    start: Similarity, tracer: EmbreeTracer, fine: Outlines
-) -> tuple[Similarity, Agreement]:
-    place, _ = downhill(start, tracer, fine)
-    return place, fine.of(tracer, place)
+def is_related(agreement: Agreement) -> bool:
+    """Whether a mesh shows the object, or a part of it, or it and more, at the right place."""
+    wrong = sorted((agreement.missing, agreement.beyond))
+    is_part = wrong[0] <= 1 - FITS and wrong[1] < _MOST_APART
+    return agreement.share >= _UNRELATED or is_part
+
+
+def poor_fit(agreement: Agreement) -> tuple[str, ...]:
+    """What is to be said of a mesh that stands right and yet is not what the masks show."""
+    if agreement.share >= FITS:
+        return ()
+    parts = []
+    if agreement.missing > 1 - FITS:
+        parts.append(
+            f"it lacks {agreement.missing:.0%} of what the masks show, of which nothing is made"
+        )
+    if agreement.beyond > 1 - FITS:
+        parts.append(
+            f"{agreement.beyond:.0%} of its outline lies beyond the masks; that part only shades"
+        )
+    return (f"The mesh fits the masks by {agreement.share:.0%} only: {' and '.join(parts)}.",)
+
+
+def show_fit(
+    tracer: EmbreeTracer, places: Sequence[Similarity], views: Sequence[View], picture: Path
+) -> None:
+    """Write photographs with the mesh over them, red, a row for each place, as a PNG."""
+    positions = np.stack([view.camera.position for view in views])
+    chosen = farthest_points(positions, _PHOTOGRAPHS)
+    sheet = Image.new("RGB", (_SIDE * len(chosen), _SIDE * len(places)))
+    for column, view in enumerate(views[k] for k in chosen):
+        size = size_within((view.camera.width, view.camera.height), _SIDE)
+        small = view.camera.resized(*size)
+        photo = np.array(Image.fromarray(view.image_display).resize(size))
+        rays = small.rays(small.pixel_centres())
+        for row, place in enumerate(places):
+            shown = is_met(tracer, place, rays).reshape(photo.shape[:2])
+            over = photo.copy()
+            over[shown] = over[shown] // 2 + np.array([127, 0, 0], np.uint8)
+            sheet.paste(Image.fromarray(over), (_SIDE * column, _SIDE * row))
+    with replacing(picture) as temporary:
+        sheet.save(temporary, format="PNG")

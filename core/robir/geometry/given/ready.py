@@ -7,18 +7,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from robir.capture.mesh_file import Detail, Given
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.layout import Layout, own_layout
-from robir.geometry.given.noise import without_noise
 from robir.geometry.mesh.isosurface import compacted, plain_mesh
 from robir.geometry.mesh.simplify import decimate, thinned, with_creases
 from robir.geometry.mesh.tiles import tile_of_faces
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
+
+Array = NDArray[np.float64]
 
 FLAT = np.full((4, 4, 3), (128, 128, 255), np.uint8)
 """Normal map without bumps, for a tile whose materials have none."""
@@ -38,10 +42,9 @@ class Ready:
 
     Attributes:
         mesh: Unwrapped; the user's own vertices and faces unless it was decimated.
-        light: A copy with few faces and without noise, or None where the mesh itself is that.
+        light: A copy with few faces, or None where the mesh itself has few.
         normal_maps: The user's, where the mesh keeps its texture coordinates: one, or one for each
             of its tiles; else empty.
-        noise: Standard deviation of the vertices along their normals, unit frame.
         is_unwrapped_anew: Whether its texture coordinates are not the user's.
         notes: Sentences for the user.
     """
@@ -49,33 +52,20 @@ class Ready:
     mesh: Mesh
     light: Mesh | None
     normal_maps: tuple[NDArray[np.uint8], ...]
-    noise: float
     is_unwrapped_anew: bool
     notes: tuple[str, ...]
 
 
 def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]) -> Ready:
-    """Texture coordinates and normals for the user's mesh, and a copy for light where needed.
-
-    Args:
-        given: The mesh, unit frame, its outside outward.
-        config: Of the stage.
-        warn: Told what is given up while unwrapping.
-    """
+    """Texture coordinates and normals for the user's mesh, and a copy for light where needed."""
     budget = _LIGHT_FACES * config.face_budget
     vertices, faces = welded(given)
     few = plain_mesh(vertices, faces)
     if is_dense := len(faces) > budget:
         whole = compacted(vertices, faces[_have_area(vertices, faces)])
         few = thinned(whole, _THINNED * budget)
-    calm, noise = without_noise(
-        few.vertices.astype(np.float64) if is_dense else vertices, few.faces
-    )
-    notes = (_told(noise),) if noise else ()
-    few = plain_mesh(calm, few.faces)
     layout = own_layout(given)
-    detail, lost = _detail(given, layout, _OUTWARD)
-    notes = (*notes, *lost)
+    detail, notes = _detail(given, layout)
     if is_dense:
         few = with_creases(decimate(few, budget))
     if isinstance(layout, str):
@@ -83,10 +73,7 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
         if is_dense:
             note = f"{note[:-1]}; with them it has {len(few.faces)} faces instead of {len(faces)}."
         notes = (*notes, note)
-        made = unwrap(_rewelded(few), config.unwrap_seconds, warn)
-        made = with_creases(made)
-        is_copy = is_dense or len(made.faces) != len(faces)
-        mesh = made if is_copy or not noise else _moved_back(made, vertices[faces])
+        mesh = made = with_creases(unwrap(_rewelded(few), config.unwrap_seconds, warn))
     else:
         notes = (*notes, *layout.notes)
         made = few if is_dense else with_creases(_laid_out(few, layout))
@@ -94,29 +81,22 @@ def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]
             mesh = _with_own_normals(given, layout)
         elif is_dense:
             mesh = _laid_out(plain_mesh(vertices, faces), layout)
-            mesh = replace(mesh, normals=_normals_of(made, mesh, _NORMAL_SCALE))
+            mesh = replace(mesh, normals=_normals_of(made, mesh))
         else:
-            mesh = _moved_back(made, vertices[faces]) if noise else made
+            mesh = made
     return Ready(
         mesh=mesh,
         light=None if mesh is made else made,
         normal_maps=detail,
-        noise=noise,
         is_unwrapped_anew=isinstance(layout, str),
         notes=notes,
     )
 
 
 def _detail(
-    given: Given, layout: Layout | str, least_outward: float
+    given: Given, layout: Layout | str
 ) -> tuple[tuple[NDArray[np.uint8], ...], tuple[str, ...]]:
-    """The normal maps that the result can have, and a sentence where it loses the mesh's.
-
-    Args:
-        given: The mesh.
-        layout: Its own, or why it is not kept.
-        least_outward: Share of the faces whose normals must be on the side of their front.
-    """
+    """The normal maps that the result can have, and a sentence where it loses the mesh's."""
     if given.detail is None or given.normals is None:
         return (), ()
     why = "it belongs to texture coordinates that are not kept"
@@ -124,7 +104,7 @@ def _detail(
         a, b, c = (given.vertices[given.faces[:, k]] for k in range(3))
         outward = np.cross(b - a, c - a)
         own = given.normals[given.faces].sum(1)
-        if ((own * outward).sum(1) >= 0).mean() > least_outward:
+        if ((own * outward).sum(1) >= 0).mean() > _OUTWARD:
             maps = _of_tiles(given.detail, layout)
             if not isinstance(maps, str):
                 return maps, ()
@@ -173,20 +153,6 @@ def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArr
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
 
 
-def _moved_back(made: Mesh, corners: NDArray[np.float64]) -> Mesh:
-    """A mesh with its normals as they are and its faces' corners (Nf, 3, 3) where they were."""
-    vertices = made.vertices.copy()
-    vertices[made.faces] = corners
-    return replace(made, vertices=vertices)
-
-
-def _told(noise: float) -> str:
-    return (
-        f"The mesh's vertices scatter by {noise:.2%} of the object's radius; light and shading "
-        "take a smoothed copy, its shape and texture coordinates stay as they are."
-    )
-
-
 def welded(given: Given) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices (Nv, 3) that faces share wherever they have the same place, and faces (Nf, 3)."""
     _, first, index = np.unique(
@@ -201,19 +167,46 @@ def _rewelded(mesh: Mesh) -> Mesh:
     return plain_mesh(vertices, index.reshape(-1)[mesh.faces])
 
 
-def _normals_of(light: Mesh, mesh: Mesh, scale: float) -> NDArray[np.float32]:
-    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest.
-
-    Args:
-        light: The coarser one.
-        mesh: The fine one.
-        scale: Distance, unit frame, that counts as much as two normals one unit apart.
-    """
+def _normals_of(light: Mesh, mesh: Mesh) -> NDArray[np.float32]:
+    """Normals (Nv, 3) for a fine mesh's vertices, those of the coarser one where it is nearest."""
     points, query = (
-        np.concatenate([one.vertices, scale * one.normals], axis=1) for one in (light, mesh)
+        np.concatenate([one.vertices, _NORMAL_SCALE * one.normals], axis=1) for one in (light, mesh)
     )
     distance, index = cKDTree(points).query(query, k=3, eps=0.1)
     weight = 1 / (distance + 1e-4)
     total = np.einsum("nk,nkd->nd", weight, light.normals[index])
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return (total / np.maximum(length, 1e-9)).astype(np.float32)
+
+
+def inside_out(
+    vertices: Array, faces: NDArray[np.int32], rays: tuple[Array, Array]
+) -> NDArray[np.bool_]:
+    """Faces (Nf,) whose back is seen where their front should be, by rays of cameras' pixels.
+
+    Faces that are joined by edges over which they go round the same way have one outside; rays that
+    meet them from behind vote against it.
+    """
+    origins, directions = (part.astype(np.float32) for part in rays)
+    hits = EmbreeTracer(vertices.astype(np.float32), faces).first_hits(origins, directions)
+    met = hits.face >= 0
+    face = hits.face[met]
+    a, b, c = (vertices[faces[face, k]] for k in range(3))
+    from_behind = (np.cross(b - a, c - a) * rays[1][met]).sum(1) > 0
+    group = _sheets(faces)
+    votes = np.bincount(group[face], np.where(from_behind, 1.0, -1.0), group.max() + 1)
+    return votes[group] > 0
+
+
+def _sheets(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Number (Nf,) of the sheet of like sense that each face belongs to."""
+    start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+    most = int(faces.max()) + 1
+    forth, back = start * most + end, end * most + start
+    order = np.argsort(forth)
+    place = np.searchsorted(forth, back, sorter=order).clip(max=len(order) - 1)
+    other = order[place]
+    meets = forth[other] == back
+    link = (np.flatnonzero(meets) // 3, other[meets] // 3)
+    graph = scipy.sparse.coo_matrix((np.ones(len(link[0]), bool), link), shape=(len(faces),) * 2)
+    return connected_components(graph, directed=False)[1]

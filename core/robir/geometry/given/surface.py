@@ -3,7 +3,7 @@
 
 Two meshes may come of it. Textures belong to the user's: its faces in their order and, where they
 are any good, its texture coordinates. Light is solved on a copy with few faces where it has many,
-which is faster, and without the noise of a scan where it has that.
+which is faster.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.aligning import aligned
-from robir.geometry.given.fit_picture import show_fit
-from robir.geometry.given.occluders import cleared
 from robir.geometry.given.placing import (
     BETTER,
     FINE_SIDE,
@@ -30,10 +28,11 @@ from robir.geometry.given.placing import (
     Outlines,
     better_place,
     covering,
+    is_related,
+    poor_fit,
+    show_fit,
 )
-from robir.geometry.given.ready import made_ready, welded
-from robir.geometry.given.sides import inside_out
-from robir.geometry.given.verdict import is_related, poor_fit
+from robir.geometry.given.ready import inside_out, made_ready, welded
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.remask import cut_about
@@ -52,7 +51,7 @@ class Handed:
         light: A copy on which light is solved, or None where the mesh itself serves.
         normal_maps: The user's where the result can have them, one or one a tile; else empty.
         views: All views of the capture where their masks had been guessed; the outlines of the mesh
-            take their place, without what stands before it in a photograph. Else None.
+            take their place. Else None.
         frame: What brings the capture to the mesh, and its bounds there, where it is the one that
             had to move. Else None.
         metrics: For the stage's manifest.
@@ -105,14 +104,11 @@ def hand_in(
     ready = made_ready(given, config, reporter.warn)
     solid = ready.light or ready.mesh
     codes = {finding.code for finding in capture.findings}
-    views, before = None, ()
+    views = None
     reporter.progress(0.8, "drawing the mesh's outlines")
     if codes & {GUESSED_MASKS, MESH_MASKS}:
         tracer = EmbreeTracer(solid.vertices, solid.faces)
         views = tuple(replace(view, mask=outline(tracer, view)) for view in capture.views)
-        reporter.progress(0.9, "looking for what stands before the object")
-        rest = cleared(solid, views)
-        views, before = rest.views, rest.notes()
         if MESH_MASKS not in codes:  # else object and background look alike
             views = _without_rims(tracer, views)
     return Handed(
@@ -125,13 +121,12 @@ def hand_in(
             "faces": len(ready.mesh.faces),
             "faces_given": faces,
             "faces_for_light": len(solid.faces),
-            "noise": round(ready.noise, 6),
             "outline_agreement": round(agreement.share, 4),
             "surface": "given",
             "layout": "new" if ready.is_unwrapped_anew else "own",
             **({"tiles": len(ready.mesh.tiles)} if len(ready.mesh.tiles) else {}),
         },
-        notes=(*given.notes, *ready.notes, *before),
+        notes=(*given.notes, *ready.notes),
     )
 
 
@@ -174,7 +169,7 @@ def _placed(
     gain = 0.0 if config.fit_mesh else BETTER
     if then.share < _LIKELY or then.share <= now.share + gain:
         if is_related(now):
-            return given.noted(*poor_fit(now, FITS)), now
+            return given.noted(*poor_fit(now)), now
         show_fit(tracer, (AS_IT_IS, place), views, picture)
         raise CaptureError(
             f"the mesh does not belong to these photographs: {how}, and no turn, scale and shift "
@@ -190,7 +185,7 @@ def _placed(
     if config.fit_mesh:
         normals = None if given.normals is None else given.normals @ place.turn.T
         moved = replace(given, vertices=place(vertices), normals=normals)
-        return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then, FITS)), then
+        return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then)), then
     show_fit(tracer, (AS_IT_IS, place), views, picture)
     raise CaptureError(
         f"the mesh does not fit the photographs: {how}. {own.described().capitalize()} it shares "

@@ -1,23 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flattening of the ground under the object, in the distance field."""
+"""Ground that masks include: columns of it told from what stands on it, and made flat.
+
+The foot of bare ground shows one colour to all cameras that see it. Where something stands, even
+something low, its outline appears shifted at the height of the plane, and the photographs disagree
+all along that outline (after Kutulakos and Seitz 2000, "A theory of shape by space carving").
+
+Batch letters: V photographs, K columns, P points.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, binary_opening, distance_transform_edt, label
+from scipy.ndimage import (
+    binary_fill_holes,
+    binary_opening,
+    distance_transform_edt,
+    label,
+    map_coordinates,
+)
 from torch import Tensor
 
-from robir.geometry.ground.columns import Columns
-from robir.geometry.ground.photo_consistency import feet_agree
 from robir.geometry.ground.plane import SupportPlane, project_outline, within
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo
 
 Array = NDArray[np.float64]
-
+Mask = NDArray[np.bool_]
 
 _HIGHEST = 0.6  # height above the plane up to which columns are searched for a surface (unit frame)
 # height from which columns are objects whatever their foot would look like (unit frame)
@@ -29,6 +40,61 @@ _SPECK = 9  # columns of the largest doubtful piece that joins the ground enclos
 _RIM = 0.93  # size of the part of the outline, towards its middle, that must prove to be ground
 # how far below the plane half of a ground may lie once a level is fitted; more is a plate (cells)
 _DEEPEST = 0.2
+_LEAST_VIEWS = 4  # photographs that must see a spot before it is judged
+SAME_COLOUR = 0.06  # mean difference of display colours up to which they count as the same
+# by how much less photographs must differ, display, about a surface than about the foot below it
+# for the surface to be believed: a plate's rim is, what is left before bare ground not
+_LEAD = 0.01
+# by how much what hides a spot must be higher than the surface over the spot's own column, in
+# steps between columns. A plate's rim hides the ground beside it, and a lump left beside the rim
+# must not be asked by photographs that see the rim; but lumps do not speak for each other.
+_TALLER = 2.0
+_LINE_STEPS = 40  # steps of the line from a spot to a camera that may be hidden
+_LEAST_COVERAGE = 0.9  # above which a mask holds a spot
+
+
+class Columns:
+    """A grid of columns over the plane's outline, for heights above the plane.
+
+    Args:
+        plane: The support plane.
+        spacing: Distance between columns, unit frame.
+
+    Attributes:
+        feet: (K, 2) coordinates within the plane.
+        shape: Columns along the plane's two directions.
+        inside: Which of them stand on the outline's inside, of that shape.
+    """
+
+    def __init__(self, plane: SupportPlane, spacing: float) -> None:
+        self.plane, self.spacing = plane, spacing
+        self.low = plane.outline.min(0) - 2.0 * spacing
+        high = plane.outline.max(0) + 2.0 * spacing
+        count = np.ceil((high - self.low) / spacing).astype(int) + 1
+        self.shape = (int(count[0]), int(count[1]))
+        self.feet = self.low + spacing * np.argwhere(np.ones(self.shape))
+        self.inside = within(plane.outline, self.feet).reshape(self.shape)
+
+    def tops(self, lattice: Lattice, sdf: Tensor, highest: float) -> Array:
+        """Height of the uppermost surface of each column up to `highest`; -inf where none."""
+        heights = np.arange(-2.0 * self.spacing, highest, 0.5 * self.spacing)
+        top = np.full(len(self.feet), -np.inf)
+        above = np.full(len(self.feet), np.inf)
+        for height in heights[::-1]:
+            spots = np.concatenate([self.feet, np.full((len(self.feet), 1), height)], axis=1)
+            points = torch.from_numpy(self.plane.world(spots)).float()
+            value = lattice.trilinear(sdf.cpu(), points).numpy().astype(np.float64)
+            crosses = (value < 0) & np.isneginf(top)
+            with np.errstate(invalid="ignore"):
+                part = np.where(np.isfinite(above), -value / np.maximum(above - value, 1e-9), 0.0)
+            top[crosses] = height + 0.5 * self.spacing * part[crosses]
+            above = value
+        return top.reshape(self.shape)
+
+    def sample(self, values: Array, local: Array) -> Array:
+        """Values of the columns (bilinear) at points (P, 3) of the plane's frame."""
+        at = (local[:, :2] - self.low) / self.spacing
+        return map_coordinates(values, at.T, order=1, mode="nearest")
 
 
 def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice, highest: float) -> Array:
@@ -39,9 +105,9 @@ def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice, highes
     carver = HullCarver([cameras[k] for k in shown], [bare[k] for k in shown])
     nodes = lattice.nodes()
     local = columns.plane.local(nodes.numpy().astype(np.float64))
-    near = np.abs(local[:, 2]) < highest + 2.0 * lattice.cell
+    near = torch.from_numpy(np.abs(local[:, 2]) < highest + 2.0 * lattice.cell)
     value = torch.full((lattice.count,), 1.0)
-    value[torch.from_numpy(near)] = carver(nodes[torch.from_numpy(near)])
+    value[near] = carver(nodes[near])
     return columns.tops(lattice, value, highest)
 
 
@@ -65,117 +131,160 @@ class Ground:
     """
 
     def __init__(
-        self,
-        plane: SupportPlane,
-        photos: list[Photo],
-        lattice: Lattice,
-        hull: Tensor,
+        self, plane: SupportPlane, photos: list[Photo], lattice: Lattice, hull: Tensor
     ) -> None:
-        self.columns = Columns(plane, lattice.cell)
-        self._photos = photos
+        self.columns, self._photos = Columns(plane, lattice.cell), photos
         lens = lens_heights(self.columns, photos, lattice, _HIGHEST_LENS)
         self.tops = top = self.heights(lattice, hull)
-        self._bare = self.columns.inside & (top <= lens + _LENS_SLACK * lattice.cell)
+        bare = self.columns.inside & (top <= lens + _LENS_SLACK * lattice.cell)
         inner = within(plane.outline * _RIM, self.columns.feet).reshape(self.columns.shape)
-        self._rim = self._bare & ~inner
-        tops = np.where(self._bare, 0.0, top)
-        agree = self._feet_agree(self._bare, tops)
-        self.start = self._spread(self._bare & agree)
+        self._rim = bare & ~inner
+        agree = feet_agree(self.columns, bare, np.where(bare, 0.0, top), photos)
+        self.start = self._spread(bare & agree)
 
     def above(self, points: Array) -> Array:
         """Height of points (P, 3) of the unit frame above the ground."""
         return self.columns.plane.local(points)[:, 2]
 
-    def _feet_agree(self, wanted: NDArray[np.bool_], tops: Array) -> NDArray[np.bool_]:
-        return feet_agree(self.columns, wanted, tops, self._photos)
+    def joined(self, passable: Mask) -> Mask:
+        """Passable columns joined to the rim by ways no narrower than three, and the rim."""
+        open_ways = binary_opening(passable | self._rim, np.ones((3, 3), bool)) | self._rim
+        piece, _ = label(open_ways)
+        return np.isin(piece, np.unique(piece[self._rim])) & open_ways
 
-    def _spread(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _spread(self, passable: Mask) -> Mask:
         """Ground that spreads from the rim over passable columns, specks it encloses included."""
         ground = self.joined(passable)
         rest, _ = label(~ground)
         is_speck = np.bincount(rest.ravel())[rest] <= _SPECK
         return ground | (self.columns.inside & is_speck)
 
-    def joined(self, passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Passable columns joined to the rim by ways no narrower than three, and the rim."""
-        open_ways = binary_opening(passable | self._rim, np.ones((3, 3), bool)) | self._rim
-        piece, _ = label(open_ways)
-        return np.isin(piece, np.unique(piece[self._rim])) & open_ways
-
     def heights(self, lattice: Lattice, sdf: Tensor) -> Array:
         """Height of a surface (N,) over each column, -inf where it has none."""
         return self.columns.tops(lattice, sdf, _HIGHEST)
 
-    def settled(self, top: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Columns that are ground given the present surface.
+    def settled(self, top: Array, known: Mask) -> Mask:
+        """Columns that are ground given the height of the present surface over each column.
 
-        Args:
-            top: Its height over each column.
-            known: Columns at whose feet the picture of the ground is known. Elsewhere photographs
-                that agree on the colour of a foot may see the border of a board.
-
-        Returns:
-            The columns' shape.
+        Only columns at whose feet the picture of the ground is known are asked: elsewhere
+        photographs that agree on the colour of a foot may see the border of a board.
         """
         low = self.columns.inside & (top < _STANDING)
         flat = low & (np.abs(top) < _FLAT * self.columns.spacing)
-        agree = self._feet_agree(low & ~flat & known, top)
+        agree = feet_agree(self.columns, low & ~flat & known, top, self._photos)
         return self._spread((self.start & known & low) | flat | agree)
 
-    def nearly(self, top: Array, settled: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-        """Columns that are ground if what is no further than `height` from the plane is.
-
-        Args:
-            top: Height of the surface over each column.
-            settled: Result of `settled` for it.
-            height: Unit frame.
-        """
+    def nearly(self, top: Array, settled: Mask, height: float) -> Mask:
+        """Columns that are ground if what is no further than `height` from the plane is."""
         return self._spread(settled | (self.columns.inside & (np.abs(top) < height)))
 
-    def is_flat(self, cell: float, top: Array, settled: NDArray[np.bool_]) -> bool:
+    def is_flat(self, cell: float, top: Array, settled: Mask) -> bool:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.
 
         The rim of a plate is as flat as that of a ground, and no mask shows the bowl within. The
         fit digs it, though, wherever the photographs differ at the height of the plane.
-
-        Args:
-            cell: Of the surface's lattice.
-            top: Height of the surface over each column.
-            settled: Result of `settled` for it.
         """
         return bool(np.median(top[settled]) > -_DEEPEST * cell)
 
-    def flatten(self, lattice: Lattice, sdf: Tensor, ground: NDArray[np.bool_]) -> Tensor:
-        """Cut away what stands above the ground over its columns, and fill pits below it.
+    def flatten(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Tensor:
+        """Distances (N,), what stands above the ground over its columns cut, pits below it filled.
 
         What hangs over them higher than columns are searched stays. Below things that ground
         encloses there is ground too: pits are dug beside the feet of what hangs over them.
-
-        Args:
-            lattice: Nodes.
-            sdf: (N,) signed distances.
-            ground: Which columns are ground.
-
-        Returns:
-            The new signed distances (N,).
         """
         columns = self.columns
-        nodes = lattice.nodes().numpy().astype(np.float64)
-        local = columns.plane.local(nodes)
+        local = columns.plane.local(lattice.nodes().numpy().astype(np.float64))
         reach, below = (
             columns.sample(_depth_inside(area) * columns.spacing, local)
             for area in (ground, binary_fill_holes(ground))
         )
-        height = self.above(nodes)
-        before = sdf.detach().cpu().numpy()
-        searched = np.minimum(height, _HIGHEST - height)
-        cut = np.maximum(before, np.minimum(searched, reach))
+        height, before = local[:, 2], sdf.detach().cpu().numpy()
+        cut = np.maximum(before, np.minimum(np.minimum(height, _HIGHEST - height), reach))
         # pits are filled, but the rim itself is left to the masks
         inner = columns.spacing * 2.0 - below
         slab = np.maximum(np.maximum(height, inner), -height - 1.5 * lattice.cell)
         return torch.from_numpy(np.minimum(cut, slab).astype(np.float32)).to(sdf.device)
 
 
-def _depth_inside(area: NDArray[np.bool_]) -> Array:
+def _depth_inside(area: Mask) -> Array:
     """Distance from the border of an area of columns, in columns; negative outside."""
     return distance_transform_edt(area) - distance_transform_edt(~area)
+
+
+def feet_agree(columns: Columns, wanted: Mask, tops: Array, photos: list[Photo]) -> Mask:
+    """Whether the photographs agree on the colour at the feet of wanted columns.
+
+    False where they agree better about the surface over the foot, whose height is `tops`.
+    """
+    foot = deviations(columns, wanted, np.zeros(columns.shape), tops, photos)
+    agree = foot < SAME_COLOUR
+    # a surface at the foot, or none at all, has nothing over it
+    raised = agree & np.isfinite(tops) & (tops != 0)
+    if not raised.any():
+        return agree
+    surface = deviations(columns, raised, tops, tops, photos)
+    return agree & ~(foot > surface + _LEAD)
+
+
+def deviations(
+    columns: Columns, wanted: Mask, heights: Array, tops: Array, photos: list[Photo]
+) -> Array:
+    """How much the photographs differ on the colour of spots over wanted columns.
+
+    Args:
+        columns: Columns over the support plane.
+        wanted: Columns to judge, the columns' shape.
+        heights: Height of each column's spot above the plane, finite where wanted.
+        tops: Height of the present surface over each column; what stands hides spots.
+        photos: Photographs.
+
+    Returns:
+        Mean difference from the median display colour, the columns' shape; NaN where not wanted or
+        where too few photographs show the spot.
+    """
+    chosen = np.flatnonzero(wanted)
+    spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])
+    over = tops.ravel()[chosen] + _TALLER * columns.spacing
+    colours = colours_at(columns, spots, photos)
+    for own, photo in zip(colours, photos, strict=True):
+        own[hidden(columns, tops, over, spots, photo)] = np.nan
+    judged = np.isfinite(colours[..., 0]).sum(axis=0) >= _LEAST_VIEWS
+    found = colours[:, judged]
+    result = np.full(wanted.size, np.nan)
+    result[chosen[judged]] = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
+    return result.reshape(wanted.shape)
+
+
+def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[np.float32]:
+    """Display colours (V, K, 3) at spots (K, 3) of the plane's frame, as if nothing stood before.
+
+    NaN where a photograph does not hold the spot.
+    """
+    points = columns.plane.world(spots)
+    colours = np.full((len(photos), len(spots), 3), np.nan, np.float32)
+    for own, photo in zip(colours, photos, strict=True):
+        image, depth = photo.camera.project(points)
+        at = image[:, ::-1].T - 0.5
+        covered = map_coordinates(photo.coverage, at, order=1, mode="constant")
+        shown = (depth > 0) & (covered > _LEAST_COVERAGE)
+        channels = np.moveaxis(photo.premultiplied_display, 2, 0)
+        values = [map_coordinates(one, at[:, shown], order=1, mode="nearest") for one in channels]
+        own[shown] = np.stack(values, axis=1)
+    return colours
+
+
+def hidden(columns: Columns, tops: Array, over: Array, spots: Array, photo: Photo) -> Mask:
+    """Whether lines from spots (K, 3) to a camera pass below what is higher than `over` (K,)."""
+    eye = columns.plane.local(photo.camera.position)
+    highest = tops.max()
+    if not len(spots) or highest <= over.min():
+        return np.zeros(len(spots), bool)
+    across = eye - spots
+    rise = np.maximum(highest - spots[:, 2], 0.0) / across[:, 2]
+    share = np.linspace(0.0, 1.0, _LINE_STEPS)[:, None]
+    at = spots.T[:, None] + (share * rise) * across.T[:, None]
+    column = (at[:2] - columns.low[:, None, None]) / columns.spacing
+    last = np.array(columns.shape)[:, None, None] - 1.0
+    is_over = ((column >= 0.0) & (column <= last)).all(axis=0)
+    u, v = np.floor(np.where(is_over, column, 0.0) + 0.5).astype(int)
+    return (is_over & (tops[u, v] > np.maximum(at[2], over))).any(axis=0)

@@ -11,6 +11,7 @@ would bulge to is then no evidence of anything standing there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +23,6 @@ from skimage.measure import find_contours
 from torch import Tensor
 
 from robir.capture.camera import Camera
-from robir.geometry.ground.far_edge import OutlineRays, level
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.rays import Photo
 from robir.maths.vectors import tangents
@@ -52,6 +52,20 @@ _WIDEST_GAP = 60.0  # angle about the middle that the rim may leave open (degree
 # hold
 _LEAST_SHARE = 0.97
 _OUTLINE_GROWTH = 1.04  # size, against the outline, of what the hull must stand on
+# points between which the edge's distance from the middle is linear in the angle about it
+_KNOTS = 36
+_STIFFNESS = 0.3  # weight of the difference between neighbouring knots against one ray
+# upward part of an outline's outward normal; upright things and near edges, below which the
+# ground shows its side, have less
+_LEAST_RISE = 0.3
+_LEAST_FALL = 0.05  # downward part of a ray's direction; flatter ones meet the plane anywhere
+# cosine between an outline's normal, within the plane, and the direction from the middle;
+# outlines of what stands before the edge run across it
+_LEAST_ALONG = 0.9
+_EDGE_ROUNDS = 10  # linear solutions
+_WIDE_ROUNDS = 3  # how many of them take rays at the full width
+_NARROWING = 0.35  # share of the width at which a ray counts as stray in the others
+_RAYS_A_KNOT = 5  # rays that must agree on the edge, for each knot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,23 +91,32 @@ class SupportPlane:
         return local @ self.axes + self.origin
 
 
+class OutlineRays(NamedTuple):
+    """Rays through the outlines of masks, unit frame.
+
+    Attributes:
+        origins: (P, 3).
+        directions: (P, 3) unit.
+        outward: (P, 3) unit, across the ray and out of the mask: the normal of what it touches.
+    """
+
+    origins: Array
+    directions: Array
+    outward: Array
+
+
 def _outline_rays(photo: Photo) -> OutlineRays:
-    """Rays through a mask's outline, unit frame."""
-    padded = np.pad(photo.coverage, 1)
-    curves = [c for c in find_contours(padded, 0.5) if len(c) > 12]
+    """Rays through a mask's outline."""
+    curves = [c for c in find_contours(np.pad(photo.coverage, 1), 0.5) if len(c) > 12]
     if not curves:
-        return OutlineRays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
-    points, tangents = [], []
-    for curve in curves:
-        tangent = np.roll(curve, -3, axis=0) - np.roll(curve, 3, axis=0)
-        points.append(curve[:, ::-1] - 0.5)
-        tangents.append(tangent[:, ::-1])
-    image, tangent = np.concatenate(points), np.concatenate(tangents)
+        return OutlineRays(*np.zeros((3, 0, 3)))
+    image = np.concatenate(curves)[:, ::-1] - 0.5
+    tangent = [np.roll(curve, -3, axis=0) - np.roll(curve, 3, axis=0) for curve in curves]
+    tangent = np.concatenate(tangent)[:, ::-1]
     height, width = photo.coverage.shape
-    border = (image < 1.5).any(1) | (image > [width - 1.5, height - 1.5]).any(1)
-    image, tangent = image[~border], tangent[~border]
-    every = max(1, len(image) // _CONTOUR_POINTS)
-    image, tangent = image[::every], tangent[::every]
+    inner = ((image >= 1.5) & (image <= [width - 1.5, height - 1.5])).all(1)
+    every = max(1, inner.sum() // _CONTOUR_POINTS)
+    image, tangent = image[inner][::every], tangent[inner][::every]
     # outwards is across the tangent, to the side where the coverage falls
     across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
@@ -107,29 +130,10 @@ def _outline_rays(photo: Photo) -> OutlineRays:
     return OutlineRays(np.broadcast_to(origins, directions.shape), directions, outward)
 
 
-def outlines(photos: list[Photo]) -> OutlineRays:
-    """Rays through the outlines of all masks, unit frame."""
-    rays = [_outline_rays(photo) for photo in photos]
-    return OutlineRays(
-        np.concatenate([r.origins for r in rays]),
-        np.concatenate([r.directions for r in rays]),
-        np.concatenate([r.outward for r in rays]),
-    )
-
-
 def touching_points(
     rays: OutlineRays, lattice: Lattice, hull: Tensor
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Surface points that the outlines of the masks pin down.
-
-    Args:
-        rays: Rays through the outlines.
-        lattice: Lattice of the hull.
-        hull: (N,) signed distance of the visual hull.
-
-    Returns:
-        Points (P, 3), unit frame, and the rays (P,) that they lie on.
-    """
+    """Surface points (P, 3) that the outlines pin down, and the rays (P,) that they lie on."""
     origins, directions = rays.origins, rays.directions
     if len(origins) == 0:
         return origins, np.zeros(0, np.int64)
@@ -157,19 +161,10 @@ def detect(
     hull: Tensor,
     generator: torch.Generator,
 ) -> SupportPlane | None:
-    """Find the flat ground under the object, if the capture shows one.
-
-    Args:
-        photos: Reduced photographs.
-        lattice: Lattice of the hull.
-        hull: (N,) signed distance of the visual hull.
-        generator: Source of the random triples, on the CPU.
-
-    Returns:
-        The plane, or None where the masks show no flat ground.
-    """
+    """Find the flat ground under the object by its visual hull (N,), if the masks show one."""
     cell = lattice.cell
-    rays = outlines(photos)
+    parts = zip(*[_outline_rays(photo) for photo in photos], strict=True)
+    rays = OutlineRays(*[np.concatenate(part) for part in parts])
     points, of_ray = touching_points(rays, lattice, hull)
     if len(points) < _LEAST_TOUCHING:
         return None
@@ -184,7 +179,7 @@ def detect(
     upper &= rays.outward[of_ray] @ normal > _LEAST_UPWARD
     if upper.sum() >= _LEAST_AGREEING:
         width = _FIT_WIDTH * cell
-        normal, offset = _refit(points[upper], normal, width, _FIT_ROUNDS)
+        normal, offset = _refit(points[upper], normal, width)
         middle = np.median(points[upper], axis=0)
         middle += (offset - middle @ normal) * normal
         offset += level(rays, of_ray[upper], middle, normal, width)
@@ -200,35 +195,28 @@ def _consensus(
     points: Array, eyes: Array, cell: float, generator: torch.Generator
 ) -> tuple[Array, float] | None:
     """Plane with most points near it and the cameras on one side (Fischler and Bolles 1981)."""
-    best, best_count = None, 0
     tolerance = _TOLERANCE * cell
     triples = torch.randint(len(points), (_TRIALS, 3), generator=generator).numpy()
-    for triple in points[triples]:
-        normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
-        length = np.linalg.norm(normal)
-        if length < 0.05:
-            continue
-        normal /= length
-        offset = float(normal @ triple[0])
-        side = eyes @ normal - offset
-        if side.mean() < 0:
-            normal, offset, side = -normal, -offset, -side
-        if (side > 0).mean() < _LEAST_IN_FRONT:
-            continue
-        count = int((np.abs(points @ normal - offset) < tolerance).sum())
-        if count > best_count:
-            best, best_count = (normal, offset), count
-    if best is None or best_count < _LEAST_AGREEING:
+    one, two, three = (points[triples[:, k]] for k in range(3))
+    normals = np.cross(two - one, three - one)
+    length = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(length, 1e-12)[:, None]
+    normals *= np.where((normals * (eyes.mean(0) - one)).sum(1) < 0, -1.0, 1.0)[:, None]
+    offsets = (normals * one).sum(1)
+    usable = (length >= 0.05) & ((eyes @ normals.T > offsets).mean(0) >= _LEAST_IN_FRONT)
+    count = usable * (np.abs(points @ normals.T - offsets) < tolerance).sum(0)
+    first = int(count.argmax())
+    if count[first] < _LEAST_AGREEING:
         return None
-    near = np.abs(points @ best[0] - best[1]) < 2.0 * tolerance
-    return _refit(points[near], best[0], tolerance, _FIT_ROUNDS)
+    near = np.abs(points @ normals[first] - offsets[first]) < 2.0 * tolerance
+    return _refit(points[near], normals[first], tolerance)
 
 
-def _refit(points: Array, normal: Array, width: float, rounds: int) -> tuple[Array, float]:
+def _refit(points: Array, normal: Array, width: float) -> tuple[Array, float]:
     """Plane through points by reweighted least squares (Geman-McClure weights)."""
     weight = np.ones(len(points))
     offset = float(np.median(points @ normal))
-    for _ in range(rounds):
+    for _ in range(_FIT_ROUNDS):
         middle = (weight[:, None] * points).sum(0) / weight.sum()
         spread = (points - middle) * weight[:, None]
         _, _, axes = np.linalg.svd(spread.T @ (points - middle))
@@ -283,3 +271,85 @@ def within(outline: Array, points: Array) -> NDArray[np.bool_]:
         edge = two - one
         inside &= edge[0] * (points[:, 1] - one[1]) - edge[1] * (points[:, 0] - one[0]) >= 0
     return inside
+
+
+def level(
+    rays: OutlineRays, touching: NDArray[np.int64], middle: Array, normal: Array, width: float
+) -> float:
+    """How far to raise a plane so that all photographs see the same far edge in it.
+
+    Where a visual hull bulges, the touching point of an outline's ray is a guess, and a ground laid
+    through such guesses comes out high. In a plane that is too high, flat cameras see its edge
+    nearer to the middle than steep ones do. Linear least squares for the edge, for the rise and for
+    the radius of a rounding of the edge, repeated with Geman-McClure weights.
+
+    Args:
+        rays: All outlines.
+        touching: Numbers of those that are thought to touch the edge, to begin with.
+        middle: (3,) point of the plane within the edge, unit frame.
+        normal: (3,) unit normal of the plane, towards the cameras.
+        width: How far a ray may miss the edge at first, and the plane move, unit frame.
+
+    Returns:
+        The rise, unit frame; 0 where too few rays agree on an edge or none is near.
+    """
+    weight = np.zeros(len(rays.origins))
+    weight[touching] = 1.0
+    knots, narrow = _KNOTS, _NARROWING * width
+    system = _System(rays, middle, normal)
+    edge = system.solve(weight)
+    rise = edge[knots]
+    for number in range(_EDGE_ROUNDS):
+        # the unknowns are those of the last height: the edge is the same, the rise is done
+        edge[knots] = 0.0
+        system = _System(rays, middle + rise * normal, normal)
+        weight = system.weights(edge, width if number < _WIDE_ROUNDS else narrow)
+        edge = system.solve(weight)
+        rise += edge[knots]
+    agreeing = (weight[system.usable] > 0.5).sum()
+    return rise if agreeing > _RAYS_A_KNOT * knots and abs(rise) < width else 0.0
+
+
+class _System:
+    """What rays say of an edge in a plane, linear in the unknowns.
+
+    These are the K distances of the edge from the middle, the rise of the plane, and the radius of
+    the edge's rounding. `usable` (P,) are the rays that may touch a far edge.
+    """
+
+    def __init__(self, rays: OutlineRays, middle: Array, normal: Array) -> None:
+        first, second = tangents(normal)
+        rising = rays.outward @ normal
+        falling = np.maximum(-(rays.directions @ normal), 0.5 * _LEAST_FALL)
+        reach = ((rays.origins - middle) @ normal) / falling
+        spot = rays.origins + reach[:, None] * rays.directions - middle
+        along, aside = spot @ first, spot @ second
+        self._radius = np.maximum(np.hypot(along, aside), 1e-9)
+        across = (rays.outward * spot).sum(1) / self._radius
+        self.usable = across > _LEAST_ALONG * np.sqrt(np.maximum(1.0 - rising**2, 0.0))
+        self.usable &= (rising > _LEAST_RISE) & (falling > _LEAST_FALL)
+        turn = (np.arctan2(aside, along) / (2.0 * np.pi)) % 1.0 * _KNOTS
+        knot, part, row = turn.astype(int) % _KNOTS, turn % 1.0, np.arange(len(turn))
+        self._matrix = np.zeros((len(turn), _KNOTS + 2))
+        self._matrix[row, knot] = 1.0 - part
+        self._matrix[row, (knot + 1) % _KNOTS] = part
+        # a higher plane is met earlier
+        self._matrix[:, _KNOTS] = (rays.directions * spot).sum(1) / (self._radius * falling)
+        # a circle's tangent with normal (sin e, cos e) passes its topmost level (1 - cos e) / sin e
+        # radii outside its middle
+        self._matrix[:, _KNOTS + 1] = (1.0 - rising) / np.maximum(across, 0.05)
+
+    def weights(self, edge: Array, width: float) -> Array:
+        """Geman-McClure weights (P,) of the rays given the unknowns (K + 2,)."""
+        away = (self._matrix @ edge - self._radius) / width
+        return 1.0 / (1.0 + away**2) ** 2
+
+    def solve(self, weight: Array) -> Array:
+        """Unknowns (K + 2,) by least squares with weights (P,)."""
+        root = np.sqrt(weight * self.usable)
+        stiff = np.zeros((_KNOTS, _KNOTS + 2))
+        stiff[:, :_KNOTS] = np.roll(np.eye(_KNOTS), 1, axis=1) - np.eye(_KNOTS)
+        stiff[:, :_KNOTS] *= _STIFFNESS
+        matrix = np.concatenate([root[:, None] * self._matrix, stiff])
+        wanted = np.concatenate([root * self._radius, np.zeros(_KNOTS)])
+        return np.linalg.lstsq(matrix, wanted, rcond=None)[0]

@@ -20,15 +20,7 @@ _MOST_COST = 8.0  # of a chart, as xatlas counts it: more makes larger charts of
 def xatlas_charts(
     vertices: NDArray[np.float32], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Charts by xatlas; runs as long as it takes.
-
-    Args:
-        vertices: (Nv, 3).
-        faces: (Nf, 3).
-
-    Returns:
-        Texture coordinates (Nu, 2) in [0, 1], v upwards, and their indices (Nf, 3).
-    """
+    """Texture coordinates (Nu, 2), v upwards, and their indices (Nf, 3), however long it takes."""
     import xatlas  # here, because only the child process needs it
 
     atlas = xatlas.Atlas()

@@ -18,9 +18,8 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from robir.geometry.mesh.isosurface import plain_mesh
-from robir.geometry.mesh.smoothing import face_geometry, neighbour_mean
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,12 +71,7 @@ class Facet:
 
 
 class _Skin:
-    """A mesh prepared for the search.
-
-    Args:
-        mesh: Dense mesh without texture coordinates.
-        cell: Edge of a cell of the field it was extracted from.
-    """
+    """A dense mesh, out of cells so wide, prepared for the search."""
 
     def __init__(self, mesh: Mesh, cell: float) -> None:
         self.cell = cell
@@ -85,7 +79,7 @@ class _Skin:
         self.vertices = mesh.vertices.astype(np.float64)
         self._mean = neighbour_mean(mesh.faces, len(mesh.vertices))
         self._own_normals = mesh.normals.astype(np.float64)
-        _, areas, _ = face_geometry(self.vertices, mesh.faces)
+        _, areas = face_geometry(self.vertices, mesh.faces)
         self.areas = np.bincount(
             mesh.faces.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=len(mesh.vertices)
         )
@@ -126,15 +120,7 @@ class _Skin:
 
 
 def find_facets(mesh: Mesh, cell: float) -> list[Facet]:
-    """The large flat parts of a mesh, largest support first.
-
-    Args:
-        mesh: Dense mesh without texture coordinates.
-        cell: Edge of a cell of the field it was extracted from, the scale of its noise.
-
-    Returns:
-        The facets; their members do not overlap.
-    """
+    """The large flat parts of a dense mesh out of cells so wide, largest support first."""
     return _search(_Skin(mesh, cell))
 
 
@@ -211,15 +197,7 @@ def _is_flat(skin: _Skin, facet: Facet) -> bool:
 
 
 def flattened(mesh: Mesh, cell: float) -> Mesh:
-    """The mesh with its facets made flat, and sharp where two of them meet.
-
-    Args:
-        mesh: Dense mesh without texture coordinates.
-        cell: Edge of a cell of the field it was extracted from.
-
-    Returns:
-        A mesh with the same faces.
-    """
+    """The mesh with its facets made flat, and sharp where two of them meet; the same faces."""
     skin = _Skin(mesh, cell)
     facets = _search(skin)
     if not facets:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from robir.geometry.mesh.isosurface import compacted
-from robir.geometry.mesh.smoothing import face_geometry
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 
 _CREASE = 40.0  # faces that meet at a sharper angle do not share a normal (degrees)
 _SHARE_LEFT = 0.5  # share of the faces that one pass of decimation leaves
@@ -24,26 +23,16 @@ def decimate(mesh: Mesh, face_budget: int) -> Mesh:
 
     Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The library
     collapses what lies below a threshold that rises from sweep to sweep, not the cheapest edge
-    first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh
-    start over with a low threshold each.
-
-    Args:
-        mesh: Mesh without texture coordinates.
-        face_budget: Most triangles of the result.
-
-    Returns:
-        The mesh without degenerate triangles and unused vertices.
+    first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh start
+    over with a low threshold each. Degenerate triangles and unused vertices go.
     """
     while len(mesh.faces) > face_budget:
         target = max(face_budget, int(_SHARE_LEFT * len(mesh.faces)))
         vertices, faces = fast_simplification.simplify(
             mesh.vertices, mesh.faces, target_count=target, agg=_AGGRESSION
         )
-        corners = vertices[faces]
-        area = np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
-        before, mesh = mesh, compacted(vertices, faces[area > 1e-12])
+        _, areas = face_geometry(vertices, faces)
+        before, mesh = mesh, compacted(vertices, faces[areas > 5e-13])
         if len(mesh.faces) >= len(before.faces):  # nothing more can be collapsed
             break
     return mesh
@@ -53,10 +42,6 @@ def thinned(mesh: Mesh, face_budget: int) -> Mesh:
     """A mesh of far too many faces in one quick pass, less even than `decimate`.
 
     Two million faces take 17 s of processor time; by halves, minutes.
-
-    Args:
-        mesh: Mesh without texture coordinates.
-        face_budget: Most triangles of the result.
     """
     if len(mesh.faces) <= face_budget:
         return mesh
@@ -68,18 +53,12 @@ def thinned(mesh: Mesh, face_budget: int) -> Mesh:
 def with_creases(mesh: Mesh) -> Mesh:
     """Split vertices where faces meet at a crease, so that each side has its own normal.
 
-    Faces round a vertex belong together if a chain of faces leads from one to the other over
-    angles below the limit; every such group gets its own copy of the vertex. Texture coordinates
-    stay as they are.
-
-    Args:
-        mesh: Mesh whose vertices are shared by neighbouring faces.
-
-    Returns:
-        The mesh with more vertices, the same faces and the same surface.
+    Faces round a vertex belong together if a chain of faces leads from one to the other over angles
+    below the limit; every such group gets its own copy of the vertex. Texture coordinates stay as
+    they are.
     """
     faces = mesh.faces
-    normals, areas, _ = face_geometry(mesh.vertices.astype(np.float64), faces)
+    normals, areas = face_geometry(mesh.vertices, faces)
     one, two, shared = _edge_neighbours(faces)
     smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(_CREASE))
     one, two, shared = one[smooth], two[smooth], shared[smooth]

@@ -52,16 +52,7 @@ def cells_of(count: int) -> NDArray[np.int32]:
 
 
 def packed(places: Floats, tile: Whole, count: int) -> NDArray[np.float32]:
-    """Texture coordinates of the atlas.
-
-    Args:
-        places: (N, 2) in [0, 1], within the tile.
-        tile: (N,) which of the tiles, in the order of their numbers.
-        count: Of all tiles.
-
-    Returns:
-        (N, 2) in [0, 1].
-    """
+    """Coordinates (N, 2) of the atlas, from places (N, 2) within the tiles (N,) of `count`."""
     whole = (cells_of(count)[tile] + places) / cells_along(count)
     return whole.astype(np.float32)
 
@@ -73,13 +64,7 @@ def within(uvs: Floats, tile: Whole, count: int) -> NDArray[np.float32]:
 
 
 def tile_of_faces(uvs: Floats, uv_faces: Whole, count: int) -> NDArray[np.int64]:
-    """Which tile (Nf,) each face of an atlas lies in, told by its middle; 0 where there are none.
-
-    Args:
-        uvs: (Nu, 2), of the atlas.
-        uv_faces: (Nf, 3).
-        count: Of all tiles.
-    """
+    """Which tile (Nf,) each face of an atlas lies in by its middle; 0 without tiles."""
     if not count:
         return np.zeros(len(uv_faces), np.int64)
     side = cells_along(count)
@@ -89,13 +74,7 @@ def tile_of_faces(uvs: Floats, uv_faces: Whole, count: int) -> NDArray[np.int64]
 
 
 def cell(image: NDArray[Any], tile: int, count: int) -> NDArray[Any]:
-    """The part of an atlas' image (T, T) or (T, T, C), row 0 at v = 1, that a tile has.
-
-    Args:
-        image: Its side a multiple of the cells along it.
-        tile: Which of the tiles, in the order of their numbers.
-        count: Of all tiles.
-    """
+    """The part of an atlas' image (T, T) or (T, T, C), row 0 at v = 1, that a tile has."""
     side = len(image) // cells_along(count)
     column, row = (side * cells_of(count)[tile]).tolist()
     top = len(image) - row - side

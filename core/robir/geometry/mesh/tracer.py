@@ -47,15 +47,7 @@ class EmbreeTracer:
         self._mesh = TriangleMesh(self._scene, corners)
 
     def first_hits(self, origins: Floats, directions: Floats) -> Hits:
-        """Nearest surface along every ray.
-
-        Args:
-            origins: (N, 3), the mesh's frame.
-            directions: (N, 3), unit.
-
-        Returns:
-            The hits, in the rays' order.
-        """
+        """Nearest surface along rays, origins and unit directions (N, 3) in the mesh's frame."""
         found = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
@@ -72,16 +64,7 @@ class EmbreeTracer:
     def is_blocked(
         self, origins: Floats, directions: Floats, reach: Floats | None = None
     ) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray.
-
-        Args:
-            origins: (N, 3), the mesh's frame.
-            directions: (N, 3), unit.
-            reach: (N,) distance up to which a hit counts; unlimited if None.
-
-        Returns:
-            (N,) bool.
-        """
+        """Whether anything lies on each ray (N,), up to a distance (N,) or anywhere."""
         origins = np.ascontiguousarray(origins, np.float32)
         directions = np.ascontiguousarray(directions, np.float32)
         if reach is None:

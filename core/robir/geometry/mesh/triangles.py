@@ -135,16 +135,18 @@ def mesh_for_light(folder: Path) -> Mesh:
     return Mesh.load(light, is_bare=True) if light.exists() else Mesh.load(folder / "mesh.npz")
 
 
+def face_geometry(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit normals (Nf, 3) and areas (Nf,) of triangles."""
+    corners = vertices[faces].astype(np.float64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    return cross / np.maximum(length, 1e-30)[:, None], 0.5 * length
+
+
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Area-weighted vertex normals.
-
-    Args:
-        vertices: (Nv, 3).
-        faces: (Nf, 3), counter-clockwise seen from outside.
-
-    Returns:
-        (Nv, 3) float32, unit; (0, 0, 1) for vertices of no face.
-    """
+    """Area-weighted unit normals (Nv, 3); (0, 0, 1) for vertices of no face."""
     corners = vertices[faces].astype(np.float64)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.zeros((len(vertices), 3))

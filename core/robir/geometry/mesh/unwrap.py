@@ -54,14 +54,7 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
 
 
 def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """An atlas without charts: two triangles share each square of a regular grid.
-
-    Args:
-        count: Number of triangles.
-
-    Returns:
-        Texture coordinates (3 count, 2) in [0, 1] and their indices (count, 3).
-    """
+    """An atlas without charts: two triangles share each square of a regular grid."""
     squares = math.ceil(math.sqrt(math.ceil(count / 2)))
     face = np.arange(count)
     square, second = face // 2, face % 2
@@ -75,15 +68,12 @@ def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]
 
 
 def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
-    """Give a mesh texture coordinates, whatever it takes.
+    """Give a mesh texture coordinates, at worst with fewer faces or a place for each.
 
     Args:
         mesh: Mesh without texture coordinates.
         seconds: Longest processor time of one attempt.
         warn: Told what was given up.
-
-    Returns:
-        The unwrapped mesh; decimated further if the first attempts took too long.
     """
     charts = _in_child(mesh, seconds)
     for _ in range(2):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well photographs agree on a patch of surface that is shifted along its normal.
+"""What photographs say of a vertex' shift along its normal: by patches, and by outlines.
 
 Patches about the vertices, tilted as the surface is, are read from every photograph that sees
 them and compared by normalised cross-correlation (Furukawa and Ponce 2010, "Accurate, dense, and
@@ -18,8 +18,10 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
+from robir.geometry.hull import mask_distance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.rays import Photo
 from robir.geometry.stereo.sweep import Picture
 from robir.maths.vectors import orthonormal_frame
 
@@ -34,6 +36,10 @@ _BORDER = 3.0  # distance from a picture's border below which it judges nothing 
 _VIEWS = 8  # most photographs that judge a vertex
 _WINDOW = 3  # half side of the patches that are compared, pixels
 _NOISE = 0.012  # standard deviation of display values that no texture explains
+_GRAZING = 0.2  # cosine between normal and view below which a vertex does
+_NEAR = 3.0  # distance of an outline in the picture up to which it is the vertex' own (pixels)
+# height above the surface at which rays along the view must be free on both sides (pixels)
+_CLEARANCE = 2.5
 # share of a vertex' photographs that must agree; the rest may be hidden by what the mesh lacks or
 # hold a highlight
 _AGREEING = 0.6
@@ -57,11 +63,7 @@ def seen_by(
 ) -> Floats:
     """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
 
-    Args:
-        mesh: Unit frame.
-        tracer: Tracer of it.
-        pictures: Photographs.
-        offset: Distance that rays start above the surface.
+    Rays start at `offset` above the surface.
     """
     table = np.zeros((len(mesh.vertices), len(pictures)), np.float32)
     for index, picture in enumerate(pictures):
@@ -83,16 +85,15 @@ def seen_by(
 
 
 def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
-    """Mean correlation of the photographs of a patch that agree best.
+    """Mean correlation (B, D) of the photographs of a patch that agree best.
+
+    Each photograph's mean correlation with all others, over the best `share` of them; 0 where fewer
+    than two show the patch.
 
     Args:
         patches: (B, K, D, P) zero-mean patches of about unit length.
         valid: (B, K) 1 where there is a photograph, else 0.
         share: Of the photographs that count.
-
-    Returns:
-        (B, D), each photograph's mean correlation with all others, over the best `share` of them;
-        0 where fewer than two show the patch.
     """
     total = (patches * valid[..., None, None]).sum(1, keepdim=True)
     count = valid.sum(1)
@@ -107,13 +108,7 @@ def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
 
 
 class Patches:
-    """Square patches tangent to a mesh's vertices, as photographs show them.
-
-    Args:
-        mesh: Its vertices and normals, unit frame.
-        spacing: Distance between a patch's points, unit frame.
-        half: Points on either side of the middle.
-    """
+    """Square patches tangent to a mesh's vertices, as photographs show them."""
 
     def __init__(self, mesh: Mesh, spacing: float, half: int) -> None:
         self._middle = torch.from_numpy(mesh.vertices)
@@ -125,14 +120,7 @@ class Patches:
         self._first, self._second = first, second
 
     def read(self, picture: Picture, rows: Tensor, shifts: Tensor, noise: float) -> Tensor:
-        """Patches (B, D, P), their mean taken out, divided by their length and that of noise.
-
-        Args:
-            picture: The photograph.
-            rows: (B,) vertices.
-            shifts: (D,) along the normals.
-            noise: Standard deviation of what is no texture.
-        """
+        """Patches (B, D, P), their mean taken out, divided by their length and that of noise."""
         normal = self._normal[rows]
         one, two = orthonormal_frame(normal)
         across = self._first * one[:, None] + self._second * two[:, None]
@@ -158,16 +146,9 @@ class Patches:
 
 
 def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats) -> Floats:
-    """Agreement of the photographs about every vertex at every shift.
+    """Agreement (Nv, D) of the photographs about every vertex at shifts (D,); 0 by fewer than two.
 
-    Args:
-        mesh: Unit frame.
-        pictures: Photographs.
-        cosine: (Nv, V) from `seen_by`.
-        shifts: (D,) along the normals, unit frame.
-
-    Returns:
-        (Nv, D), 0 where fewer than two photographs judge.
+    `cosine` (Nv, V) is of `seen_by`.
     """
     patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), _WINDOW)
     count = min(_VIEWS, len(pictures))
@@ -190,3 +171,33 @@ def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Fl
 def pixel_size(cameras: list[Camera]) -> float:
     """Width of a pixel at the middle of the scene, unit frame, median over cameras."""
     return float(np.median([np.linalg.norm(one.position) / one.fx for one in cameras]))
+
+
+def outline_shifts(
+    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean shifts (Nv,) along normals that put vertices on the outlines they form.
+
+    Also the number of photographs (Nv,) in whose outline a vertex lies.
+    """
+    total, count = np.zeros(len(mesh.vertices)), np.zeros(len(mesh.vertices))
+    for photo in photos:
+        camera = photo.camera
+        towards = camera.position - mesh.vertices
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        cosine = np.abs(np.einsum("nd,nd->n", towards, mesh.normals))
+        rows = np.flatnonzero(cosine < _GRAZING)
+        places, depth = camera.project(mesh.vertices[rows].astype(np.float64))
+        size = np.array([camera.width, camera.height])
+        held = (depth > 0) & (places > 1).all(1) & (places < size - 1).all(1)
+        rows, depth, pixels = rows[held], depth[held], places[held].astype(int)
+        away = -mask_distance(photo.coverage)[pixels[:, 1], pixels[:, 0]]
+        near = np.abs(away) < _NEAR
+        rows, depth, away = rows[near], depth[near], away[near]
+        above = _CLEARANCE * pixel * mesh.normals[rows]
+        start = (mesh.vertices[rows] + above).astype(np.float32)
+        ray = towards[rows].astype(np.float32)
+        alone = ~tracer.is_blocked(start, ray) & ~tracer.is_blocked(start, -ray)
+        total[rows[alone]] += away[alone] * depth[alone] / camera.fx
+        count[rows[alone]] += 1
+    return total / np.maximum(count, 1), count

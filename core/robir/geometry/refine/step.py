@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from robir.capture.capture import View
-from robir.geometry.mesh.isosurface import plain_mesh
-from robir.geometry.mesh.smoothing import neighbour_mean, taubin
+from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh, taubin
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
-from robir.geometry.refine.correlation import correlations, pixel_size, seen_by
-from robir.geometry.refine.outlines import outline_shifts
+from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
 from robir.geometry.stereo.semiglobal import refined_minimum
 from robir.geometry.stereo.sweep import Picture
 
@@ -63,16 +61,7 @@ class Evidence:
 
 
 def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
-    """Move a mesh to where photographs agree.
-
-    Args:
-        mesh: Without texture coordinates, unit frame.
-        views: Training photographs.
-        sides: Longer side of the photographs at each level, pixels.
-
-    Returns:
-        The mesh, finer where the photographs are.
-    """
+    """Move a mesh to where photographs agree, finer from size to size of these."""
     reduced = {s: [reduce_view(view, s) for view in views] for s in set(sides)}
     for side in sides:
         photos = reduced[side]
@@ -105,13 +94,7 @@ def _subdivided(mesh: Mesh, edge: float, most: int) -> Mesh:
 
 
 def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
-    """Vertices (Nv, 3) with the least sum of cost and bending.
-
-    Args:
-        mesh: Fair mesh with normals.
-        evidence: What photographs and outlines say of shifts along its normals.
-        pixel: Width of a pixel, unit frame.
-    """
+    """Vertices (Nv, 3) with the least sum of cost and bending."""
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
     shifts, cost = evidence.shifts, evidence.cost
     reach, step = shifts[-1], shifts[1] - shifts[0]
@@ -143,11 +126,6 @@ class ThinPlate:
 
     The square root of the squared Laplacian counts beyond a width, so that an edge costs no more
     than the bend it makes (iteratively reweighted least squares).
-
-    Args:
-        mesh: Its connections.
-        width: Laplacian at which a crease begins, unit frame.
-        iterations: Of a solution, at most.
     """
 
     def __init__(self, mesh: Mesh, width: float, iterations: int) -> None:

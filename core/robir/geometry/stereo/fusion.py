@@ -15,14 +15,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.capture.camera import Camera
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled, resample
+from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
-from robir.geometry.stereo.sources import angles_between, choose_sources
+from robir.geometry.stereo.smoothest import smoothest
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
 from robir.maths.vectors import farthest_points
 
+_NARROW = 1 / 3  # spread of angles below the wanted one that will do, as a share of it
+_WIDE = 5 / 6  # the same above it
+_APART = 0.5  # angle between two sources at which they count as two, as a share of the wanted one
+_LEAST_SCORE = 0.02  # sources that fit less are left out
+_SOURCES = 4  # photographs that each is compared with
+# angle at the object between a photograph and those it is compared with: less says little about
+# depth, more changes what is seen
+_BASELINE_DEGREES = 14.0
 # angle at the object up to which another photograph's depths can confirm or deny one (degrees)
 _WITNESS = 40.0
 _VIEWS = 48  # most photographs that get a depth map
@@ -31,6 +40,14 @@ _LEAST_CORRELATION = 0.4  # correlation that a depth must reach
 # difference of depth that counts as agreement, and the half width of the band in which distances
 # are fused, cells of the fused lattice each
 TOLERANCE = (0.75, 4.0)
+# share of the band's half width from which a distance says that a node is free, not how far
+_FREE = 0.98
+_DEEP = 2.0  # distance to the hull beyond which it says no more than inside or outside (bands)
+_OUTSIDE = 1.0  # weight of the visual hull where it says that there is nothing
+_CELLS = 128  # cells of the fused lattice along the object's longest side
+_LEAST_TRUST = 2.0  # sum of the maps' trust below which a distance counts as unknown
+_ANCHOR = 1e-5  # weight of the visual hull's distance inside it, where that is unknown
+_SMOOTHNESS = 1.0  # weight of the squared Laplacian of the distances, against a trust of 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,16 +65,36 @@ class Fused:
     band: float
 
 
-def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
-    """Depth maps of at most `config.views` photographs that lie far from each other.
+def stereo_surface(photos: list[Photo], hull: Sampled, coarseness: float = 1.0) -> Sampled:
+    """The surface that depth maps agree on, and the visual hull where they say nothing.
 
-    Args:
-        photos: Training photographs.
-        hull: Surface of the visual hull, unit frame.
-
-    Returns:
-        Maps of those that have at least two photographs at a good angle.
+    What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
+    chance and highlights get counts as none. A plain part then lies where its outlines put it, bent
+    no more than it must be to meet what is known around it. `coarseness` is the share of a final
+    surface's cells along a side.
     """
+    lattice, outer = hull
+    lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
+    fine = Lattice.around(lower, upper, round(coarseness * _CELLS))
+    maps = depth_maps(photos, extract(lattice, outer))
+    kept = confirmed(maps, TOLERANCE[0] * fine.cell)
+    wide = resample(outer, lattice, fine)
+    fused = fuse(kept, fine, wide)
+    reach = _DEEP * fused.band
+    limit = wide.clamp(-reach, reach)
+    is_free = fused.distance > _FREE * fused.band
+    told = torch.where(is_free, torch.maximum(fused.distance, limit), fused.distance)
+    weight = (fused.weight - _LEAST_TRUST).clamp(min=0)
+    prior = _ANCHOR + _OUTSIDE * (wide > 0)
+    total = weight + prior
+    measured = (weight * told + prior * limit) / total
+    shape = fine.shape
+    found = smoothest(measured.view(shape), total.view(shape), _SMOOTHNESS)
+    return Sampled(fine, found.reshape(-1))
+
+
+def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
+    """Depth maps of photographs far from each other that have two others at a good angle."""
     pictures = [Picture.of(photo) for photo in photos]
     positions = np.stack([photo.camera.position for photo in photos])
     sources = choose_sources(positions)
@@ -82,12 +119,7 @@ def entry_depth(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
 
 
 def confirmed(maps: list[DepthMap], tolerance: float) -> list[DepthMap]:
-    """The maps without depths that too few others have, or that photographs hardly agree on.
-
-    Args:
-        maps: Depth maps.
-        tolerance: Difference of depth that counts as agreement, unit frame.
-    """
+    """The maps without depths that too few others have, or that photographs hardly agree on."""
     if not maps:
         return []
     angle = angles_between(np.stack([one.camera.position for one in maps]))
@@ -132,13 +164,7 @@ def _looked_up(
 
 
 def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor) -> Fused:
-    """Mean signed distance of the nodes inside the visual hull, by all maps.
-
-    Args:
-        maps: Confirmed depth maps.
-        lattice: Nodes.
-        hull: (N,) signed distance of the hull there.
-    """
+    """Mean signed distance of the nodes inside the visual hull (N,), by all maps."""
     band = TOLERANCE[1] * lattice.cell
     rows = (hull < lattice.cell).nonzero()[:, 0].numpy()
     points = lattice.nodes()[rows].double().numpy()
@@ -160,3 +186,26 @@ def fuse(maps: list[DepthMap], lattice: Lattice, hull: Tensor) -> Fused:
     distance[rows] = torch.from_numpy(total / np.maximum(weight, 1e-9)).float()
     weights[rows] = torch.from_numpy(weight).float()
     return Fused(distance=distance, weight=weights, band=band)
+
+
+def angles_between(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (V, V), degrees, between camera centres (V, 3) as seen from the origin."""
+    towards = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    return np.degrees(np.arccos(np.clip(towards @ towards.T, -1.0, 1.0)))
+
+
+def choose_sources(positions: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """For each photograph, others at a good angle that lie on different sides of it, best first."""
+    angle = angles_between(positions)
+    spread = np.where(angle < _BASELINE_DEGREES, _NARROW, _WIDE) * _BASELINE_DEGREES
+    fits = np.exp(-(((angle - _BASELINE_DEGREES) / spread) ** 2))
+    np.fill_diagonal(fits, 0.0)
+    chosen = []
+    for own in fits:
+        score, picked = own.copy(), []
+        while len(picked) < _SOURCES and score.max() > _LEAST_SCORE:
+            best = int(score.argmax())
+            picked.append(best)
+            score *= 1.0 - np.exp(-((angle[best] / (_APART * _BASELINE_DEGREES)) ** 2))
+        chosen.append(np.array(picked, np.int64))
+    return chosen

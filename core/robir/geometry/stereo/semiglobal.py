@@ -16,13 +16,7 @@ Floats = NDArray[np.float32]
 
 
 def _along(lines: Iterable[Floats], sums: Iterable[Floats], penalties: tuple[float, float]) -> None:
-    """Add the costs of the best paths that reach each line from the one before, in place.
-
-    Args:
-        lines: (N, D) matching costs of neighbouring lines of pixels, in order.
-        sums: (N, D) views of what they are added to.
-        penalties: Of a step of one label and of more.
-    """
+    """Add the costs (N, D) of the best paths that reach each line from the one before, in place."""
     small, large = penalties
     before: Floats | None = None
     for line, total in zip(lines, sums, strict=True):
@@ -39,15 +33,7 @@ def _along(lines: Iterable[Floats], sums: Iterable[Floats], penalties: tuple[flo
 
 
 def aggregate(cost: Floats, penalties: tuple[float, float]) -> Floats:
-    """Costs of the best paths through each pixel at each label.
-
-    Args:
-        cost: (H, W, D) matching costs.
-        penalties: What a path pays for a step of one label, and for a larger one.
-
-    Returns:
-        (H, W, D), the mean over four directions.
-    """
+    """Mean costs (H, W, D) over four directions of the best paths through a pixel at a label."""
     total = np.zeros_like(cost)
     for costs, sums in ((cost, total), (cost.swapaxes(0, 1), total.swapaxes(0, 1))):
         _along(costs, sums, penalties)
@@ -56,14 +42,7 @@ def aggregate(cost: Floats, penalties: tuple[float, float]) -> Floats:
 
 
 def refined_minimum(cost: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Label of the least cost of each pixel, and between labels by a parabola.
-
-    Args:
-        cost: (H, W, D).
-
-    Returns:
-        (H, W) labels, and (H, W) labels with fractions.
-    """
+    """Label (H, W) of the least cost (H, W, D), and the same between labels by a parabola."""
     label = cost.argmin(axis=2)
     middle = np.clip(label, 1, cost.shape[2] - 2)
     low, mid, high = (
@@ -75,12 +54,7 @@ def refined_minimum(cost: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def label_spread(cost: Floats, temperature: float) -> Floats:
-    """Standard deviation (H, W), labels, of a label whose likelihood is exp(-cost / temperature).
-
-    Args:
-        cost: (H, W, D).
-        temperature: Difference of cost that chance makes.
-    """
+    """Deviation (H, W), labels, of a label whose likelihood is exp(-cost / temperature)."""
     weight = np.exp((cost.min(axis=2, keepdims=True) - cost) / temperature)
     weight /= weight.sum(axis=2, keepdims=True)
     label = np.arange(cost.shape[2], dtype=np.float32)

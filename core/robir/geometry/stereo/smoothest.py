@@ -27,13 +27,7 @@ def laplacian(grid: Tensor) -> Tensor:
 
 
 def smoothest(measured: Tensor, weight: Tensor, smoothness: float) -> Tensor:
-    """Grid with the least sum of weight (f - measured)^2 + smoothness (laplacian f)^2.
-
-    Args:
-        measured: (X, Y, Z).
-        weight: (X, Y, Z), above 0.
-        smoothness: Of the squared Laplacian, per cell.
-    """
+    """Grid with the least sum of weight (f - measured)^2 + smoothness (laplacian f)^2."""
     if min(measured.shape) <= _COARSEST:
         return _solved((measured, weight), measured, smoothness, _ITERATIONS)
     # a cell of half the grid holds eight nodes, and twice the step is a sixteenth of the bending

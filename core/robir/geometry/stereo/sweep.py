@@ -86,18 +86,9 @@ def window_mean(image: Floats, half: int) -> Floats:
 
 
 def correlation(one: Floats, other: Floats, half: int, noise: float) -> Floats:
-    """Normalised cross-correlation of windows about every pixel.
+    """Normalised cross-correlation (N, H, W) of windows about every pixel of two pictures.
 
     Noise counts to the variance, so that windows without texture correlate with nothing.
-
-    Args:
-        one: (1, H, W).
-        other: (N, H, W).
-        half: Half side of the windows, pixels.
-        noise: Standard deviation of what is no texture.
-
-    Returns:
-        (N, H, W), at most 1.
     """
     mean, means = window_mean(one, half), window_mean(other, half)
     variance = (window_mean(one * one, half) - mean * mean).clip(min=0) + noise**2
@@ -111,14 +102,8 @@ def seen_through_planes(
 ) -> tuple[Tensor, Tensor]:
     """Where another camera sees the points of planes parallel to a camera's picture.
 
-    Args:
-        own: The camera, whose pixels the points lie on.
-        other: The other camera.
-        depths: (D,) of the planes.
-
-    Returns:
-        Places (D, H W, 2) in the other picture from -1 to 1 across it, as grid_sample has them,
-        and whether they lie in it (D, H W).
+    Of depths (D,): places (D, H W, 2) in the other picture from -1 to 1 across it, as grid_sample
+    has them, and whether they lie in it (D, H W).
     """
     pixels = own.pixel_centres()
     x, y = (pixels[:, 0] - own.cx) / own.fx, -(pixels[:, 1] - own.cy) / own.fy
@@ -136,30 +121,17 @@ def seen_through_planes(
 
 
 def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDArray[np.float64]:
-    """Depths of a sweep's planes, even in inverse depth, about a pixel of parallax apart.
-
-    Args:
-        near: Least depth.
-        far: Greatest depth.
-        baseline: Distance to the other cameras.
-        focal: Focal length, pixels.
-    """
+    """Depths of a sweep's planes, even in inverse depth, about a pixel of parallax apart."""
     parallax = np.ceil((1 / near - 1 / far) * baseline * focal)
     count = int(np.clip(parallax, _FEWEST_PLANES, _MOST_PLANES))
     return 1 / np.linspace(1 / near, 1 / far, count)
 
 
 def sweep(own: Picture, others: list[Picture], entry: Floats, far: float) -> DepthMap:
-    """Depths at which a photograph agrees with others.
+    """Depths at which a photograph agrees with at least two others beside it.
 
-    Args:
-        own: The photograph.
-        others: At least two beside it.
-        entry: (H, W) depth at which its rays enter the visual hull, infinite where they miss it.
-        far: Depth behind which nothing lies.
-
-    Returns:
-        Depths of the pixels that are wholly object and meet the hull.
+    Of the pixels that are wholly object and meet the visual hull, which their rays enter at depth
+    `entry` (H, W), infinite where they miss it; nothing lies behind `far`.
     """
     camera = own.camera
     inside = own.whole & np.isfinite(entry)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mesh to look at while the field is fitted: where it lies, how small it is, when it comes."""
+"""The growing mesh: where it lies, how small it is, when it comes; held-out pictures."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from robir.capture.capture import Bounds
 from robir.capture.store import save_capture
 from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
-from robir.geometry.fit import field_preview
-from robir.geometry.fit.growing import MAX_FACES, coarse, save_growing
+from robir.geometry.fit import preview
+from robir.geometry.fit.preview import MAX_FACES, coarse, field_view, save_growing
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
@@ -24,7 +24,7 @@ from robir.jobs.paths import JobPaths
 
 CONFIG = GeometryConfig(
     image_side=64, hull_cells=32, level_cells=(32, 48), level_steps=(60, 60), rays=512,
-    face_budget=1500, refine_poses=False, stereo_side=0,
+    face_budget=1500, stereo_side=0,
 )  # fmt: skip
 
 CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0
@@ -61,7 +61,7 @@ def test_the_stage_writes_it_with_every_preview_in_the_captures_frame(tmp_path, 
     solid = trimesh.creation.box((0.9, 0.7, 0.8))
     paths = JobPaths(tmp_path)
     save_capture(paths.stage("capture"), in_millimetres(capture_of(solid, views=16, low=-0.9)))
-    monkeypatch.setattr(field_preview, "PERIOD", 0.0)
+    monkeypatch.setattr(preview, "PERIOD", 0.0)
     paths.growing.write_bytes(b"of an earlier run")
     seen, previews = [], []
 
@@ -73,7 +73,7 @@ def test_the_stage_writes_it_with_every_preview_in_the_captures_frame(tmp_path, 
         with np.load(path, allow_pickle=False) as arrays:
             seen.append({name: arrays[name] for name in arrays.files})
 
-    monkeypatch.setattr(field_preview, "save_preview", draw)
+    monkeypatch.setattr(preview, "save_preview", draw)
     monkeypatch.setattr(stage, "save_growing", save)
     context = StageContext(
         paths=paths, config=CONFIG, source=tmp_path, masks=None, seed=0, device="cpu",
@@ -112,3 +112,51 @@ def test_without_a_surface_the_file_stays_as_it_is(tmp_path, spoil):
     save_growing(path, Sampled(lattice, spoil(values)), bounds)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["growing.npz"]
+
+
+def test_the_stage_keeps_the_fields_own_pictures(tmp_path):
+    solid = trimesh.creation.box((0.9, 0.7, 0.8))
+    capture = capture_of(solid, views=20, low=-0.9)
+    views = tuple(
+        replace(view, split="held_out") if k in (5, 11) else view
+        for k, view in enumerate(capture.views)
+    )
+    paths = JobPaths(tmp_path)
+    save_capture(paths.stage("capture"), replace(capture, views=views))
+    context = StageContext(
+        paths=paths, config=replace(CONFIG, level_steps=(120, 120), rays=1024), source=tmp_path,
+        masks=None, seed=0, device="cpu", reporter=Silent(),
+    )  # fmt: skip
+    stage.run(context)
+    with np.load(paths.stage("geometry") / "field_held_out.npz") as pictures:
+        assert set(pictures.files) == {"view_005", "view_011"}
+        for view in (views[5], views[11]):
+            shown = pictures[view.name]
+            assert shown.shape == (64, 64, 4) and shown.dtype == np.uint8
+            whole = view.mask == 255
+            off = (shown[..., :3].astype(float) - view.image_display)[whole] / 255
+            assert -10 * np.log10((off**2).mean()) > 17
+            assert shown[whole, 3].mean() > 240
+            assert not shown[view.mask == 0].any()
+
+
+@pytest.mark.parametrize("side", [400, 24])
+def test_pictures_are_as_large_as_asked_and_lie_where_the_pixels_do(monkeypatch, side):
+    """A field that shows each ray's own direction."""
+    monkeypatch.setattr(preview, "RAYS", 100)
+    monkeypatch.setattr(preview, "_HELD_OUT_SIDE", side)
+    view = capture_of(trimesh.creation.icosphere(radius=0.7), views=3, side=48).views[0]
+
+    def render(origins, directions):
+        return 0.5 + 0.5 * directions, torch.full((len(origins),), 0.6)
+
+    shown = field_view(view, render, "cpu")
+    size = min(side, 48)
+    assert shown.shape == (size, size, 4)
+    camera = view.camera.resized(size, size)
+    directions = camera.rays(camera.pixel_centres())[1].reshape(size, size, 3)
+    inside = shown[..., 3] > 0
+    assert set(np.unique(shown[..., 3])) == {0, 153}
+    assert np.abs(shown[inside, :3] - 255 * (0.5 + 0.5 * directions[inside])).max() <= 1
+    share = (view.mask > 0).mean()
+    assert inside.mean() == pytest.approx(share, abs=0.05)

@@ -1,40 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The surfaces by stereo and by masks alone, which take the fit's place where they are better.
+"""Model selection: the fit, depth maps or the visual hull, by how well photographs are predicted.
 
 A fit of a field and its colours explains what it cannot otherwise by pits: highlights that move,
 exposures, masks that are a pixel off, and on plain parts whatever noise there is. Depth maps and a
 mesh moved to where patches agree know nothing of colours, and the visual hull knows of outlines
 alone. On renderings, whose masks and poses are exact, the fit is mostly the better one; a lone
-convex thing without texture is its hull. So the first level of the fit and the others are asked to
-let photographs predict each other, see prediction.py, and what one bends more than another speaks
-against it.
+convex thing without texture is its hull. So photographs predict each other over each of them, see
+prediction.py, and what one bends more than another speaks against it.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from robir.capture.capture import View
 from robir.geometry.config import GeometryConfig
-from robir.geometry.finishing import Dense
-from robir.geometry.fit.clean import largest_pieces
-from robir.geometry.fit.field import Field
 from robir.geometry.lattice import Sampled
-from robir.geometry.mesh.isosurface import extract
-from robir.geometry.mesh.smoothing import taubin
+from robir.geometry.mesh.isosurface import extract, largest_pieces, taubin
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
-from robir.geometry.stereo.surface import stereo_surface
+from robir.geometry.stereo.fusion import stereo_surface
 from robir.jobs.choice import Choice
 
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
-
 
 # standard errors by which a surface must lead that bends e times as much: a fit full of pits
 # bends 2 to 3.4 times as much as depth maps
@@ -47,18 +41,21 @@ _FACE_PIXELS = 2.0
 _FACE_BUDGET = 24_000  # most triangles of the result; up to that many photographs' pixels decide
 
 
-def weighed(ahead: float, more: float) -> float:
-    """A surface's lead over another that bends `more` times as much, in standard errors.
+class Dense(NamedTuple):
+    """A surface as it was extracted.
 
-    Args:
-        ahead: Its lead by predictions alone.
-        more: How many times as much the other bends.
+    Attributes:
+        mesh: Without texture coordinates, unit frame.
+        grain: Width of what may be noise of it, unit frame.
+        faces: Triangles that it deserves.
     """
-    return ahead + _BENT * float(np.log(more))
+
+    mesh: Mesh
+    grain: float
+    faces: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A surface that may take the place of the fit.
 
     Attributes:
@@ -67,7 +64,6 @@ class Candidate:
         cell: Of the lattice that it was extracted from, unit frame.
         ahead: By how many standard errors photographs predict each other better over it.
         more: How many times as much the fit bends.
-        lead: Over the fit, what it bends counted, in standard errors.
     """
 
     name: str
@@ -75,7 +71,11 @@ class Candidate:
     cell: float
     ahead: float
     more: float
-    lead: float
+
+    @property
+    def lead(self) -> float:
+        """Over the fit, what it bends counted, in standard errors."""
+        return weighed(self.ahead, self.more)
 
     @property
     def words(self) -> str:
@@ -86,35 +86,18 @@ class Candidate:
         )
 
 
-class Judge:
-    """What photographs say of the surfaces of fields.
-
-    Args:
-        predictions: Of the photographs, at the size that surfaces are judged at.
-    """
-
-    def __init__(self, predictions: Predictions) -> None:
-        self._predictions = predictions
-
-    def is_mirror(self, field: Field) -> bool:
-        """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self._predictions.mirroring(smooth_surface(field)) > 1.0
-
-    def is_better(self, field: Field, other: Field) -> bool:
-        """Whether photographs predict each other better over a field, what it bends counted."""
-        mesh, than = (smooth_surface(one) for one in (field, other))
-        ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
-        return weighed(ahead, bending(than) / bending(mesh)) > 0
+def weighed(ahead: float, more: float) -> float:
+    """Lead by predictions, in standard errors, over what bends `more` times as much."""
+    return ahead + _BENT * float(np.log(more))
 
 
-class Rival:
-    """The other surfaces of a capture, made when they are asked for.
+class Selection:
+    """Compares surfaces by photographs, and selects the one that goes on.
 
     Args:
         views: Training photographs, unit frame.
-        predictions: Of the same at the size that surfaces are judged at.
-        hulls: Lattice and (N,) signed distance of the visual hull, with ground if there is one, and
-            as masks alone have it.
+        photos: The same at the size that surfaces are compared at.
+        hulls: The visual hull, with ground if there is one, and as masks alone have it.
         config: Settings of the stage.
 
     Attributes:
@@ -125,42 +108,43 @@ class Rival:
     def __init__(
         self,
         views: tuple[View, ...],
-        predictions: Predictions,
+        photos: list[Photo],
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
     ) -> None:
-        self._views, self._predictions = views, predictions
+        self._views, self._predictions = views, Predictions(photos)
         self._hulls, self._config = hulls, config
-        self._was_asked = config.stereo_side == 0
+        self._is_done = config.stereo_side == 0
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
 
-    def beats(self, field: Field) -> bool:
-        """Whether one of them is better than a fit; only the first field is compared.
+    def is_mirror(self, surface: Sampled) -> bool:
+        """Whether what is mirrored makes predictions better by more than a standard error."""
+        return self._predictions.mirroring(smooth_surface(surface)) > 1.0
 
-        Args:
-            field: Of the fit's first level.
-        """
-        if self._was_asked:
+    def is_better(self, surface: Sampled, other: Sampled) -> bool:
+        """Whether photographs predict each other better over a surface, what it bends counted."""
+        mesh, than = smooth_surface(surface), smooth_surface(other)
+        ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
+        return weighed(ahead, bending(than) / bending(mesh)) > 0
+
+    def beats(self, field: Sampled) -> bool:
+        """Whether depth maps or hull are better than a fit; only the first level is compared."""
+        if self._is_done:
             return False
-        self._was_asked = True
+        self._is_done = True
         started = time.process_time()
         fitted = smooth_surface(field)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
-        for name, (lattice, values) in ((STEREO, self._stereo()), (HULL, self._hulls[1])):
-            mesh = smooth_surface(Field(lattice, values, 1))
+        # nothing is restored where masks show something that no depth does: guessed masks hold
+        # background between arm and body, and stereo is right to carve it
+        compared = [reduce_view(view, self._config.stereo_side) for view in self._views]
+        surfaces = {STEREO: stereo_surface(compared, self._hulls[0]), HULL: self._hulls[1]}
+        for name, surface in surfaces.items():
+            mesh = smooth_surface(surface)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
-            candidates.append(
-                Candidate(
-                    name=name,
-                    mesh=mesh,
-                    cell=lattice.cell,
-                    ahead=ahead,
-                    more=more,
-                    lead=weighed(ahead, more),
-                )
-            )
+            candidates.append(Candidate(name, mesh, surface.lattice.cell, ahead, more))
         first = max(candidates, key=lambda candidate: candidate.lead)
         self.best = first if first.lead > 0 else None
         chosen = FIELD if self.best is None else first.name
@@ -176,22 +160,9 @@ class Rival:
         )
         return self.best is not None
 
-    def _stereo(self) -> Sampled:
-        # nothing is restored where masks show something that no depth does: guessed masks hold
-        # background between arm and body, and stereo is right to carve it
-        side = self._config.stereo_side
-        compared = [reduce_view(view, side) for view in self._views]
-        return stereo_surface(compared, self._hulls[0])
-
 
 def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
-    """A surface moved to where patches agree, where photographs then predict each other better.
-
-    Args:
-        best: The surface.
-        views: Training photographs, unit frame.
-        config: Settings of the stage.
-    """
+    """A surface moved to where patches agree, if photographs then predict each other better."""
     mesh = best.mesh
     photos = [reduce_view(view, max(config.refine_sides)) for view in views]
     moved = refine(mesh, views, config.refine_sides)
@@ -210,19 +181,15 @@ def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
     return grain, int(min(max(config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
 
 
-def smooth_surface(field: Field) -> Mesh:
-    """Surface of a field, freed of loose pieces and of the steps of its cells."""
-    whole = extract(field.lattice, field.sdf)
-    return taubin(largest_pieces(whole), _SMOOTH_ROUNDS)
+def smooth_surface(surface: Sampled) -> Mesh:
+    """Zero level of a field, freed of loose pieces and of the steps of its cells."""
+    return taubin(largest_pieces(extract(*surface)), _SMOOTH_ROUNDS)
 
 
 def bending(mesh: Mesh) -> float:
     """Total absolute mean curvature of a surface over the root of its area, of a sphere 3.54.
 
     The sum over edges of length times dihedral angle, halved (Cohen-Steiner and Morvan 2003).
-
-    Args:
-        mesh: Of any frame and unit.
     """
     import trimesh
 

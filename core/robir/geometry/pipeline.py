@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of the stage: before the fit, at the end of each of its levels, and on its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from robir.capture.capture import Capture, View
+from robir.capture.checks.sightings import POWER, sight
+from robir.capture.checks.uneven_exposure import uneven_exposures
+from robir.geometry.config import GeometryConfig
+from robir.geometry.fit.field import ColourNetwork, Field, restore_missing
+from robir.geometry.fit.mirror_pits import Mirroring
+from robir.geometry.ground.backdrop import Backdrop, find_ground
+from robir.geometry.hull import object_hull
+from robir.geometry.lattice import Sampled, resample
+from robir.geometry.mesh.facets import flattened
+from robir.geometry.mesh.simplify import decimate, with_creases
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.unwrap import unwrap
+from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.selection import Dense, Selection
+from robir.steps import Course, Step
+
+
+def evened(capture: Capture) -> Capture:
+    """A capture whose training photographs are equally bright at the points they share.
+
+    The surface is found where photographs agree on colours; exposed apart they agree nowhere, and
+    of a plain ground least of all. The tone curve is not known yet: a power stands for it, so that
+    what is left is what the curve's slope differs by between dark and bright. The capture itself
+    comes back where its photographs count as exposed alike, or are too few to tell.
+    """
+    views = capture.train
+    offsets = uneven_exposures(views, capture.bounds, sight(views, capture.bounds))
+    if offsets is None:
+        return capture
+    dimmed = {
+        view.name: _brighter(view, -stops) for view, stops in zip(views, offsets, strict=True)
+    }
+    return replace(capture, views=tuple(dimmed.get(v.name, v) for v in capture.views))
+
+
+def _brighter(view: View, stops: float) -> View:
+    """A view with so many stops (log2) more light."""
+    display = np.rint(view.image_display * 2.0 ** (stops / POWER)).clip(0, 255)
+    return replace(view, image_display=display.astype(np.uint8))
+
+
+EVENING: tuple[Step[Capture], ...] = (
+    Step(
+        name="even-brightness",
+        purpose="brings photographs that were exposed apart to one brightness for the fit",
+        source="ours: a power stands for the tone curve",
+        run=evened,
+    ),
+)
+"""What is done to the photographs before the fit."""
+
+# distance from the plane within which a surface may be ground that the fit left bumpy (cells)
+_BUMPY = 4.0
+_BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which that is asked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """What the fit starts from.
+
+    Attributes:
+        capture: Evened, unit frame.
+        config: The stage's configuration.
+        generator: Source of random numbers.
+        photos: Training photographs at the size of the fit.
+        hull: The visual hull, with flat ground once that is found.
+        backdrop: The ground and what lies behind it; None where there is none.
+    """
+
+    capture: Capture
+    config: GeometryConfig
+    generator: torch.Generator
+    photos: list[Photo]
+    hull: Sampled
+    backdrop: Backdrop | None = None
+
+    @property
+    def distances(self) -> Tensor:
+        """(N,) signed distances that the fit starts from."""
+        return self.hull.values if self.backdrop is None else self.backdrop.clear(*self.hull)
+
+
+def _find_ground(state: Start) -> Start:
+    found = find_ground(state.capture.train, state.photos, state.hull, state.generator)
+    if found is None:
+        return state
+    return replace(state, hull=Sampled(state.hull.lattice, found[1]), backdrop=found[0])
+
+
+GROUND: tuple[Step[Start], ...] = (
+    Step(
+        name="ground",
+        purpose="finds the flat ground that the object stands on, if masks include it",
+        source="ours: plane by the masks' rim, columns by photo-consistency",
+        run=_find_ground,
+    ),
+)
+"""What is done to the visual hull before the fit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """A level of the fit that has ended; steps change its field's distances by `mended`.
+
+    Attributes:
+        field: Field of the level.
+        network: Its colour network.
+        sampler: Source of rays.
+        hull: The visual hull.
+        mirroring: What was learnt of parts that mirror.
+        selection: What photographs say of surfaces.
+        backdrop: The ground; None where there is none, or none any more.
+        has_ended: Whether the fit goes no further.
+        changes: How often something was changed in place.
+    """
+
+    field: Field
+    network: ColourNetwork
+    sampler: RaySampler
+    hull: Sampled
+    mirroring: Mirroring
+    selection: Selection
+    backdrop: Backdrop | None
+    has_ended: bool = False
+    changes: int = 0
+
+    @property
+    def surface(self) -> Sampled:
+        """The signed distances, to be changed in place."""
+        return Sampled(self.field.lattice, self.field.sdf.detach())
+
+    def mended(self, sdf: Tensor) -> Level:
+        """The level with other distances (N,), changed in place; itself where they are the same."""
+        now = self.surface.values
+        if torch.equal(sdf.to(now), now):
+            return self
+        now.copy_(sdf)
+        return replace(self, changes=self.changes + 1)
+
+
+def _restore_missing(state: Level) -> Level:
+    lattice, sdf = state.surface
+    allowed = resample(state.hull.values, state.hull.lattice, lattice).to(sdf.device)
+    return state.mended(restore_missing(state.surface, allowed, state.sampler))
+
+
+def _fill_mirror_pits(state: Level) -> Level:
+    return state.mended(state.mirroring.filled(state.field, state.network))
+
+
+def _flatten_ground(state: Level) -> Level:
+    """A ground that turns out to be a bowl is none."""
+    if state.backdrop is None:
+        return state
+    ground, (lattice, sdf) = state.backdrop.ground, state.surface
+    top = ground.heights(lattice, sdf)
+    columns = ground.settled(top, state.backdrop.known)
+    if not ground.is_flat(lattice.cell, top, columns):
+        return replace(state, backdrop=None)
+    flat = ground.flatten(lattice, sdf, columns)
+    nearly = ground.nearly(top, columns, _BUMPY * lattice.cell)
+    if nearly.sum() > _BUMPY_GAIN * columns.sum():
+        # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
+        flatter = ground.flatten(lattice, sdf, nearly)
+        if state.selection.is_better(Sampled(lattice, flatter), Sampled(lattice, flat)):
+            flat = flatter
+    return state.mended(flat)
+
+
+def _compare(state: Level) -> Level:
+    return replace(state, has_ended=state.selection.beats(state.surface))
+
+
+LEVEL: tuple[Step[Level], ...] = (
+    Step(
+        name="missing-parts",
+        purpose="brings back thin parts that the masks demand and the fit has lost",
+        source="ours",
+        run=_restore_missing,
+    ),
+    Step(
+        name="mirror-pits",
+        purpose="fills hollows that mirrored light has dug",
+        source="ours: one half of a mean curvature flow",
+        run=_fill_mirror_pits,
+    ),
+    Step(
+        name="flat-ground",
+        purpose="tells columns of ground from what stands on it, and makes ground flat",
+        source="ours: photo-consistency of columns' feet",
+        run=_flatten_ground,
+    ),
+    Step(
+        name="rivals",
+        purpose="ends the fit where depth maps or masks alone explain photographs better",
+        source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010), "
+        "visual hull (Laurentini 1994)",
+        run=_compare,
+    ),
+)
+"""What is done at the end of every level of the fit, in this order."""
+
+
+class Levels:
+    """What the fit starts from (`begun`), and what it calls at the end of every level."""
+
+    def __init__(
+        self,
+        capture: Capture,
+        config: GeometryConfig,
+        device: str,
+        generator: torch.Generator,
+        course: Course,
+    ) -> None:
+        photos = [reduce_view(view, config.image_side) for view in capture.train]
+        self.sampler = RaySampler(photos, device, generator)
+        hull = object_hull(capture, photos, config.hull_cells)
+        start = Start(capture=capture, config=config, generator=generator, photos=photos, hull=hull)
+        self._course = course
+        start = course.carry_out(GROUND, start)
+        self.backdrop, self._hull = start.backdrop, start.hull
+        self.begun = Sampled(hull.lattice, start.distances)
+        self.selection = Selection(capture.train, photos, (self.begun, hull), config)
+        cameras = [photo.camera for photo in photos]
+        self._mirroring = Mirroring(cameras, self.begun, self.selection)
+
+    def __call__(self, field: Field, network: ColourNetwork) -> bool:
+        """Mend the field in place; whether the fit ends because another surface leads."""
+        level = Level(
+            field=field,
+            network=network,
+            sampler=self.sampler,
+            hull=self._hull,
+            mirroring=self._mirroring,
+            selection=self.selection,
+            backdrop=self.backdrop,
+        )
+        ended = self._course.carry_out(LEVEL, level)
+        self.backdrop = ended.backdrop
+        return ended.has_ended
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finishing:
+    """A surface on its way to a mesh.
+
+    Attributes:
+        dense: As it was extracted.
+        mesh: As far as it has got.
+        config: The stage's configuration.
+        warn: Takes a sentence for the user.
+    """
+
+    dense: Dense
+    mesh: Mesh
+    config: GeometryConfig
+    warn: Callable[[str], None]
+
+
+def finished(
+    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], course: Course
+) -> Mesh:
+    """The unwrapped mesh of an extracted surface."""
+    start = Finishing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
+    return course.carry_out(FINISHING, start).mesh
+
+
+FINISHING: tuple[Step[Finishing], ...] = (
+    Step(
+        name="facets",
+        purpose="makes large flat parts flat, with sharp edges between them",
+        source="RANSAC for planes (Schnabel et al. 2007), seeds at even steps of area",
+        run=lambda state: replace(state, mesh=flattened(state.mesh, state.dense.grain)),
+    ),
+    Step(
+        name="decimate",
+        purpose="leaves the triangles that photographs resolve",
+        source="quadric error metrics (Garland and Heckbert 1997)",
+        run=lambda state: replace(state, mesh=decimate(state.mesh, state.dense.faces)),
+        is_on_trial=False,
+    ),
+    Step(
+        name="unwrap",
+        purpose="gives texture coordinates",
+        source="xatlas",
+        run=lambda state: replace(
+            state, mesh=unwrap(state.mesh, state.config.unwrap_seconds, state.warn)
+        ),
+        is_on_trial=False,
+    ),
+    Step(
+        name="creases",
+        purpose="gives each side of a sharp edge normals of its own",
+        source="smoothing groups by angle",
+        run=lambda state: replace(state, mesh=with_creases(state.mesh)),
+    ),
+)
+"""What is done to the surface that was chosen, in this order."""
