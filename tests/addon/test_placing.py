@@ -19,6 +19,9 @@ HIGH = 0.5
 """Height of the ground in the test above the sphere's middle, unit frame."""
 
 PLACE = """
+import bmesh
+
+
 def where(asset):
     corners = [v.co[:] for v in asset.data.vertices]
     bpy.context.view_layer.update()
@@ -34,6 +37,15 @@ def where(asset):
             o.name: list(o.location) for o in bpy.data.objects if o.type == "CAMERA"
         },
     }
+
+
+def crumb(asset):
+    mesh = bmesh.new()
+    mesh.from_mesh(asset.data)
+    for across in (0.0, 0.1):
+        mesh.faces.new([mesh.verts.new((across + x, y, 9.0)) for x, y in ((0, 0), (1, 0), (0, 1))])
+    mesh.to_mesh(asset.data)
+    mesh.free()
 
 
 def main(archive, result):
@@ -53,6 +65,9 @@ def main(archive, result):
     answer["stood"] = [call("stand_on_floor"), where(asset)]
     answer["refreshed"] = [call("refresh_result"), where(asset)]
     answer["again"] = [call("import_result"), where(asset)]  # not edited: nobody is asked
+    answer["whole"] = len(asset.data.polygons)
+    crumb(asset)
+    answer["crumbled"] = len(asset.data.polygons)
     answer["dropped"] = [call("drop_ground", height=0.0), where(asset)]
     answer["edited"] = call("import_result")
     answer["nothing"] = call("drop_ground", height=0.0)
@@ -98,8 +113,9 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
         np.testing.assert_allclose(sized["cameras"][name], 3 * np.array(place), atol=1e-5)
     stood = answer["stood"][1]
     side = 3 * sphere_run.SPHERE * sphere_run.RADIUS
-    np.testing.assert_allclose(stood["low"], [-side, -side, 0.0], atol=0.02 * side)
-    np.testing.assert_allclose(stood["high"], [side, side, 2 * side], atol=0.02 * side)
+    level = 3 * HIGH * sphere_run.RADIUS  # the ground is the foot, whatever hangs below
+    np.testing.assert_allclose(stood["low"], [-side, -side, -side - level], atol=0.02 * side)
+    np.testing.assert_allclose(stood["high"], [side, side, side - level], atol=0.02 * side)
     assert stood["origin"] == [0.0, 0.0, 0.0]
     moved = np.array(stood["low"]) - sized["low"]
     for name, place in sized["cameras"].items():
@@ -113,10 +129,11 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
         for name, place in stood["cameras"].items():
             np.testing.assert_allclose(there["cameras"][name], place, atol=1e-4)
     dropped = answer["dropped"][1]
-    level = side + 3 * HIGH * sphere_run.RADIUS
     row = np.pi / 24 * side
-    assert level - row < dropped["low"][2] < level + row
-    assert dropped["high"][2] == pytest.approx(stood["high"][2])
+    assert dropped["low"][2] == pytest.approx(0.0, abs=1e-4)  # it stands again
+    assert dropped["high"][2] == pytest.approx(stood["high"][2], abs=row)
+    assert dropped["origin"] == [0.0, 0.0, 0.0]
+    assert answer["crumbled"] == answer["whole"] + 2  # and nothing hangs in the air
     assert 0 < dropped["faces"] < 0.4 * stood["faces"]
     np.testing.assert_allclose(np.linalg.norm(dropped["normal"]), 1.0, atol=1e-3)
     assert "edited and would be lost" in answer["edited"]
