@@ -150,6 +150,11 @@ def test_the_comparison_is_labelled_and_goes_on(window: BlenderWindow) -> None:
     first = window.get(shown)
     window.picture("compared")
     # a virtual screen without a window manager gives the new window no keyboard
+    keys = "bpy.context.window_manager.keyconfigs.addon.keymaps['Frames'].keymap_items"
+    assert window.get(f"[i.type for i in {keys} if i.idname == 'robir.compare_next']") == [
+        "RIGHT_ARROW",
+        "LEFT_ARROW",
+    ]
     window.run("bpy.ops.robir.compare_next()")
     window.wait_until(f"{shown} != {first!r}", 10.0)
     window.picture("compared_next")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the report's 3D viewer shows: a copy of the asset and the lights to choose from.
 
-The viewer is <model-viewer> 4.4.0 as npm ships it (`model_viewer/`, Apache-2.0). It takes data addresses,
-so that the page needs neither a network nor files beside it.
+The viewer is <model-viewer> 4.4.0 as npm ships it (`model_viewer/`, Apache-2.0). It takes data
+addresses, so that the page needs neither a network nor files beside it.
 """
 
 from __future__ import annotations
