@@ -115,7 +115,7 @@ def evaluate(options: Namespace) -> int:
     from robir.evaluation.level_table import level_lines
     from robir.evaluation.levels import level_scores
     from robir.evaluation.scores import score_lines
-    from robir.export.report import show_levels
+    from robir.export.report.write import show_levels
 
     levels = level_scores(paths, paths.levels_strip)
     write_json(paths.levels, levels)

@@ -18,6 +18,7 @@ from ..preferences import engine_python
 from ..words import reported, told
 from ..work import monitor
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
+from .shared import refused
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -148,13 +149,8 @@ def _named(files: list[str]) -> str:
 
 def _recognised(facts: dict[str, Any]) -> str:
     name = _FORMATS.get(facts["format"], facts["format"])
-    return told(
-        "{name}, {count} photographs, {held_out} kept aside, {width:.3g} units wide",
-        name=name,
-        count=facts["views"] + facts["held_out"],
-        held_out=facts["held_out"],
-        width=2.0 * facts["radius"],
-    )
+    count = facts["views"] + facts["held_out"]
+    return told("{count} photographs, {name}", name=name, count=count)
 
 
 class ROBIR_OT_choose_capture(bpy.types.Operator):
@@ -244,7 +240,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
             words = program(engine_python(context))
         except EngineError as error:
             monitor.show_problem(told(error))
-            self.report({"ERROR"}, told(error))
+            refused(self, context, told(error))
             return None, []
         request = request_of(settings)
         command = [*words, "check", str(request.capture), "--json"]
@@ -259,7 +255,7 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
             run("look", command, look.take, end)
         except AddonError as error:
             monitor.show_problem(told(error))
-            self.report({"ERROR"}, told(error))
+            refused(self, context, told(error))
             return {"CANCELLED"}
         if monitor.is_busy():
             context.window_manager.robir.message = told("Reading the photographs")

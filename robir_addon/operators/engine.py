@@ -19,6 +19,7 @@ from ..words import told
 from ..work import monitor
 from ..work.worker import in_panel_words
 from .capture import look_at_waiting, why_wait
+from .shared import refused
 
 OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
@@ -332,7 +333,7 @@ def _outcome(operator: bpy.types.Operator, context: bpy.types.Context) -> set[st
     if not state.error:
         return {"FINISHED"}
     cure = f"; {state.error_cure}" if state.error_cure else ""
-    operator.report({"ERROR"}, f"{state.error}{cure}")
+    refused(operator, context, f"{state.error}{cure}")
     return {"CANCELLED"}
 
 

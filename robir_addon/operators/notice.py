@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..words import told
+from ..words import reported, told
 from ..work import monitor
 from .engine import OFFLINE
 
@@ -54,7 +54,11 @@ class ROBIR_OT_allow_online(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Allow, and install while Blender stays usable."""
         self.execute(context)
-        return bpy.ops.robir.install_engine("INVOKE_DEFAULT")
+        try:
+            return bpy.ops.robir.install_engine("INVOKE_DEFAULT")
+        except RuntimeError as fault:  # how Blender passes on what that operator reported
+            self.report({"ERROR"}, reported(fault))
+            return {"CANCELLED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Allow; a script installs by itself."""

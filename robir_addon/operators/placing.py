@@ -12,7 +12,7 @@ from ..result.materials import is_edited, mark_as_imported
 from ..result.placing import (
     GROUND_SHARE,
     delete_faces,
-    faces_of_ground,
+    drop_ground,
     faces_outside,
     scale_result,
     stand,
@@ -121,16 +121,16 @@ class ROBIR_OT_stand_on_floor(_PlacingOperator, bpy.types.Operator):
     bl_idname = "robir.stand_on_floor"
     bl_label = "Stand on Floor"
     bl_description = (
-        "Put the object's origin to its foot and that to the middle of the floor; cameras and "
-        "lamps go along"
+        "Put the object's origin to its foot, or the ground it was photographed on, and that to "
+        "the middle of the floor; cameras and lamps go along"
     )
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> None:
         """Move."""
-        asset = self.asset(context)
+        asset, table = self.asset(context), read_cameras(result_paths(context))
         was_edited = is_edited(asset)
-        stand(asset)
+        stand(asset, table.get("ground"))
         if not was_edited:
             mark_as_imported(asset)
 
@@ -141,7 +141,8 @@ class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
     bl_idname = "robir.drop_ground"
     bl_label = "Drop Ground"
     bl_description = (
-        "Delete the ground that was photographed with the object; it is open where it stood"
+        "Delete the ground that was photographed with the object, and crumbs; what stood on the "
+        "floor stands again"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -161,8 +162,7 @@ class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
             raise ResultError(
                 "this result has no flat ground; Crop to Box takes away what is not wanted"
             )
-        asset, most = self.asset(context), self.height * table["bounds"]["radius"]
-        delete_faces(asset, faces_of_ground(asset, plane["normal"], plane["offset"], most))
+        drop_ground(self.asset(context), plane, self.height * table["bounds"]["radius"])
 
 
 class ROBIR_OT_crop_to_box(_PlacingOperator, bpy.types.Operator):

@@ -18,7 +18,7 @@ from ..work import monitor
 from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
-from .shared import MixedIn
+from .shared import MixedIn, refused
 
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
@@ -69,7 +69,7 @@ class WorkerOperator(MixedIn):
                 remember(request.capture, own_folder)
         except (AddonError, EngineError, OSError, *client.START_ERRORS) as error:
             monitor.show_problem(told(error))
-            self.report({"ERROR"}, in_panel_words(told(error)))
+            refused(self, context, in_panel_words(told(error)))
             return None
         return request.out
 

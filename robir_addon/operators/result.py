@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import IntProperty, StringProperty
 
+from ..blocks import MARK
 from ..capture.cameras import VIEW
 from ..capture.startup import bring_back
 from ..errors import ResultError
@@ -18,14 +19,13 @@ from ..result.comparison import compare, neighbour
 from ..result.delight import give_back, target_of
 from ..result.importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
 from ..result.materials import is_edited
-from ..result.pictures import put_image, read_codes, show_image
+from ..result.pictures import put_image, show_image
 from ..words import told, words
 from ..work.known import forget_former_spot
 from ..work.support import support_report
 from .shared import ImportedOperator, ResultOperator, is_in_object_mode, result_paths, result_root
 
 COMPARISON = "RobIR comparison"
-TONE_CURVE = "RobIR tone curve"
 
 
 class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
@@ -130,10 +130,11 @@ class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> None:
-        """Remove it and show none."""
+        """Remove it and show another one of the file, if there is any."""
         remove_result(result_root(context))
         bring_back(context.scene, context.view_layer)
-        context.scene.robir.result = ""
+        left = (o.get(MARK) for o in context.scene.objects if o.type == "MESH")
+        context.scene.robir.result = next(filter(None, left), "")
 
 
 class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
@@ -178,6 +179,13 @@ class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Go on; a key over anything but the comparison is somebody else's."""
+        is_key = event.type in ("RIGHT_ARROW", "LEFT_ARROW")
+        if is_key and getattr(context.space_data, "image", None) != bpy.data.images[COMPARISON]:
+            return {"PASS_THROUGH"}
+        return self.execute(context)
+
     def work(self, context: bpy.types.Context) -> None:
         """Compare the view so many steps on."""
         paths = result_paths(context)
@@ -199,21 +207,6 @@ def _show_comparison(
     image[CAPTIONS] = "\n".join((title, *names))
     show_image(context, image)
     return told("View {name}: {pictures}", name=found.view, pictures=", ".join(names))
-
-
-class ROBIR_OT_show_tone_curve(ResultOperator, bpy.types.Operator):
-    """The plot of the recovered tone curve."""
-
-    bl_idname = "robir.show_tone_curve"
-    bl_label = "Tone Curve"
-    bl_description = "Show the recovered tone curve beside the others that were tried"
-    bl_options = {"REGISTER", "UNDO"}
-
-    def work(self, context: bpy.types.Context) -> None:
-        """Show the plot that the export made."""
-        paths = result_paths(context)
-        image = put_image(TONE_CURVE, read_codes(paths.tone_plot), mark_of(paths.root))
-        show_image(context, image)
 
 
 class ROBIR_OT_match_view_transform(ResultOperator, bpy.types.Operator):
@@ -270,11 +263,14 @@ _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def register() -> None:
-    """Let the arrow keys over the comparison go from view to view."""
+    """Let the arrow keys over the comparison go from view to view.
+
+    The image editor asks "Frames", which steps the timeline by them, before its own keys.
+    """
     keys = bpy.context.window_manager.keyconfigs.addon
     if keys is None:  # without a window
         return
-    keymap = keys.keymaps.new(name="Image", space_type="IMAGE_EDITOR")
+    keymap = keys.keymaps.new(name="Frames")
     for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1)):
         item = keymap.keymap_items.new(ROBIR_OT_compare_next.bl_idname, key, "PRESS")
         item.properties.step = step
@@ -294,7 +290,6 @@ CLASSES = (
     ROBIR_OT_remove_result,
     ROBIR_OT_compare,
     ROBIR_OT_compare_next,
-    ROBIR_OT_show_tone_curve,
     ROBIR_OT_match_view_transform,
     ROBIR_OT_open_report,
     ROBIR_OT_copy_report,

@@ -9,18 +9,19 @@ import bpy
 from ..errors import AddonError
 from ..gateway import JobPaths
 from ..relighting.lights import world_of
-from ..result.importer import mark_of
+from ..result.importer import active_result, mark_of
 from ..words import told
 from ..work.worker import problem_and_cure
 
 
 def result_root(context: bpy.types.Context) -> Path:
-    """The result folder that the panels show, absolute."""
-    return Path(bpy.path.abspath(context.scene.robir.result)).absolute()
+    """The result folder of the active object, else the one that the panels show, absolute."""
+    shown = active_result(context) or bpy.path.abspath(context.scene.robir.result)
+    return Path(shown).absolute()
 
 
 def result_paths(context: bpy.types.Context) -> JobPaths:
-    """File names of the result that the panels show."""
+    """File names of that result."""
     return JobPaths(result_root(context))
 
 
@@ -30,6 +31,18 @@ def is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Con
         operator.poll_message_set(told("Leave the present mode for Object Mode first"))
         return False
     return True
+
+
+_TAB = "RobIR"  # of the sidebar, where the panels are
+
+
+def refused(operator: bpy.types.Operator, context: bpy.types.Context, sentence: str) -> None:
+    """Report what the panel Notice says, unless it is seen: a pop-up would take the next click."""
+    areas = context.screen.areas if context.screen and not bpy.app.background else ()
+    regions = [r for area in areas if area.type == "VIEW_3D" for r in area.regions]
+    tabs = [r.active_panel_category for r in regions if r.type == "UI" and r.width > 1]
+    if _TAB not in tabs:
+        operator.report({"ERROR"}, sentence)
 
 
 MixedIn = bpy.types.Operator if TYPE_CHECKING else object
@@ -71,7 +84,7 @@ class ResultOperator(MixedIn):
         """Say why nothing was done, here and in the panel."""
         state = context.window_manager.robir
         state.error, state.error_cure = problem_and_cure(sentence)
-        self.report({"ERROR"}, sentence)
+        refused(self, context, sentence)
         return {"CANCELLED"}
 
 

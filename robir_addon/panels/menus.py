@@ -10,7 +10,7 @@ _IN_ORDER = (
     ("import_result", "refresh_result", "remove_result"),
     ("pick_spot", "forget_spot", "take_sun", "forget_sun"),
     ("set_real_size", "stand_on_floor", "drop_ground", "crop_to_box"),
-    ("compare", "compare_next", "show_tone_curve", "match_view_transform"),
+    ("compare", "compare_next", "match_view_transform"),
     ("use_recovered_light", "use_environment", "picture_lights", "turntable"),
     ("export_glb", "export_usd", "export_textures", "mark_asset"),
     ("install_engine", "cancel_install", "check_engine", "remove_engine"),

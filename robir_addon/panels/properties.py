@@ -212,9 +212,6 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     stage: StringProperty(description="Stage of the reconstruction at work")
     message: StringProperty(description="What is being done")
     seconds_left: FloatProperty(description="Estimated seconds to the end; -1 unknown", default=-1)
-    held_out_psnr: FloatProperty(
-        description="Agreement with photographs kept aside, dB; -1 unknown", default=-1
-    )
     job: StringProperty(description="Result folder of the reconstruction at work")
     error: StringProperty(description="What went wrong, one sentence")
     error_cure: StringProperty(description="What to do about it")

@@ -161,9 +161,6 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
         if state.stage:
             layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
         progress(layout, context)
-        if state.held_out_psnr >= 0.0:
-            text = words("{psnr:.1f} dB on photographs kept aside", psnr=state.held_out_psnr)
-            paragraph(layout, context, text)
         pictures = layout.row(align=True)
         for icon in growth.icons():
             pictures.template_icon(icon_value=icon, scale=5.5)
@@ -189,27 +186,21 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
         compare = column.row(align=True)
         compare.operator("robir.compare", icon="IMAGE_REFERENCE")
         compare.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
-        column.operator("robir.show_tone_curve", icon="IPO_EASE_IN_OUT")
         column.operator("robir.match_view_transform", icon="COLOR")
         column.operator("robir.open_report", icon="URL")
         summary = shown_summary(settings)
         if summary is None:
             return
-        paragraph(layout, context, summary.facts[0])
-        header, body = layout.panel("ROBIR_choices", default_closed=True)
-        header.label(text="What the model chose")
+        paragraph(layout, context, summary.verdict, "ERROR" if summary.reason else "CHECKMARK")
+        if summary.reason:
+            paragraph(layout, context, summary.reason)
+        header, body = layout.panel("ROBIR_details", default_closed=True)
+        header.label(text="Details")
         if body is not None:
             facts = body.column(align=True)
-            for fact in summary.facts[1:]:
+            for fact in summary.facts:
                 paragraph(facts, context, fact, "DOT")
-            for chosen, why in summary.choices:
-                paragraph(body, context, chosen)
-                paragraph(body, context, why).active = False
-        if summary.warnings:
-            header, body = layout.panel("ROBIR_warnings", default_closed=True)
-            text = words("Warnings ({count})", count=len(summary.warnings))
-            header.label(text=text, icon="ERROR")
-            for warning in summary.warnings if body is not None else ():
+            for warning in summary.warnings:
                 paragraph(body, context, warning)
 
 

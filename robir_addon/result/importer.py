@@ -238,6 +238,13 @@ def asset_of(root: Path) -> bpy.types.Object | None:
     return next((o for o in with_mark(bpy.data.objects, mark_of(root)) if o.type == "MESH"), None)
 
 
+def active_result(context: bpy.types.Context) -> str:
+    """Folder of the imported result that the active object belongs to; empty if to none."""
+    active = context.view_layer.objects.active if context.view_layer else None
+    mark = active.get(MARK) if active is not None else None
+    return mark if isinstance(mark, str) and asset_of(Path(mark)) is not None else ""
+
+
 def read_cameras(paths: JobPaths) -> dict[str, Any]:
     """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
 

@@ -6,7 +6,8 @@ foot. What was done is remembered on the object, and done again to a newer mesh.
 photographs and the lamps go along.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import bmesh
 import bpy
@@ -22,7 +23,15 @@ _FITTED = "robir_fitted"
 _MOVED = "robir_moved"
 """Custom property of the object: scale and shift (3) of cameras and lamps, world."""
 
+_STANDS = "robir_stands"
+"""Custom property of the object: it was stood on the floor, and is again where its foot goes."""
+
 _SAME = (1.0, 0.0, 0.0, 0.0)
+
+_CRUMB = 0.005
+"""Share of the object's faces below which a part that hangs on nothing is no part of it."""
+
+_STEEP = 0.1  # cosine below which a plane carries nothing
 
 GROUND_SHARE = 0.03
 """Height above the ground, in radii of the object's bounds, up to which faces belong to it."""
@@ -35,16 +44,47 @@ def scale_result(asset: bpy.types.Object, factor: float) -> None:
     _move_others(asset, factor, origin - factor * origin)
 
 
-def stand(asset: bpy.types.Object) -> None:
-    """Put the object's origin to its foot, the middle of its bounds' lower side, and that to 0."""
-    corners = [asset.matrix_world @ Vector(corner) for corner in asset.bound_box]
-    low, high = (Vector(map(end, zip(*corners, strict=True))) for end in (min, max))
-    foot = Vector((0.5 * (low.x + high.x), 0.5 * (low.y + high.y), low.z))
+def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> None:
+    """Put the object's origin to its foot, the middle of its bounds' lower side, and that to 0.
+
+    Args:
+        asset: The imported object.
+        ground: "normal" and "offset" of the plane that it stands on, capture frame. Where the
+            object still has this ground, it is the foot, whatever hangs below.
+    """
+    # the bounds that Blender keeps are those of before a deletion
+    points = _points(asset) @ np.array(asset.matrix_world.to_3x3()).T
+    low, high = points.min(axis=0), points.max(axis=0)
+    foot = asset.matrix_world.translation + Vector((*(0.5 * (low + high))[:2], low[2]))
+    if ground is not None and _has(asset, ground):
+        scale, *shift = asset.get(_FITTED, _SAME)
+        normal = Vector(ground["normal"])
+        on_it = asset.matrix_world @ (scale * ground["offset"] * normal + Vector(shift))
+        up = asset.matrix_world.to_3x3().inverted().transposed() @ normal
+        if up.z > _STEEP * up.length:
+            foot.z = on_it.z + up.to_2d() @ (on_it - foot).to_2d() / up.z
     _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
     _move_others(asset, 1.0, -foot)
     placed = asset.matrix_world.copy()
     placed.translation = (0.0, 0.0, 0.0)
     asset.matrix_world = placed
+    asset[_STANDS] = True
+
+
+def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> None:
+    """Delete the ground and what then hangs on nothing; what stood on the floor stands again.
+
+    Args:
+        asset: The imported object.
+        ground: "normal" and "offset" of its plane, capture frame.
+        most: Height above it up to which all is ground, capture's unit.
+    """
+    delete_faces(asset, faces_of_ground(asset, ground, most))
+    crumbs = _crumbs(asset)
+    if crumbs.any():
+        delete_faces(asset, crumbs)
+    if asset.get(_STANDS):
+        stand(asset)
 
 
 def fit_again(asset: bpy.types.Object, data: bpy.types.Mesh) -> None:
@@ -59,22 +99,20 @@ def move_again(asset: bpy.types.Object, others: Sequence[bpy.types.Object]) -> N
     _move(others, scale, Vector(shift))
 
 
-def faces_of_ground(
-    asset: bpy.types.Object, normal: Sequence[float], offset: float, most: float
-) -> np.ndarray:
+def faces_of_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> np.ndarray:
     """Which faces are ground: those that reach no higher above its plane than so much.
 
     Args:
         asset: The imported object.
-        normal: Of the plane, capture frame.
-        offset: Of the plane from the capture's origin along the normal.
+        ground: "normal" and "offset" of the plane, capture frame.
         most: Height, capture's unit.
 
     Returns:
         (F,) bool.
     """
     scale, *shift = asset.get(_FITTED, _SAME)
-    height = ((_corners(asset) - shift) / scale) @ np.asarray(normal) - offset
+    height = ((_corners(asset) - shift) / scale) @ np.asarray(ground["normal"])
+    height -= ground["offset"]
     return (height <= most).all(axis=1)
 
 
@@ -117,17 +155,46 @@ def delete_faces(asset: bpy.types.Object, chosen: np.ndarray) -> None:
     asset.data.update()
 
 
+def _crumbs(asset: bpy.types.Object) -> np.ndarray:
+    """Which faces belong to parts of few faces that touch no other part, (F,) bool."""
+    corners = _corners(asset).astype(np.float32)  # seams of the texture part vertices, not places
+    _, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    place = place.reshape(-1, 3)
+    part = np.arange(place.max() + 1)
+    while True:  # each place takes the lowest number that it reaches, and that one's again
+        before, lowest = part.copy(), part[place].min(axis=1)
+        for corner in place.T:
+            np.minimum.at(part, corner, lowest)
+        part = part[part]
+        if (part == before).all():
+            break
+    of_face = part[place[:, 0]]
+    return np.bincount(of_face)[of_face] < _CRUMB * len(place)
+
+
+def _has(asset: bpy.types.Object, ground: Mapping[str, Any]) -> bool:
+    try:
+        return bool(faces_of_ground(asset, ground, 0.0).any())
+    except ResultError:  # edited too far to tell
+        return False
+
+
+def _points(asset: bpy.types.Object) -> np.ndarray:
+    """(V, 3) vertices, object frame."""
+    points = np.empty(3 * len(asset.data.vertices), np.float32)
+    asset.data.vertices.foreach_get("co", points)
+    return points.reshape(-1, 3)
+
+
 def _corners(asset: bpy.types.Object) -> np.ndarray:
     """(F, 3, 3) corners of the triangles, object frame."""
     data = asset.data
-    points = np.empty(3 * len(data.vertices), np.float32)
-    data.vertices.foreach_get("co", points)
     data.calc_loop_triangles()
     if len(data.loop_triangles) != len(data.polygons):
         raise ResultError("the object has faces that are no triangles; it was edited too far")
     index = np.empty(3 * len(data.polygons), np.int32)
     data.loops.foreach_get("vertex_index", index)
-    return points.reshape(-1, 3)[index.reshape(-1, 3)].astype(np.float64)
+    return _points(asset)[index.reshape(-1, 3)].astype(np.float64)
 
 
 def _fit(asset: bpy.types.Object, factor: float, shift: Vector) -> None:

@@ -11,9 +11,9 @@ from bpy.app.handlers import persistent
 from ..gateway import JobPaths, read_json
 from ..relighting.pictures import read_pictures
 from ..words import words
+from .importer import active_result
 
-_DEVICES = {"cpu": "Processor", "cuda": "CUDA"}
-_PRESETS = {"draft": "Draft", "standard": "Standard", "high": "High"}
+_VERDICTS = {"Good": "Good", "Check this": "Check this", "Doubtful": "Doubtful"}
 
 
 @dataclass(frozen=True)
@@ -21,15 +21,17 @@ class Summary:
     """A report in words.
 
     Attributes:
-        facts: How good the result is and where it came from, the most important first.
-        choices: What the model chose, each with the reason.
+        verdict: "Good", "Check this" or "Doubtful".
+        reason: Why, and what to do; empty where it is good.
+        facts: Numbers, and where the result came from.
         warnings: What to be careful about.
         brightness: How well the photographs tell it, which is among the facts as well; empty where
             the report does not say.
     """
 
+    verdict: str
+    reason: str
     facts: tuple[str, ...]
-    choices: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
     brightness: str
 
@@ -57,14 +59,17 @@ def read_shown() -> None:
 
 def summary_of(report: dict[str, Any]) -> Summary:
     """Summary of the contents of a report.json."""
-    choices = tuple(
-        (f"{name.capitalize()}: {choice['chosen']}", str(choice["why"]))
-        for name, choice in report["choices"].items()
-    )
-    doubts = (words("Not to be trusted: {doubt}", doubt=d) for d in report["trust"]["doubts"])
+    trust = report["trust"]
+    verdict = trust.get("verdict")
+    if verdict is None:  # an older result
+        word = "Good" if trust["is_trusted"] else "Doubtful"
+        verdict = {"word": word, "reason": "; ".join(trust["doubts"][:1]), "remedy": ""}
+    sentences = filter(None, (verdict["reason"], verdict["remedy"]))
+    reason = ". ".join(sentence[:1].upper() + sentence[1:] for sentence in sentences)
     told = (warning["message"] for warning in report["warnings"])
-    warnings = (*doubts, *told, *report["missing"])
-    return Summary(tuple(_facts(report)), choices, warnings, _brightness(report))
+    warnings = (*trust["doubts"], *told, *report["missing"])
+    word = words(_VERDICTS.get(verdict["word"]) or verdict["word"])
+    return Summary(word, reason, tuple(_facts(report)), warnings, _brightness(report))
 
 
 def _brightness(report: dict[str, Any]) -> str:
@@ -77,17 +82,10 @@ def _brightness(report: dict[str, Any]) -> str:
 
 def _facts(report: dict[str, Any]) -> list[str]:
     facts = []
-    held_out, cycles = report["held_out"], report["cycles"]
+    held_out = report["held_out"]
     if held_out["psnr"] is not None:
         text = "{psnr:.1f} dB on {count} photographs kept aside"
         facts.append(words(text, psnr=held_out["psnr"], count=held_out["views"]))
-    if cycles["psnr"] is not None:
-        text = "{psnr:.1f} dB for Cycles on {count} of them"
-        facts.append(words(text, psnr=cycles["psnr"], count=cycles["views"]))
-    for sun in report["light"]["sharp"]:
-        share, height = 100.0 * sun["power_share"], sun["elevation_degrees"]
-        text = "Sun {height:.0f}\N{DEGREE SIGN} high: {share:.0f} % of the light"
-        facts.append(words(text, height=height, share=share))
     facts += filter(None, [_brightness(report)])
     share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
     facts.append(words("{share:.0f} % of the surface was seen", share=share))
@@ -98,22 +96,31 @@ def _facts(report: dict[str, Any]) -> list[str]:
     else:
         text = "{faces} triangles, textures of {side} x {side}"
         facts.append(words(text, faces=faces, side=side))
-    minutes = sum(stage["wall"] for stage in report["seconds"].values()) / 60.0
-    preset = _PRESETS.get(report["preset"]) or report["preset"].capitalize()
-    device = _DEVICES.get(report["device"]) or report["device"]
-    text = "{preset}, {device}, {minutes:.1f} minutes"
-    facts.append(words(text, preset=words(preset), device=words(device), minutes=minutes))
     return facts
 
 
+def _follow() -> None:
+    """Show the result of the object that was made active."""
+    result = active_result(bpy.context)
+    if result and bpy.path.abspath(bpy.context.scene.robir.result) != result:
+        bpy.context.scene.robir.result = result
+
+
+def _subscribe() -> None:
+    key = (bpy.types.LayerObjects, "active")
+    bpy.msgbus.subscribe_rna(key=key, owner=_known, args=(), notify=_follow)
+
+
 def register() -> None:
-    """Follow what opens and what is undone."""
+    """Follow what opens, what is undone and which object is active."""
     for handlers in (bpy.app.handlers.load_post, *_undo_handlers()):
         handlers.append(_read_again)
+    _subscribe()
 
 
 def unregister() -> None:
     """Follow no longer."""
+    bpy.msgbus.clear_by_owner(_known)
     for handlers in (bpy.app.handlers.load_post, *_undo_handlers()):
         handlers.remove(_read_again)
     _known.clear()
@@ -125,4 +132,6 @@ def _undo_handlers() -> tuple[list, list]:
 
 @persistent
 def _read_again(*_: object) -> None:
+    bpy.msgbus.clear_by_owner(_known)  # a file that opens takes subscriptions away
+    _subscribe()
     read_shown()

@@ -275,7 +275,7 @@ def _begin(name: str, message: str) -> None:
     state = _state()
     state.task, state.message = name, message
     state.fraction, state.stage = 0.0, ""
-    state.seconds_left = state.held_out_psnr = -1.0
+    state.seconds_left = -1.0
     show_problem("")
 
 
@@ -339,9 +339,8 @@ def _look_at(job: _Job) -> client.Snapshot:
     state = _state()
     state.task, state.job = "reconstruct", str(job.root)
     state.fraction, state.stage = snapshot.fraction, snapshot.stage
-    left, psnr = snapshot.seconds_left, snapshot.metrics.get("held_out_psnr")
+    left = snapshot.seconds_left
     state.seconds_left = -1.0 if left is None else left
-    state.held_out_psnr = psnr if isinstance(psnr, int | float) else -1.0
     state.message = snapshot.message if job.stopped_at is None else told(_STOPPING)
     if job.shown.look(snapshot.stage if snapshot.is_live else ""):
         state.preview_serial += 1

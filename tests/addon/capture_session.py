@@ -41,7 +41,7 @@ def state():
 
 def told():
     """All that a panel could show."""
-    names = ("task", "fraction", "stage", "message", "held_out_psnr", "job", "error", "error_cure")
+    names = ("task", "fraction", "stage", "message", "job", "error", "error_cure")
     return {name: getattr(state(), name) for name in names} | {"result": settings().result}
 
 
@@ -265,7 +265,7 @@ def millimetres(capture):
     middle = [c * 240.0 / facts["radius"] + 795.0 for c in facts["centre"]]
     facts |= {"centre": middle, "radius": 240.0}
     list(module("capture.viewport").show_capture(bpy.context.scene, facts))
-    answer["large"], answer["recognised"] = seen_bounds(), look._recognised(facts)
+    answer["large"] = seen_bounds()
     bpy.ops.robir.add_box()
     answer["box"] = list(module("work.worker").box_of(settings()))
     answer["sphere"] = [*middle, 480.0, 480.0, 480.0]

@@ -56,7 +56,7 @@ def looking(settings, state, result):
 def looked(settings, state, result):
     chosen(settings, state, result)
     state.looked_at = settings.capture
-    state.recognised = "NeRF-synthetic, 40 photographs, 8 kept aside"
+    state.recognised = "40 photographs, NeRF-synthetic"
     for level in ("note", "error", "warning"):
         finding = state.findings.add()
         finding.level = level
@@ -97,7 +97,6 @@ def started(settings, state, result):
 def running(settings, state, result):
     started(settings, state, result)
     state.stage, state.fraction, state.seconds_left = "geometry", 0.42, 5600.0
-    state.held_out_psnr = 27.31
     growth = import_module(f"{MODULE}.work.growth")
     growth._refresh_icons(bpy.data.images.new("RobIR preview", 8, 4))
 
@@ -154,6 +153,8 @@ def doubtful(settings, state, result):
     report = json.loads((Path(result) / "report" / "report.json").read_text())
     report["light_level"] = [{"by": "all", "times": 1.0, "within": 1.8}]
     report["trust"] |= {"is_trusted": False, "doubts": ["the re-render reaches only 12.7 dB"]}
+    verdict = {"word": "Doubtful", "reason": "it looks otherwise", "remedy": "look at the report"}
+    report["trust"]["verdict"] = verdict
     (folder / "report").mkdir()
     (folder / "report" / "report.json").write_text(json.dumps(report))
     done(settings, state, str(folder))

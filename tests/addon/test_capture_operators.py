@@ -62,8 +62,7 @@ def refused(answer, *words: str) -> bool:
 def check_look(answer, capture, shots):
     assert not answer["poll"]
     assert answer["chosen"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"].startswith("NeRF-synthetic, 14 photographs, 2 kept aside, ")
-    assert answer["recognised"].endswith(" units wide")
+    assert answer["recognised"] == "14 photographs, NeRF-synthetic"
     assert "error" not in answer["levels"]
     assert answer["is_same"], "a second look made more of everything"
     assert answer["may_reconstruct"]
@@ -140,9 +139,9 @@ def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots
     assert refused(answer["chosen"], "1 of 14", "press Leave Out")
     assert answer["codes"] == ["missing-images"]
     assert answer["left_out"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"].startswith("NeRF-synthetic, 13 photographs, 2 kept aside")
+    assert answer["recognised"] == "13 photographs, NeRF-synthetic"
     assert len(answer["photographs"]) == 13
-    assert answer["one_less"].startswith("NeRF-synthetic, 12 photographs, 2 kept aside")
+    assert answer["one_less"] == "12 photographs, NeRF-synthetic"
     assert [used for _, used, _ in answer["kept"]].count(False) == 1
     name = answer["photographs"][0]
     assert [name, False, "left out"] in answer["kept"]
@@ -163,7 +162,6 @@ def test_a_capture_in_millimetres_is_shown_at_a_size_to_work_with(own_blender, s
         assert shown["cube"] is False, "what Blender starts with hides the object"
         np.testing.assert_allclose(shown["distances"], answer["plain"]["distances"], rtol=0.3)
     np.testing.assert_allclose(answer["box"], answer["sphere"], rtol=1e-3)
-    assert "480 units wide" in answer["recognised"]
     assert answer["cleared"] is True
 
 
@@ -194,8 +192,6 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert answer["is_same"], "the second import made more of everything"
     told = answer["told"]
     assert (told["result"], told["error"], told["task"], told["job"]) == (str(out), "", "", "")
-    held_out = read_json(JobPaths(out).manifest("export"))["metrics"]["held_out_psnr"]
-    assert told["held_out_psnr"] == pytest.approx(held_out)
     assert "RobIR capture" not in answer["collections"] and answer["collections"]
     assert answer["preview"] == [96, 48] and answer["serial"] >= 2
     assert refused(answer["nothing_at_work"], "No reconstruction is at work")
@@ -216,7 +212,7 @@ def test_a_killed_worker_is_told_and_the_next_goes_on(
     first, working = answer["told"]
     assert (first["task"], first["job"]) == ("reconstruct", str(tmp_path / "out"))
     assert not answer["may_look"]
-    assert working["held_out_psnr"] > 5.0 and 0.5 < working["fraction"] < 0.9
+    assert 0.5 < working["fraction"] < 0.9
     died = answer["died"]
     assert answer["seconds"] < 2.0
     assert "killed in appearance" in died["error"]

@@ -64,7 +64,7 @@ def test_dropped_kept_and_gone(blender, extension_zip, captures, tmp_path):
     )  # fmt: skip
     dropped = answer["dropped"]
     assert dropped["drop"] == [["FINISHED"], str(plain)]
-    assert dropped["recognised"].startswith("NeRF-synthetic, 14 photographs, 2 kept aside")
+    assert dropped["recognised"] == "14 photographs, NeRF-synthetic"
     assert dropped["cameras"] == 14
     assert dropped["undone"] == [0, ""]
     assert dropped["redone"] == [14, str(plain)]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A result in its real size and place, without its ground, and what a newer one keeps of that."""
 
+import shutil
+
 import numpy as np
 import pytest
 import trimesh
@@ -19,6 +21,9 @@ HIGH = 0.5
 """Height of the ground in the test above the sphere's middle, unit frame."""
 
 PLACE = """
+import bmesh
+
+
 def where(asset):
     corners = [v.co[:] for v in asset.data.vertices]
     bpy.context.view_layer.update()
@@ -34,6 +39,15 @@ def where(asset):
             o.name: list(o.location) for o in bpy.data.objects if o.type == "CAMERA"
         },
     }
+
+
+def crumb(asset):
+    mesh = bmesh.new()
+    mesh.from_mesh(asset.data)
+    for across in (0.0, 0.1):
+        mesh.faces.new([mesh.verts.new((across + x, y, 9.0)) for x, y in ((0, 0), (1, 0), (0, 1))])
+    mesh.to_mesh(asset.data)
+    mesh.free()
 
 
 def main(archive, result):
@@ -53,6 +67,9 @@ def main(archive, result):
     answer["stood"] = [call("stand_on_floor"), where(asset)]
     answer["refreshed"] = [call("refresh_result"), where(asset)]
     answer["again"] = [call("import_result"), where(asset)]  # not edited: nobody is asked
+    answer["whole"] = len(asset.data.polygons)
+    crumb(asset)
+    answer["crumbled"] = len(asset.data.polygons)
     answer["dropped"] = [call("drop_ground", height=0.0), where(asset)]
     answer["edited"] = call("import_result")
     answer["nothing"] = call("drop_ground", height=0.0)
@@ -98,8 +115,9 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
         np.testing.assert_allclose(sized["cameras"][name], 3 * np.array(place), atol=1e-5)
     stood = answer["stood"][1]
     side = 3 * sphere_run.SPHERE * sphere_run.RADIUS
-    np.testing.assert_allclose(stood["low"], [-side, -side, 0.0], atol=0.02 * side)
-    np.testing.assert_allclose(stood["high"], [side, side, 2 * side], atol=0.02 * side)
+    level = 3 * HIGH * sphere_run.RADIUS  # the ground is the foot, whatever hangs below
+    np.testing.assert_allclose(stood["low"], [-side, -side, -side - level], atol=0.02 * side)
+    np.testing.assert_allclose(stood["high"], [side, side, side - level], atol=0.02 * side)
     assert stood["origin"] == [0.0, 0.0, 0.0]
     moved = np.array(stood["low"]) - sized["low"]
     for name, place in sized["cameras"].items():
@@ -113,10 +131,11 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
         for name, place in stood["cameras"].items():
             np.testing.assert_allclose(there["cameras"][name], place, atol=1e-4)
     dropped = answer["dropped"][1]
-    level = side + 3 * HIGH * sphere_run.RADIUS
     row = np.pi / 24 * side
-    assert level - row < dropped["low"][2] < level + row
-    assert dropped["high"][2] == pytest.approx(stood["high"][2])
+    assert dropped["low"][2] == pytest.approx(0.0, abs=1e-4)  # it stands again
+    assert dropped["high"][2] == pytest.approx(stood["high"][2], abs=row)
+    assert dropped["origin"] == [0.0, 0.0, 0.0]
+    assert answer["crumbled"] == answer["whole"] + 2  # and nothing hangs in the air
     assert 0 < dropped["faces"] < 0.4 * stood["faces"]
     np.testing.assert_allclose(np.linalg.norm(dropped["normal"]), 1.0, atol=1e-3)
     assert "edited and would be lost" in answer["edited"]
@@ -125,6 +144,36 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
     cropped = answer["cropped"][1]
     assert cropped["low"][0] > -row and cropped["high"][0] == pytest.approx(dropped["high"][0])
     assert answer["undone"] == dropped["faces"]
+
+
+TWO = """
+def main(archive, first, second):
+    install(archive)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module=MODULE)
+    objects = {}
+    for folder in (first, second):
+        call("import_result", directory=folder)
+        objects[folder] = bpy.context.object.name
+    mine = bpy.data.objects[objects[first]]
+    bpy.context.view_layer.objects.active = mine
+    answer = {"done": call("stand_on_floor")}
+    answer["stands"] = [bool(bpy.data.objects[objects[f]].get("robir_stands")) for f in objects]
+    answer["removed"] = call("remove_result")
+    answer["left"] = [objects[f] in bpy.data.objects for f in objects]
+    answer["shown"] = bpy.context.scene.robir.result
+    return answer
+"""
+
+
+def test_what_is_done_is_done_to_the_active_object(own_blender, extension_zip, result, tmp_path):
+    other = shutil.copytree(result.root, tmp_path / "another")
+    folders = str(result.root), str(other)
+    answer = run(own_blender, COMMON + TWO, str(extension_zip), *folders, user=tmp_path / "user")
+    assert answer["done"] == answer["removed"] == ["FINISHED"]
+    assert answer["stands"] == [True, False]
+    assert answer["left"] == [False, True]
+    assert answer["shown"] == folders[1]
 
 
 LEVELS = """

@@ -40,7 +40,7 @@ def test_the_sample_needs_no_capture_and_is_laid_out_once(own_blender, extension
     user = tmp_path / "user"
     answer = run(own_blender, SESSION + SAMPLE, "sample", str(extension_zip), ENGINE, user=user)
     assert answer["poll"] and answer["tried"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"].startswith("NeRF-synthetic, 48 photographs, 8 kept aside, ")
+    assert answer["recognised"] == "48 photographs, NeRF-synthetic"
     assert not answer["faults"]
     place = Path(answer["place"])
     assert place.is_relative_to(user) and place.name == "truck"

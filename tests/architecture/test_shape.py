@@ -113,7 +113,7 @@ def test_the_word_for_hue_is_never_a_name_of_ours():
 
 def test_no_stage_knows_which_format_photographs_came_in():
     """There is one path for every capture: the reader's name is said in the report, no more."""
-    told = {"core/robir/export/report.py", "core/robir/commands.py"}
+    told = {"core/robir/export/report/numbers.py", "core/robir/commands.py"}
     asked = {
         f"{name(path)}:{node.lineno}"
         for path in SOURCES

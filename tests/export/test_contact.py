@@ -13,7 +13,7 @@ from robir.capture.store import load_capture
 from robir.evaluation.layers import load_textures
 from robir.evaluation.metrics import srgb_from_linear
 from robir.export import stage
-from robir.export.report import CONTACT_SIDE
+from robir.export.report.pictures import CONTACT_SIDE
 from robir.jobs.paths import read_json
 
 

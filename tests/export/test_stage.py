@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stage writes the whole contract, with and without Blender."""
 
-import base64
-import html
 import importlib.util
 import json
-import re
-import shutil
 import sys
 import time
 from dataclasses import dataclass, field
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +14,12 @@ import PyOpenColorIO as OCIO
 import pytest
 from evaluation import sphere_run
 
-from robir import cli
 from robir.capture.store import load_capture
 from robir.errors import CancelledError, ConfigError, DeviceError, RobirError, UsageError
-from robir.evaluation.levels import level_scores
 from robir.export import blender, stage
 from robir.export.config import ExportConfig
-from robir.export.report import show_levels
 from robir.jobs.context import StageContext
-from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.jobs.paths import read_json
 
 
 @dataclass
@@ -129,47 +121,6 @@ def test_look_up_table_is_read_by_opencolorio(exported):
             assert processor.applyRGB([linear] * 3)[0] == pytest.approx(display, abs=4e-3)
 
 
-class Sources(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.images, self.others = [], []
-
-    def handle_starttag(self, tag, attrs):
-        named = dict(attrs)
-        if tag == "img":
-            self.images.append(named["src"])
-        self.others += [named[k] for k in ("href", "src") if tag != "img" and k in named]
-
-
-def test_report_is_self_contained(exported):
-    page = exported[0].report.read_text(encoding="utf-8")
-    sources = Sources()
-    sources.feed(page)
-    assert not sources.others
-    assert not re.findall(r"url\(|https?://|<script", page)
-    # three views of photo, re-render, albedo, roughness, normals; two plots; four textures
-    assert len(sources.images) == 3 * 5 + 2 + 4
-    for source in sources.images:
-        head, _, data = source.partition(",")
-        assert head == "data:image/png;base64"
-        assert base64.b64decode(data, validate=True).startswith(b"\x89PNG")
-
-
-def test_report_numbers_have_the_public_keys(exported):
-    numbers = read_json(exported[0].report_json)
-    for stage_name in ("capture", "geometry", "transport", "appearance", "export", "rendering"):
-        assert set(numbers["seconds"][stage_name]) == {"wall", "cpu"}
-    assert numbers["device"] == "cpu"
-    assert numbers["preset"] == "draft"
-    assert numbers["held_out"]["psnr"] == 100.0
-    assert numbers["held_out"]["ssim"] == pytest.approx(1.0)
-    assert numbers["cycles"]["psnr"] is None
-    assert numbers["tone_curve"]["family"] == "standard"
-    assert numbers["choices"]["tone curve"]["chosen"] == "standard"
-    assert numbers["light"]["sharp"][0]["elevation_degrees"] == pytest.approx(41.81, abs=0.01)
-    assert numbers["missing"]
-
-
 def test_without_blender_the_rest_is_there_and_the_report_says_how(tmp_path, monkeypatch):
     paths = sphere_run.make_run(tmp_path / "out")
     find = importlib.util.find_spec
@@ -190,70 +141,6 @@ def test_without_blender_the_rest_is_there_and_the_report_says_how(tmp_path, mon
     assert [file.name for file in paths.renders.iterdir()] == ["relit_mine_a.png"]
     assert "pip install" in read_json(paths.report_json)["missing"][0]
     assert "pip install" in paths.report.read_text(encoding="utf-8")
-
-
-def test_exposures_of_photographs_are_reported(tmp_path):
-    paths = sphere_run.make_run(tmp_path / "out")
-    names = [view.name for view in load_capture(paths.stage("capture")).views]
-    steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
-    table = {"steps": steps, "corner_steps": 0.25, "slope_steps": {}, "other_light": []}
-    write_json(paths.stage("appearance") / "exposure.json", table)
-    stage.run(context(paths, Recorder(), renders=False))
-    exposure = read_json(paths.report_json)["exposure"]
-    assert not exposure["is_even"]
-    assert list(exposure["views"]) == names[::-1]
-    assert exposure["views"][names[0]] == {"exposure": 0.1, "white_balance": [0.0, 0.3]}
-    spread = 0.1 * np.arange(len(names)).std()
-    assert exposure["spread_steps"] == pytest.approx(spread, abs=1e-3)
-    assert exposure["corner_steps"] == 0.25
-    page = paths.report.read_text(encoding="utf-8")
-    assert "darkens the corners of all photographs by 0.25 steps" in page
-    assert f"differ in exposure by {spread:.2f} steps" in page
-    assert f'<td>{names[0]}</td><td class="n">+0.10</td>' in page
-
-
-def test_alike_photographs_are_said_to_be_alike(exported):
-    exposure = read_json(exported[0].report_json)["exposure"]
-    assert exposure == {
-        "is_even": True,
-        "other_light": [],
-        "spread_steps": 0.0,
-        "corner_steps": 0.0,
-        "own_lights": False,
-        "views": {},
-    }
-    page = exported[0].report.read_text(encoding="utf-8")
-    assert "exposed and balanced alike" in page
-    assert "another light" not in page
-
-
-def test_photographs_under_another_light_are_named_and_not_scored(tmp_path):
-    paths = sphere_run.make_run(tmp_path / "out")
-    views = load_capture(paths.stage("capture")).views
-    odd = [next(v.name for v in views if v.split == split) for split in ("train", "held_out")]
-    table = {"steps": {}, "corner_steps": 0.0, "slope_steps": {}, "other_light": odd}
-    write_json(paths.stage("appearance") / "exposure.json", table)
-    stage.run(context(paths, Recorder(), renders=False))
-    numbers = read_json(paths.report_json)
-    kept_aside = sum(view.split == "held_out" for view in views)
-    assert numbers["exposure"]["other_light"] == odd
-    assert numbers["held_out"]["views"] == kept_aside - 1
-    assert numbers["capture"]["train_views"] == len(views) - kept_aside - 1
-    assert f"left out of albedo, light and scores: {', '.join(odd)}" in paths.report.read_text(
-        encoding="utf-8"
-    )
-    # the cameras are all there still
-    assert len(read_json(paths.cameras)["views"]) == len(views)
-
-
-def test_a_name_from_outside_cannot_write_html(tmp_path):
-    paths = sphere_run.make_run(tmp_path / "out")
-    file = paths.stage("appearance") / "choices.json"
-    choices = read_json(file)
-    choices[0]["why"] = "<script>alert(1)</script>"
-    write_json(file, choices)
-    stage.run(context(paths, Recorder(), renders=False))
-    assert "<script" not in paths.report.read_text(encoding="utf-8")
 
 
 FAKE = """
@@ -361,38 +248,3 @@ def test_faults_of_a_whole_blender_are_said_in_words(fake_blender):
 def test_settings_are_checked():
     with pytest.raises(ConfigError, match=r"export\.render_samples"):
         ExportConfig(render_samples=0)
-
-
-def test_the_levels_come_into_the_report_and_replace_those_before(exported, tmp_path, capsys):
-    source = exported[0]
-    paths = JobPaths(tmp_path / "out")
-    shutil.copytree(source.root, paths.root)
-    write_json(paths.manifest("export"), {"stage": "export"})
-    before = paths.report.read_text(encoding="utf-8")
-    assert "Where it is lost" not in before
-    for _ in range(2):
-        assert cli.main(["evaluate", str(paths.root)]) == 0
-        told = capsys.readouterr().out
-        page = paths.report.read_text(encoding="utf-8")
-        assert page.count("Where it is lost") == 1
-        verdict = read_json(paths.levels)["verdict"]
-        assert verdict in told and verdict in html.unescape(page)
-        start, end = page.index('<section id="levels">'), page.index("</section>")
-        assert before == page[:start] + '<section id="levels">' + page[end:]
-    assert page[start:end].count("data:image/png") == 1
-    assert paths.levels_strip.is_file()
-    assert not paths.scores.exists()
-
-
-def test_a_report_of_an_older_version_gets_the_levels_too(exported, tmp_path):
-    paths = JobPaths(tmp_path / "out")
-    paths.report.parent.mkdir(parents=True)
-    levels = level_scores(exported[0], paths.levels_strip)
-    show_levels(paths, levels)  # without a report there is nothing to do
-    assert not paths.report.exists()
-    paths.report.write_text("<p>pictures</p><h2>Light</h2><h2>Time</h2>")
-    show_levels(paths, levels)
-    show_levels(paths, levels)
-    page = paths.report.read_text(encoding="utf-8")
-    assert page.startswith('<p>pictures</p><section id="levels">')
-    assert page.endswith("</section><h2>Light</h2><h2>Time</h2>")

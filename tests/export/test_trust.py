@@ -11,7 +11,7 @@ from evaluation import sphere_run
 
 from robir.capture.store import load_capture
 from robir.evaluation.layers import load_textures, result_mesh
-from robir.export.trust import SIGNS, paint, quality, rivals, shown
+from robir.export.trust import SIGNS, paint, quality, rivals, shown, verdict
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,30 @@ def test_a_perfect_result_is_trusted_with_all_signs(sound):
     assert found["signs"]["rivals"]["value"] == 28.0
     assert found["signs"]["disagreement"]["value"] == pytest.approx(0.1)
     assert found["signs"]["shown"]["value"] == 0.02
+
+
+GOOD = {"outline": 0.995, "rerender": 27.0, "clipped": 0.0, "views": 9.0}
+
+
+def test_the_verdict_is_one_word_one_reason_and_one_remedy():
+    assert verdict(GOOD) == {"word": "Good", "reason": "", "remedy": ""}
+    near = verdict(GOOD | {"clipped": 0.08})
+    assert near["word"] == "Check this"
+    assert near["reason"] == SIGNS["clipped"].reason
+    assert near["remedy"] == SIGNS["clipped"].cure
+    # the sign that is furthest beyond its limit is named, not the first
+    beyond = verdict(GOOD | {"rerender": 17.9, "clipped": 0.4})
+    assert beyond == {"word": "Doubtful"} | {key: near[key] for key in ("reason", "remedy")}
+
+
+@pytest.mark.parametrize("name", SIGNS)
+def test_near_lies_on_the_good_side_of_every_limit(name):
+    sign = SIGNS[name]
+    assert not sign.is_doubtful(sign.near, sign.limit)
+    just = sign.limit + 1e-6 * (sign.limit - sign.near)
+    assert verdict({name: just})["word"] == "Doubtful"
+    assert verdict({name: sign.limit + 0.5 * (sign.near - sign.limit)})["word"] == "Check this"
+    assert not set("0123456789%").intersection(sign.reason)
 
 
 def test_holes_in_the_masks_show_in_the_outline(sound):

@@ -150,7 +150,7 @@ def test_the_comparison_is_labelled_and_goes_on(window: BlenderWindow) -> None:
     first = window.get(shown)
     window.picture("compared")
     # a virtual screen without a window manager gives the new window no keyboard
-    keys = "bpy.context.window_manager.keyconfigs.addon.keymaps['Image'].keymap_items"
+    keys = "bpy.context.window_manager.keyconfigs.addon.keymaps['Frames'].keymap_items"
     assert window.get(f"[i.type for i in {keys} if i.idname == 'robir.compare_next']") == [
         "RIGHT_ARROW",
         "LEFT_ARROW",

@@ -16,7 +16,10 @@ from robir.jobs.paths import replacing
 from robir.jobs.records import read_record
 
 _REPORT = {
-    "held_out": {"psnr": (None, float)}, "trust": {"is_trusted": bool, "doubts": [str]},
+    "held_out": {"psnr": (None, float)}, "trust": {
+        "is_trusted": bool, "doubts": [str],
+        "verdict?": {"word": str, "reason": str, "remedy": str},
+    },
     "capture": {"train_views": int}, "seconds": {...: {"cpu": float}}, "preset": str,
 }  # fmt: skip
 _ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
@@ -29,7 +32,8 @@ class Row:
     Attributes:
         name: Of its result folder.
         state: As of `Standing`, or "doubtful".
-        sentences: Why it failed or is doubtful.
+        word: What is said of it: the result's verdict, else its state.
+        sentences: Why it failed, or the verdict's reason and remedy.
         facts: "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result.
         tags: Of its asset.
         report: Its own report from the library's folder; empty without one.
@@ -39,6 +43,7 @@ class Row:
 
     name: str
     state: str
+    word: str = ""
     sentences: tuple[str, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     tags: tuple[str, ...] = ()
@@ -59,10 +64,14 @@ def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Seque
     except (OSError, ValueError) as error:
         sentence = f"its report cannot be read ({error}); reconstruct it again"
         return Row(name=entry.name, state="failed", sentences=(sentence,), tags=entry.tags)
+    trust = report["trust"]
+    verdict = trust.get("verdict")  # results of older versions have none
+    told = (f"{verdict['reason']}; {verdict['remedy']}",) if verdict and verdict["reason"] else ()
     return Row(
         name=entry.name,
-        state="done" if report["trust"]["is_trusted"] else "doubtful",
-        sentences=tuple(report["trust"]["doubts"]),
+        state="done" if trust["is_trusted"] else "doubtful",
+        word=verdict["word"] if verdict else "",
+        sentences=told or tuple(trust["doubts"]),
         facts={
             "psnr": report["held_out"]["psnr"],
             "views": report["capture"]["train_views"],

@@ -76,16 +76,16 @@ def window(mask: Picture) -> Array:
     return np.concatenate([middle - half, middle + half]) / width
 
 
-def cut(picture: Picture, frame: Array) -> Picture:
+def cut(picture: Picture, frame: Array, side: int = MAX_SIDE) -> Picture:
     """The window of a picture of any size, RGBA; transparent where it reaches beyond it."""
     box = np.round(frame * picture.shape[1]).astype(int).tolist()
-    return thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)))
+    return thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)), side)
 
 
-def thumbnail(picture: Picture) -> Picture:
+def thumbnail(picture: Picture, side: int = MAX_SIDE) -> Picture:
     """The picture at no more than the page can show."""
     image = Image.fromarray(picture)
-    image.thumbnail((MAX_SIDE, MAX_SIDE))
+    image.thumbnail((side, side))
     return np.asarray(image)
 
 

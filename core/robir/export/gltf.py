@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -63,18 +63,29 @@ class _Buffer:
 
 
 def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
-    """Write a mesh whose parts each have a material of their own.
+    """Write what `glb_bytes` gives to a file, atomically."""
+    content = glb_bytes(parts, name)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def glb_bytes(
+    parts: Iterable[Part],
+    name: str,
+    encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (_png(image), "image/png"),
+) -> bytes:
+    """A mesh whose parts each have a material of their own, as a glTF binary file.
 
     glTF knows no UDIM tiles: every tile is a primitive of the one mesh, with texture coordinates in
     0..1 and a material that is named after it and bears its number as "udim" in its extras.
 
     Args:
-        path: File to replace.
         parts: One or more, unwrapped, in the capture's own frame and unit. Base colour is embedded
             as an sRGB PNG; roughness and metallic as one linear PNG with roughness in G and
             metallic in B. Specular other than 1 needs an extension, which viewers that lack it pass
             over.
         name: Name of node, mesh and material.
+        encode: Gives a picture's file and its media type.
     """
     buffer = _Buffer()
     primitives: list[dict[str, Any]] = []
@@ -85,8 +96,9 @@ def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
         materials.append(_material(part, name, len(images)))
         for kind, picture in _pictures(part.textures).items():
             label = kind if part.tile is None else f"{kind}.{part.tile}"
-            view = buffer.add_view(_png(picture))
-            images.append({"bufferView": view, "mimeType": "image/png", "name": label})
+            content, kind_of_file = encode(picture)
+            view = buffer.add_view(content)
+            images.append({"bufferView": view, "mimeType": kind_of_file, "name": label})
     document = {
         "asset": {"version": "2.0", "generator": f"RobIR {__version__}"},
         "extras": {"robir_version": __version__},
@@ -104,7 +116,7 @@ def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
     }
     if any("extensions" in material for material in materials):
         document["extensionsUsed"] = [_SPECULAR]
-    _write_chunks(path, document, bytes(buffer.data))
+    return _chunks(document, bytes(buffer.data))
 
 
 def _primitive(buffer: _Buffer, mesh: Mesh) -> dict[str, Any]:
@@ -184,12 +196,15 @@ def _png(image: Codes) -> bytes:
     return stream.getvalue()
 
 
-def _write_chunks(path: Path, document: dict[str, Any], binary: bytes) -> None:
+def _chunks(document: dict[str, Any], binary: bytes) -> bytes:
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(struct.pack("<4sII", b"glTF", 2, total))
-        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
-        file.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    return b"".join(
+        (
+            struct.pack("<4sII", b"glTF", 2, total),
+            struct.pack("<I4s", len(text), b"JSON") + text,
+            struct.pack("<I4s", len(binary), b"BIN\0") + binary,
+        )
+    )

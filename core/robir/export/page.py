@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import functools
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 
 @functools.cache
 def page_template(package: str, name: str) -> Template:
-    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped."""
+    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped.
+
+    What a page includes may lie in this package too: all pages look alike.
+    """
     return Environment(
-        loader=PackageLoader(package),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("robir.export")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

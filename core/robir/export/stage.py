@@ -18,7 +18,8 @@ from robir.export.cameras import export_cameras
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
 from robir.export.gltf import write_glb
-from robir.export.report import Products, Rendering, write_report
+from robir.export.report.products import Products, Rendering
+from robir.export.report.write import write_report
 from robir.export.tiles import parts_of, tile_textures, write_tiles
 from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
@@ -26,7 +27,7 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 from robir.transport.observe import spread_views
 
-REVISION = 13
+REVISION = 14
 
 RELIGHT_ENVIRONMENT = "city"
 """A map with a hard sun that Blender ships and no capture of ours is lit by."""
@@ -67,7 +68,8 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     report.progress(0.05, "writing textures and the asset")
     textures = tile_textures(arrays, mesh.tiles, len(judged.train), paths.normal_map)
     write_tiles(textures, mesh.tiles, paths.textures)
-    write_glb(paths.asset, parts_of(mesh, textures), asset_name(capture))
+    parts = tuple(parts_of(mesh, textures))
+    write_glb(paths.asset, parts, asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")
     light = export_light(paths)
     tone_curve = export_tone_curve(paths)
@@ -81,6 +83,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
         Products(
             capture=judged,
             mesh=mesh,
+            parts=parts,
             arrays=arrays,
             light=light,
             tone_curve=tone_curve,

@@ -50,13 +50,17 @@ class Sign:
 
     Attributes:
         limit: Where doubt begins.
+        near: Where a value deserves a look, on the good side of the limit.
         doubtful: On which side of the limit.
+        reason: What is said to someone who knows no numbers.
         message: What is said in doubt; `{value}` is the number.
         cure: What the user can do.
     """
 
     limit: float
+    near: float
     doubtful: Literal["below", "above"]
+    reason: str
     message: str
     cure: str
 
@@ -68,50 +72,66 @@ class Sign:
 SIGNS: dict[str, Sign] = {
     "outline": Sign(
         limit=0.98,
+        near=0.985,
         doubtful="below",
+        reason="the model's outline differs from the masks",
         message="the surface's outline and the masks overlap by only {value:.1%}",
         cure="check the masks for holes and spill, and that poses and photographs belong together",
     ),
     "rerender": Sign(
         limit=18.0,
+        near=21.0,
         doubtful="below",
+        reason="the model does not look like photographs that it never saw",
         message="the re-render of held-out photographs reaches only {value:.1f} dB",
         cure="look at the report: what differs there the model cannot explain",
     ),
     "disagreement": Sign(
         limit=0.16,
+        near=0.14,
         doubtful="above",
+        reason="photographs disagree about how bright the same spot is",
         message="photographs disagree about the brightness of the same spot by {value:.0%}",
         cure="lock exposure and white balance while photographing, and check the poses",
     ),
     "views": Sign(
         limit=3.0,
+        near=5.0,
         doubtful="below",
+        reason="few photographs see each spot",
         message="a visible spot is seen by {value:.1f} photographs on average",
         cure="add photographs; 20 around the object are a good start",
     ),
     "clipped": Sign(
         limit=0.1,
+        near=0.07,
         doubtful="above",
+        reason="parts of the object are burnt out to white",
         message="{value:.0%} of the object is burnt out to white",
         cure="photograph darker; what is clipped has no material to be read",
     ),
     "shown": Sign(
         limit=0.05,
+        near=0.035,
         doubtful="above",
+        reason="parts of the model look worse than a plain mean of the photographs",
         message="{value:.0%} of the surface is shown worse than by the mean of its photographs",
         cure="look at the report: the light or the surface is wrong there",
     ),
     "rivals": Sign(
         limit=22.0,
+        near=24.0,
         doubtful="below",
+        reason="the photographs fit two tone curves with different albedo",
         message="photographs fit another tone curve as well, under which albedo is another: "
         "{value:.0f} dB apart",
         cure="tell the tone curve if you know how the photographs were made",
     ),
     "paint": Sign(
         limit=3.0,
+        near=2.0,
         doubtful="above",
+        reason="the colour that you know contradicts the light",
         message="the paint that you know asks for a light {value:.1f} standard errors from all "
         "else that tells how bright it is",
         cure="pick a matt, bright and evenly lit spot, and check its true colour",
@@ -138,7 +158,7 @@ def quality(
 
     Returns:
         "is_trusted"; "signs" by name, each "value", "limit", "doubtful" ("below" or "above");
-        "doubts": sentences, empty for a trusted result.
+        "doubts": sentences, empty for a trusted result; "verdict" as `verdict` gives it.
     """
     values = signs(capture, mesh, arrays, rerender) | left_open
     limits = {name: SIGNS[name].limit for name in values}
@@ -150,11 +170,37 @@ def quality(
     return {
         "is_trusted": not doubts,
         "doubts": doubts,
+        "verdict": verdict(values),
         "signs": {
             name: {"value": value, "limit": limits[name], "doubtful": SIGNS[name].doubtful}
             for name, value in values.items()
         },
     }
+
+
+def verdict(values: dict[str, float]) -> dict[str, str]:
+    """The result in one word, with one reason and one remedy.
+
+    Args:
+        values: Signs by name.
+
+    Returns:
+        "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is
+        beyond it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
+    """
+    way = {
+        name: (value - SIGNS[name].near) / (SIGNS[name].limit - SIGNS[name].near)
+        for name, value in values.items()
+    }
+    worst = max(way, key=way.__getitem__)
+    if way[worst] <= 0.0:
+        return {"word": "Good", "reason": "", "remedy": ""}
+    sign = SIGNS[worst]
+    is_doubtful = any(
+        SIGNS[name].is_doubtful(value, SIGNS[name].limit) for name, value in values.items()
+    )
+    word = "Doubtful" if is_doubtful else "Check this"
+    return {"word": word, "reason": sign.reason, "remedy": sign.cure}
 
 
 def signs(

@@ -247,7 +247,7 @@ class JobPaths:
 
     @property
     def contact(self) -> Path:
-        """A view in small: photograph, re-render, albedo and trust beside each other."""
+        """A view in small: photograph, re-render, albedo, and relit or trust beside each other."""
         return self.root / "report" / "contact.jpg"
 
     @property

@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report: it needs nothing but itself, and shows the asset, its verdict and its numbers."""
+
+import base64
+import html
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import threading
+from html.parser import HTMLParser
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import cv2
+import numpy as np
+import pytest
+from evaluation import sphere_run
+from export.test_stage import Recorder, context
+
+from robir import cli
+from robir.capture.store import load_capture
+from robir.evaluation.levels import level_scores
+from robir.evaluation.light_scores import load_light
+from robir.export import stage
+from robir.export.report.viewer import VIEWER_SCRIPT, embedded_lights, start_orbit
+from robir.export.report.write import show_levels
+from robir.jobs.paths import JobPaths, read_json, write_json
+from robir.maths.vectors import equirect_directions
+
+CHROMIUM = os.environ.get("ROBIR_CHROMIUM") or next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    paths = sphere_run.make_run(tmp_path_factory.mktemp("run") / "out")
+    stage.run(context(paths, Recorder(), renders=False))
+    return paths
+
+
+class Page(HTMLParser):
+    """What a page shows and names: each start tag with its attributes."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def content(address):
+    """Media type and bytes of a data address."""
+    head, _, data = address.partition(",")
+    kind = re.fullmatch(r"data:([\w/.-]+);base64", head)
+    assert kind
+    return kind[1], base64.b64decode(data.partition("#")[0], validate=True)
+
+
+@pytest.fixture(scope="module")
+def page(exported):
+    return Page(exported.report.read_text(encoding="utf-8"))
+
+
+def test_the_page_needs_nothing_but_itself(exported, page):
+    addresses = [
+        attributes[key] for _, attributes in page.tags for key in ("src",) if key in attributes
+    ]
+    kinds = [content(address)[0] for address in addresses]
+    # three views of photo, re-render, albedo, roughness, normals; each to choose, one to wait with
+    assert kinds.count("image/webp") == 3 * 5 + 3 + 1
+    assert kinds.count("image/png") == 2 + 4  # two plots, four textures
+    assert kinds.count("model/gltf-binary") == 1
+    assert len(kinds) == 26
+    own = exported.report.read_text(encoding="utf-8").replace(VIEWER_SCRIPT.read_text("utf-8"), "")
+    assert not re.findall(r"url\(|https?://|@import", own)
+    assert exported.report.stat().st_size < 4e6
+
+
+def test_a_browser_runs_the_scripts_of_the_page_alone(exported, page):
+    (policy,) = (m["content"] for m in page.all("meta") if "http-equiv" in m)
+    assert policy.startswith("default-src 'none'")
+    assert policy.count("'sha256-") == 2 == len(page.all("script"))
+    assert "unsafe-inline" not in policy.partition("script-src")[2].partition(";")[0]
+
+
+def test_files_to_download_are_there(exported, page):
+    places = [link["href"] for link in page.all("a")]
+    assert "../export/asset.glb" in places
+    assert "../export/textures/albedo.png" in places
+    assert all((exported.report.parent / place).is_file() for place in places)
+
+
+def test_the_viewer_has_the_asset_itself_with_pictures_of_a_page(exported, page):
+    (viewer,) = page.all("model-viewer")
+    shown, file = content(viewer["src"])[1], exported.asset.read_bytes()
+    tables = []
+    for data in (shown, file):
+        length = struct.unpack("<I", data[12:16])[0]
+        tables.append(json.loads(data[20 : 20 + length]))
+        assert struct.unpack("<I", data[8:12])[0] == len(data)
+    assert tables[0]["accessors"] == tables[1]["accessors"]
+    assert [image["mimeType"] for image in tables[0]["images"]] == ["image/jpeg"] * 2
+
+
+def test_all_controls_are_named(page):
+    for field in page.all("input"):
+        assert field["type"] in ("radio", "range")
+        if field["type"] == "range" or field["name"] == "view":  # lights have a label of text
+            assert field["aria-label"]
+    assert all("alt" in image for image in page.all("img"))
+    assert page.all("model-viewer")[0]["alt"]
+    assert page.all("html") == [{"lang": "en"}]
+
+
+def test_the_lights_are_where_the_recovered_one_shows_them(exported):
+    lights = dict(embedded_lights(load_light(exported.stage("appearance") / "light.json")))
+    assert list(lights) == ["Recovered", "Studio", "Sunny day", "Evening"]
+    for name, address in lights.items():
+        assert address.endswith("#.hdr"), name  # the viewer knows the kind of file by that
+        image = cv2.imdecode(np.frombuffer(content(address)[1], np.uint8), -1)[..., ::-1]
+        up = equirect_directions(len(image)).numpy()
+        weight = np.sqrt(1 - up[..., 2:] ** 2)
+        assert (image * weight).sum() / (3 * weight.sum()) == pytest.approx(1.0, rel=0.02)
+        if name == "Recovered":
+            at = np.unravel_index(image.sum(-1).argmax(), image.shape[:2])
+            assert up[at] @ sphere_run.SUN_DIRECTION > np.cos(np.radians(3.0))
+
+
+def test_the_viewer_looks_first_from_where_the_photograph_was_taken():
+    mesh, (camera, *_) = sphere_run.world_mesh(), sphere_run.cameras(4, 0.25)
+    around, down, far = start_orbit(camera, mesh).split()
+    assert far == "auto"
+    # the viewer's angles: from its +Z towards its +X, and from its +Y; ours are -Y, +X and +Z
+    theta, phi = (np.radians(float(word.removesuffix("deg"))) for word in (around, down))
+    towards = [np.sin(phi) * np.sin(theta), -np.sin(phi) * np.cos(theta), np.cos(phi)]
+    back = camera.camera_to_world[:3, 2]
+    assert np.array(towards) == pytest.approx(back, abs=5e-3)
+
+
+def test_the_verdict_stands_on_top(exported, page):
+    text = exported.report.read_text(encoding="utf-8")
+    verdict = read_json(exported.report_json)["trust"]["verdict"]
+    start = text.index('<p class="verdict')
+    assert start < text.index("<model-viewer") < text.index("<summary>Details</summary>")
+    assert f"<b>{verdict['word']}</b>" in text[start : start + 200]
+    assert text.index("<summary>Details</summary>") < text.index(" dB</dd>")
+
+
+NOTICES = ("RGBELoader has been deprecated", "GPU stall", "rAF timed out in updateSource")
+"""What the viewer itself writes into the console; no fault."""
+
+PROBE = """<script>
+setTimeout(async () => {
+  const said = {}, range = document.querySelector(".wipe input");
+  const viewer = document.querySelector("model-viewer");
+  range.value = 20; range.dispatchEvent(new Event("input"));
+  said.at = range.parentElement.style.getPropertyValue("--at");
+  const before = document.querySelector(".wipe img").src;
+  document.getElementById("view-1").click();
+  said.changed = document.querySelector(".wipe img").src !== before;
+  document.querySelector(".grid button").click();
+  said.open = document.getElementById("large").open;
+  said.large = document.getElementById("large-name").textContent;
+  document.getElementById("large").dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
+  said.next = document.getElementById("large-name").textContent;
+  document.getElementById("close").click();
+  said.closed = !document.getElementById("large").open;
+  await customElements.whenDefined("model-viewer");
+  if (!viewer.loaded) await new Promise(done => viewer.addEventListener("load", done));
+  const light = viewer.getAttribute("environment-image");
+  document.querySelectorAll("input[name=light]")[2].click();
+  said.relit = viewer.getAttribute("environment-image") !== light;
+  said.wide = document.documentElement.scrollWidth <= innerWidth;
+  await fetch("/said", {method: "POST", body: JSON.stringify(said)});
+}, 200);
+</script><img src="/wait" alt=""></main>"""
+
+
+class Asked(ThreadingHTTPServer):
+    """Serves a page, notes what else it asks for, and holds its last picture until it is done."""
+
+    def __init__(self, page):
+        super().__init__(("127.0.0.1", 0), Answer)
+        self.page, self.others, self.said, self.done = page, [], None, threading.Event()
+
+
+class Answer(BaseHTTPRequestHandler):
+    server: Asked
+
+    def do_GET(self):
+        if self.path == "/wait":
+            self.server.done.wait(90)
+        elif self.path not in ("/page", "/favicon.ico"):
+            self.server.others.append(self.path)
+        self.answer(self.server.page if self.path == "/page" else b"")
+
+    def do_POST(self):
+        self.server.said = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self.answer(b"")
+        self.server.done.set()
+
+    def answer(self, content):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *args):
+        """Not into the tests' output."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [500, 1400])  # a window of Chromium is not narrower
+def test_a_browser_shows_the_page_without_a_fault(exported, tmp_path, width):
+    if CHROMIUM is None:
+        pytest.skip("no Chromium; install one or name it in ROBIR_CHROMIUM")
+    text = exported.report.read_text(encoding="utf-8").replace("</main>", PROBE, 1)
+    # the policy would forbid the probe and what it says
+    text = re.sub(
+        r"script-src [^;]*", "script-src 'wasm-unsafe-eval' 'unsafe-inline'", text, count=1
+    )
+    text = text.replace("img-src", "img-src 'self'", 1).replace(
+        "connect-src", "connect-src 'self'", 1
+    )
+    server = Asked(text.encode())
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    command = [CHROMIUM, "--headless", "--no-sandbox", f"--window-size={width},900"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--dump-dom"]
+    noted = ""
+    for address in (f"http://127.0.0.1:{server.server_port}/page", exported.report.as_uri()):
+        run = [*command, address]
+        noted += subprocess.run(run, capture_output=True, text=True, timeout=100, check=True).stderr
+    server.shutdown()
+    server.server_close()
+    faults = re.findall(r"CONSOLE.*", noted)
+    assert not [fault for fault in faults if not any(one in fault for one in NOTICES)]
+    assert not server.others
+    said = server.said
+    assert [said.pop(one).split()[0] for one in ("large", "next")] == ["photograph", "re-render"]
+    assert said.pop("at") == "20%"
+    assert all(said.values()), said
+
+
+def test_report_numbers_have_the_public_keys(exported):
+    numbers = read_json(exported.report_json)
+    for stage_name in ("capture", "geometry", "transport", "appearance", "export", "rendering"):
+        assert set(numbers["seconds"][stage_name]) == {"wall", "cpu"}
+    assert numbers["device"] == "cpu"
+    assert numbers["preset"] == "draft"
+    assert numbers["held_out"]["psnr"] == 100.0
+    assert numbers["held_out"]["ssim"] == pytest.approx(1.0)
+    assert numbers["cycles"]["psnr"] is None
+    assert numbers["tone_curve"]["family"] == "standard"
+    assert numbers["choices"]["tone curve"]["chosen"] == "standard"
+    assert numbers["light"]["sharp"][0]["elevation_degrees"] == pytest.approx(41.81, abs=0.01)
+    assert numbers["missing"]
+
+
+def test_exposures_of_photographs_are_reported(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    names = [view.name for view in load_capture(paths.stage("capture")).views]
+    steps = {name: [0.1 * n, 0.1 * n, 0.1 * n + 0.3] for n, name in enumerate(names)}
+    table = {"steps": steps, "corner_steps": 0.25, "slope_steps": {}, "other_light": []}
+    write_json(paths.stage("appearance") / "exposure.json", table)
+    stage.run(context(paths, Recorder(), renders=False))
+    exposure = read_json(paths.report_json)["exposure"]
+    assert not exposure["is_even"]
+    assert list(exposure["views"]) == names[::-1]
+    assert exposure["views"][names[0]] == {"exposure": 0.1, "white_balance": [0.0, 0.3]}
+    spread = 0.1 * np.arange(len(names)).std()
+    assert exposure["spread_steps"] == pytest.approx(spread, abs=1e-3)
+    assert exposure["corner_steps"] == 0.25
+    page = paths.report.read_text(encoding="utf-8")
+    assert "darkens the corners of all photographs by 0.25 steps" in page
+    assert f"differ in exposure by {spread:.2f} steps" in page
+    assert f'<td>{names[0]}</td><td class="n">+0.10</td>' in page
+
+
+def test_alike_photographs_are_said_to_be_alike(exported):
+    exposure = read_json(exported.report_json)["exposure"]
+    assert exposure == {
+        "is_even": True,
+        "other_light": [],
+        "spread_steps": 0.0,
+        "corner_steps": 0.0,
+        "own_lights": False,
+        "views": {},
+    }
+    page = exported.report.read_text(encoding="utf-8")
+    assert "exposed and balanced alike" in page
+    assert "another light" not in page
+
+
+def test_photographs_under_another_light_are_named_and_not_scored(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    views = load_capture(paths.stage("capture")).views
+    odd = [next(v.name for v in views if v.split == split) for split in ("train", "held_out")]
+    table = {"steps": {}, "corner_steps": 0.0, "slope_steps": {}, "other_light": odd}
+    write_json(paths.stage("appearance") / "exposure.json", table)
+    stage.run(context(paths, Recorder(), renders=False))
+    numbers = read_json(paths.report_json)
+    kept_aside = sum(view.split == "held_out" for view in views)
+    assert numbers["exposure"]["other_light"] == odd
+    assert numbers["held_out"]["views"] == kept_aside - 1
+    assert numbers["capture"]["train_views"] == len(views) - kept_aside - 1
+    assert f"left out of albedo, light and scores: {', '.join(odd)}" in paths.report.read_text(
+        encoding="utf-8"
+    )
+    # the cameras are all there still
+    assert len(read_json(paths.cameras)["views"]) == len(views)
+
+
+def test_a_name_from_outside_cannot_write_html(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    file = paths.stage("appearance") / "choices.json"
+    choices = read_json(file)
+    choices[0]["why"] = "<script>alert(1)</script>"
+    write_json(file, choices)
+    stage.run(context(paths, Recorder(), renders=False))
+    assert "<script>alert" not in paths.report.read_text(encoding="utf-8")
+
+
+def test_the_levels_come_into_the_report_and_replace_those_before(exported, tmp_path, capsys):
+    source = exported
+    paths = JobPaths(tmp_path / "out")
+    shutil.copytree(source.root, paths.root)
+    write_json(paths.manifest("export"), {"stage": "export"})
+    before = paths.report.read_text(encoding="utf-8")
+    assert "Where it is lost" not in before
+    for _ in range(2):
+        assert cli.main(["evaluate", str(paths.root)]) == 0
+        told = capsys.readouterr().out
+        page = paths.report.read_text(encoding="utf-8")
+        assert page.count("Where it is lost") == 1
+        verdict = read_json(paths.levels)["verdict"]
+        assert verdict in told and verdict in html.unescape(page)
+        start, end = (
+            page.index('<section id="levels">'),
+            page.index("</section>", page.index('<section id="levels">')),
+        )
+        assert before == page[:start] + '<section id="levels">' + page[end:]
+    assert page[start:end].count("data:image/png") == 1
+    assert paths.levels_strip.is_file()
+    assert not paths.scores.exists()
+
+
+def test_a_report_of_an_older_version_gets_the_levels_too(exported, tmp_path):
+    paths = JobPaths(tmp_path / "out")
+    paths.report.parent.mkdir(parents=True)
+    levels = level_scores(exported, paths.levels_strip)
+    show_levels(paths, levels)  # without a report there is nothing to do
+    assert not paths.report.exists()
+    paths.report.write_text("<p>pictures</p><h2>Light</h2><h2>Time</h2>")
+    show_levels(paths, levels)
+    show_levels(paths, levels)
+    page = paths.report.read_text(encoding="utf-8")
+    assert page.startswith('<p>pictures</p><section id="levels">')
+    assert page.endswith("</section><h2>Light</h2><h2>Time</h2>")
