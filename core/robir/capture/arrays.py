@@ -17,16 +17,10 @@ from robir.capture.images.regular import regular
 from robir.capture.refusal import DAMAGED_ARRAYS
 from robir.errors import StorageError
 
+# largest set of arrays of a result that is read at once; 8192 texels a side take half of it
 MAX_STORED_BYTES = 1 << 32
-"""Largest set of arrays of a result that is read at once; 8192 texels a side take half of it."""
-
-PICTURES = {...: "u1 + + 3|4"}
-"""Form of pictures by the views' names, for `stored_arrays`."""
-
-_HEADERS = {
-    (1, 0): numpy_format.read_array_header_1_0,
-    (2, 0): numpy_format.read_array_header_2_0,
-}
+PICTURES = {...: "u1 + + 3|4"}  # form of pictures by the views' names, for `stored_arrays`
+_HEADERS = {(1, 0): numpy_format.read_array_header_1_0, (2, 0): numpy_format.read_array_header_2_0}
 
 
 def read_matrix(file: IO[bytes], most: int) -> Array:
@@ -71,10 +65,7 @@ def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]
         StorageError: If it is missing, damaged, or holds something else.
     """
     try:
-        with (
-            regular(path, MAX_STORED_BYTES) as file,
-            np.load(file, allow_pickle=False) as archive,
-        ):
+        with regular(path, MAX_STORED_BYTES) as file, np.load(file, allow_pickle=False) as archive:
             wanted = _wanted(archive.files, form)
             size, sides = 0, dict[str, int]()
             for name, words in wanted.items():

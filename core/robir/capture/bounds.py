@@ -23,20 +23,14 @@ from robir.capture.frames import Sphere
 
 Array = NDArray[np.float64]
 
-GRID = 48
-"""Cells along each side of the coarse grid."""
-
-MARGIN = 1.02
-"""Factor on the sphere's radius for what masks and poses do not know exactly."""
-
-INSIDE = 64
-"""Mask value from which a pixel counts as object; low, so that thin parts survive."""
-
+GRID = 48  # cells along each side of the coarse grid
+MARGIN = 1.02  # factor on the sphere's radius for what masks and poses do not know exactly
+INSIDE = 64  # mask value from which a pixel counts as object; low, so that thin parts survive
 _LEVELS = 3
 _AGREEMENT = 0.9
 
+# side of a cell, as a share of its distance from the origin, that numbers still tell apart
 _FINEST = 1e-9
-"""Side of a cell, as a share of its distance from the origin, that numbers still tell apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

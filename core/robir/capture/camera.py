@@ -17,8 +17,8 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
+# left, top, right and bottom edge of a part of a picture, whole pixels
 Box = tuple[int, int, int, int]
-"""Left, top, right and bottom edge of a part of a picture, whole pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -84,13 +84,11 @@ class Finding:
         return cls(**{**plain, "files": tuple(plain["files"])})
 
 
-PHOTOGRAPHS_ALONE = "photos"
-"""Format of photographs, or a video, whose cameras we find."""
-
+PHOTOGRAPHS_ALONE = "photos"  # format of photographs, or a video, whose cameras we find
 GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
+# codes of findings about masks that we cut: by colours and poses, by the one colour of the
+# backdrop, and roughly about a mesh that was handed in
 BACKDROP_MASKS, MESH_MASKS = "backdrop-masks", "mesh-masks"
-"""Codes of findings about masks that we cut: by colours and poses, by the one colour of the
-backdrop, and roughly about a mesh that was handed in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,14 +39,14 @@ from robir.capture.refusal import note, warning
 
 Reader = Callable[[], FrameSet]
 
+# files and folders that poses come in, for refusals
 KNOWN = (
     "transforms_train.json, transforms.json, a COLMAP model (sparse/0), "
     "cameras_sphere.npz, poses_bounds.npy, Polycam's keyframes, RealityScan's "
     "internal/external camera parameters (CSV) or XMP files, Metashape's cameras (XML), "
     "Meshroom's cameras.sfm, or what docs/formats.md lists besides"
 )
-"""Files and folders that poses come in, for refusals."""
-
+# formats that are told by what a file holds, and the suffixes of such files
 _FILES = (
     (meshroom, (".json", ".sfm")),
     (opensfm, (".json",)),
@@ -59,11 +59,8 @@ _FILES = (
     (bundler, (".out",)),
     (record3d, (".json", "")),
 )
-"""Formats that are told by what a file holds, and the suffixes of such files."""
-
-_MOST = 200
-"""Files of one folder that are looked into for poses."""
-
+_MOST = 200  # files of one folder that are looked into for poses
+# files of poses that are known but not read: name, what it is, how its poses can be read
 _UNREAD = (
     ("*.psx", "a Metashape project", "export its cameras (File > Export > Export Cameras, XML)"),
     ("*.psz", "a Metashape project", "export its cameras (File > Export > Export Cameras, XML)"),
@@ -77,7 +74,6 @@ _UNREAD = (
     ("*.traj", "an ARKitScenes trajectory", "write its poses as nerfstudio's transforms.json"),
     ("*_calibrated_camera_parameters.txt", "Pix4D's cameras", "export them for Bundler"),
 )  # fmt: skip
-"""Files of poses that are known but not read: name, what it is, how its poses can be read."""
 
 
 def reader_of(source: Path) -> Reader | None:

@@ -33,34 +33,22 @@ from robir.jobs.names import UnsafeNameError, checked_name, file_in
 
 Array = NDArray[np.float64]
 
-HEIF_SUFFIXES = (".heic", ".heif")
-"""Photographs of phones, decoded by pillow-heif."""
-
+HEIF_SUFFIXES = (".heic", ".heif")  # photographs of phones, decoded by pillow-heif
+# sensor data of cameras, developed by rawpy
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2")
-"""Sensor data of cameras, developed by rawpy."""
-
-LINEAR_SUFFIXES = (".exr",)
-"""Pictures whose values are light itself."""
-
+LINEAR_SUFFIXES = (".exr",)  # pictures whose values are light itself
+# kinds of photographs that are read
 IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"),
     *HEIF_SUFFIXES,
     *RAW_SUFFIXES,
     *LINEAR_SUFFIXES,
 )
-"""Kinds of photographs that are read."""
-
+# turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse."""
-
-MAX_NUMBER = 1e12
-"""Matrix entries beyond this come from damaged files, not from cameras."""
-
-MIN_FOCAL = 1e-3
-"""Focal lengths below this, in pixels, come from damaged files too."""
-
-MAX_ANGLE = 3.14
-"""Widest field of view of a pinhole camera, radians."""
+MAX_NUMBER = 1e12  # matrix entries beyond this come from damaged files, not from cameras
+MIN_FOCAL = 1e-3  # focal lengths below this, in pixels, come from damaged files too
+MAX_ANGLE = 3.14  # widest field of view of a pinhole camera, radians
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,9 +18,7 @@ from robir.capture.gltf_json import COMPRESSED, MeshFaultError, buffer_of, entry
 from robir.jobs.records import check
 
 MOST_FACES = 5_000_000
-MOST_CORNERS = 6_000_000
-"""Of all parts of a file together, however often a part is shown."""
-
+MOST_CORNERS = 6_000_000  # of all parts of a file together, however often a part is shown
 _MOST_NODES = 30_000
 
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

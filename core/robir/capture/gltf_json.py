@@ -13,10 +13,9 @@ from typing import Any
 from robir.jobs.records import check
 
 _MOST_TOKENS = 4_000_000
-_JSON_BYTES = 1 << 26
-"""A file of a million nodes has a tenth of these."""
-
+_JSON_BYTES = 1 << 26  # a file of a million nodes has a tenth of these
 _VIEW = {"bufferView": int, "byteOffset?": int}
+# what is read of a file; see `robir.jobs.records`
 _FORM = {
     "asset": {"version": str},
     "extensionsRequired?": [str], "scene?": int, "scenes?": [{"nodes?": [int]}],
@@ -40,8 +39,6 @@ _FORM = {
     "materials?": [{"name?": str}],
     "textures?": [{}], "images?": [{"uri?": str, "bufferView?": int}],
 }  # fmt: skip
-"""What is read of a file; see `robir.jobs.records`."""
-
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_")
 _HARMLESS += ("KHR_mesh_quantization", "KHR_xmp", "EXT_lights_")
 """Beginnings of the names of extensions that change no triangle, or that are read."""

@@ -26,29 +26,18 @@ from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
-"""Kinds of files that are read here."""
-
+SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")  # kinds of files that are read here
+# kinds of files that only Blender reads; the add-on makes a GLB of them
 FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
-"""Kinds of files that only Blender reads; the add-on makes a GLB of them."""
-
-MAX_BYTES = 1 << 29
-"""Largest file; five million triangles have a half of it."""
-
-_MAX_TEXT_BYTES = 1 << 28
-"""Largest file of words; it takes several times its size to read."""
-
+MAX_BYTES = 1 << 29  # largest file; five million triangles have a half of it
+_MAX_TEXT_BYTES = 1 << 28  # largest file of words; it takes several times its size to read
+# normal maps, and which of them each material has; see `normal_maps`
 _Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]
-"""Normal maps, and which of them each material has; see `normal_maps`."""
-
 _NO_MAPS: _Maps = ((), {})
 
+# end of the name of a material that stands for a UDIM tile; "Material.001" is none
 _TILE = re.compile(r"\.(1(?:00[1-9]|0[1-9][0-9]|[1-9][0-9]{2})|2000)$")
-"""End of the name of a material that stands for a UDIM tile; "Material.001" is none."""
-
-_OUTSIDE = 1e-3
-"""Of a texture's side: as far as texture coordinates may leave it by rounding."""
-
+_OUTSIDE = 1e-3  # of a texture's side: as far as texture coordinates may leave it by rounding
 _UNUSED_OF_OBJ = re.compile(rb"(?m)^[ \t]*(?:usemtl|mtllib|[gos])[ \t][^\n]*$")
 _ZERO_OF_OBJ = re.compile(rb"(?m)^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?:[/ \t\r\n]|\Z)")
 _PLY_COUNTS = re.compile(rb"(?m)^element[ \t]+\S+[ \t]+(\S+)")

@@ -34,23 +34,13 @@ from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
-_READING = 0.8
-"""Share of the progress that reading the photographs takes."""
-
-_FIRST_READING = 0.3
-"""The same where masks have to be guessed as well."""
-
-SURVEY_SIDE = 800
-"""Longer side of the photographs by which masks are guessed, pixels."""
-
+_READING = 0.8  # share of the progress that reading the photographs takes
+_FIRST_READING = 0.3  # the same where masks have to be guessed as well
+SURVEY_SIDE = 800  # longer side of the photographs by which masks are guessed, pixels
+# what is looked at once the object's place is known
 _CHECKS = (check_place, check_coverage, check_sharpness, check_light)
-"""What is looked at once the object's place is known."""
-
-_MOST = 200
-"""Folders of one folder that are looked into for captures."""
-
-_REGISTERING = 0.9
-"""Share of the progress that finding poses takes where there are none."""
+_MOST = 200  # folders of one folder that are looked into for captures
+_REGISTERING = 0.9  # share of the progress that finding poses takes where there are none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,15 +13,10 @@ from typing import Any
 from robir.capture.capture import Finding
 from robir.errors import CaptureError
 
-MAX_FILES = 12
-"""Files a finding names at most; the message holds the count."""
-
-SHOWN_FILES = 3
-"""Files that a line of text names; the table of findings has all that are kept."""
-
-MAX_LETTERS = 2000
-"""Letters of a message or a name that are shown."""
-
+MAX_FILES = 12  # files a finding names at most; the message holds the count
+SHOWN_FILES = 3  # files that a line of text names; the table of findings has all that are kept
+MAX_LETTERS = 2000  # letters of a message or a name that are shown
+# what reading a damaged file of arrays raises
 DAMAGED_ARRAYS = (
     OSError,
     ValueError,
@@ -35,7 +30,6 @@ DAMAGED_ARRAYS = (
     zlib.error,
     tokenize.TokenError,
 )
-"""What reading a damaged file of arrays raises."""
 
 
 class CaptureRefusedError(CaptureError):

@@ -13,8 +13,7 @@ from robir.capture.refusal import describe
 from robir.capture.store import save_capture
 from robir.jobs.context import StageContext
 
-REVISION = 6
-"""Raised by hand when the results of this stage change."""
+REVISION = 6  # raised by hand when the results of this stage change
 
 
 def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:

@@ -21,9 +21,8 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
 from robir.maths.similarity import Similarity
 
+# what reading a damaged file of the stage raises
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
-"""What reading a damaged file of the stage raises."""
-
 _BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
 
 _CAPTURE = {
@@ -119,11 +118,7 @@ def _damaged(folder: Path, fault: Exception) -> StorageError:
 
 
 def _plain_bounds(bounds: Bounds) -> dict[str, Any]:
-    return {
-        "centre": bounds.centre.tolist(),
-        "radius": bounds.radius,
-        "origin": bounds.origin,
-    }
+    return {"centre": bounds.centre.tolist(), "radius": bounds.radius, "origin": bounds.origin}
 
 
 def _bounds(plain: dict[str, Any]) -> Bounds:
@@ -179,11 +174,7 @@ def _unsettled(path: Path, fault: Exception) -> StorageError:
 
 
 def _plain_plane(plane: Plane) -> dict[str, Any]:
-    return {
-        "normal": plane.normal.tolist(),
-        "offset": plane.offset,
-        "tolerance": plane.tolerance,
-    }
+    return {"normal": plane.normal.tolist(), "offset": plane.offset, "tolerance": plane.tolerance}
 
 
 def _plane(plain: dict[str, Any]) -> Plane:

@@ -14,20 +14,12 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
+# distance from the plane at which a point still lies on it, against the cameras' distance
 TOLERANCE = 0.008
-"""Distance from the plane at which a point still lies on it, against the cameras' distance."""
-
-PATCH = 0.05
-"""Side of the patches by which points are counted, against the cameras' distance."""
-
-TRIPLES = 1500
-"""Planes tried."""
-
-LEAST_PATCHES = 12
-"""Patches a support plane must hold points in."""
-
-BELOW = 0.25
-"""Greatest share of patches below a support plane, against those on it."""
+PATCH = 0.05  # side of the patches by which points are counted, against the cameras' distance
+TRIPLES = 1500  # planes tried
+LEAST_PATCHES = 12  # patches a support plane must hold points in
+BELOW = 0.25  # greatest share of patches below a support plane, against those on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

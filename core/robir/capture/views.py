@@ -21,16 +21,13 @@ from robir.capture.images.reading import MaskSource, Reading, read_view
 from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, warning
 from robir.capture.support import Plane
 
+# a photograph of so many pixels is decoded in a second, whatever the others have
 HARMLESS_PIXELS = 16_000_000
-"""A photograph of so many pixels is decoded in a second, whatever the others have."""
-
-MAX_RATIO = 16
-"""Times the pixels of a capture's usual photograph that one may have."""
-
+MAX_RATIO = 16  # times the pixels of a capture's usual photograph that one may have
 Array = NDArray[np.float64]
 
+# told the share of the work done, in [0, 1], and what is being done
 Progress = Callable[[float, str], None]
-"""Told the share of the work done, in [0, 1], and what is being done."""
 
 
 def unheard(fraction: float, message: str) -> None:

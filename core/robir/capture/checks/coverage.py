@@ -11,15 +11,10 @@ from robir.capture.capture import Bounds, Finding, View
 from robir.capture.frames import Array
 from robir.capture.refusal import note, warning
 
-WIDE_GAP = 60.0
-"""Degrees without a camera around a direction that count as a side not photographed."""
-
-_SEEN = 30.0
-"""Degrees around a camera that count as photographed."""
-_MISSING = 45.0
-"""Degrees around a camera beyond which a direction counts as missing."""
-_BELOW = -15.0
-"""Elevation in degrees under which nothing is missed: objects stand on something."""
+WIDE_GAP = 60.0  # degrees without a camera around a direction that count as a side not photographed
+_SEEN = 30.0  # degrees around a camera that count as photographed
+_MISSING = 45.0  # degrees around a camera beyond which a direction counts as missing
+_BELOW = -15.0  # elevation in degrees under which nothing is missed: objects stand on something
 _SAMPLES = 500
 
 

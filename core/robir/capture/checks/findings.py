@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.refusal import error, note, warning
 
+# distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
+# steps are 1.2e-4 radii there
 FAR = 2000.0
-"""Distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
-steps are 1.2e-4 radii there."""
-
 _OBJECT = 128
 
 

@@ -15,15 +15,10 @@ from robir.capture.masks.given import IGNORE
 from robir.capture.readers.files import children, without_others
 from robir.capture.refusal import error, note, warning
 
-MIN_VIEWS = 3
-"""Fewer views cannot fix a surface."""
-
+MIN_VIEWS = 3  # fewer views cannot fix a surface
+# more than this are refused: ten times as many as any object needs, and each takes time
 MAX_VIEWS = 2000
-"""More than this are refused: ten times as many as any object needs, and each takes time."""
-
-FEW_VIEWS = 12
-"""Below this many views, hidden sides stay guesses."""
-
+FEW_VIEWS = 12  # below this many views, hidden sides stay guesses
 _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
 
 

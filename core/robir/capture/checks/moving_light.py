@@ -25,27 +25,17 @@ from robir.capture.checks.uneven_exposure import check_brightness, harmonics
 from robir.capture.frames import Array
 from robir.capture.refusal import warning
 
-STATIC = 0.8
-"""Correlation of backgrounds above which they are the same picture."""
-
+STATIC = 0.8  # correlation of backgrounds above which they are the same picture
+# share of a point's changes explained by its normal in the picture that gives the light away.
+# Captures under fixed light reach 0.07 (median over points); renders with a lamp fixed to the
+# camera reach 0.24 to 0.8 on convex objects.
 MOVING = 0.2
-"""Share of a point's changes explained by its normal in the picture that gives the light away.
-
-Captures under fixed light reach 0.07 (median over points); renders with a lamp fixed to the camera
-reach 0.24 to 0.8 on convex objects.
-"""
-
-_SIDE = 96
-"""Longer side of the pictures in which backgrounds are compared, at most twice this."""
-_DETAIL = 2.5
-"""Pixels of those pictures up to which something is detail; vignetting is no detail."""
-_APART = 20.0
-"""Degrees between two cameras from which their backgrounds have to differ."""
+_SIDE = 96  # longer side of the pictures in which backgrounds are compared, at most twice this
+_DETAIL = 2.5  # pixels of those pictures up to which something is detail; vignetting is no detail
+_APART = 20.0  # degrees between two cameras from which their backgrounds have to differ
 _PAIRS = 60
 _SIGHTINGS = 6
-_STEPS = 0.08
-"""Steps of exposure that the moving light has to account for."""
-
+_STEPS = 0.08  # steps of exposure that the moving light has to account for
 _BREAKS = (
     "shadows and highlights turn with the camera, so that they end up in the base colour and "
     "no single environment explains the photographs"

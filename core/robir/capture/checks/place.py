@@ -14,11 +14,10 @@ from robir.capture.refusal import error, note, warning
 
 Views = tuple[View, ...]
 
+# right masks and poses reach 0.99 and more; below this, something is likely to be wrong
 GOOD_AGREEMENT = 0.97
-"""Right masks and poses reach 0.99 and more; below this, something is likely to be wrong."""
-
+# below this median share of a mask explained by the others, masks and poses do not fit
 MIN_AGREEMENT = 0.8
-"""Below this median share of a mask explained by the others, masks and poses do not fit."""
 
 
 def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, list[Finding]]:

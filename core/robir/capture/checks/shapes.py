@@ -12,8 +12,7 @@ from robir.capture.capture import Finding, View
 from robir.capture.frames import Frame, Lens
 from robir.capture.refusal import warning
 
-SHAPE_SLACK = 0.02
-"""Difference of width over height, against itself, that rounding makes at most."""
+SHAPE_SLACK = 0.02  # difference of width over height, against itself, that rounding makes at most
 
 
 def check_shapes(frames: Sequence[Frame], views: Sequence[View]) -> list[Finding]:

@@ -24,30 +24,20 @@ from robir.capture.frames import Array
 from robir.capture.images.loading import resize_view
 from robir.capture.refusal import warning
 
+# ratio to the neighbours' sharpness below which a photograph counts as blurred. Sharp photographs
+# reach 0.78 and more; blurred by a Gaussian of 2.5 pixels, at most 0.73, and by a motion of 10
+# pixels, 0.62 to 0.81.
 BLURRED = 0.76
-"""Ratio to the neighbours' sharpness below which a photograph counts as blurred.
-
-Sharp photographs reach 0.78 and more; blurred by a Gaussian of 2.5 pixels, at most 0.73, and by a
-motion of 10 pixels, 0.62 to 0.81.
-"""
-
+# sharpness that no blurred photograph exceeds: behind a Gaussian of 2.5 pixels, white noise has 8.5
+# / 6.5 = 1.31, and edges have less
 SOFT = 1.45
-"""Sharpness that no blurred photograph exceeds: behind a Gaussian of 2.5 pixels, white noise has
-8.5 / 6.5 = 1.31, and edges have less."""
-
+# ratio to the neighbours' coarser gradients below which a side is plain and nothing can be said.
+# Photographs blurred by 4 pixels keep 0.3 and more; plain sides have 0.14 and less.
 TEXTURED = 0.25
-"""Ratio to the neighbours' coarser gradients below which a side is plain and nothing can be said.
-
-Photographs blurred by 4 pixels keep 0.3 and more; plain sides have 0.14 and less.
-"""
-
-SIDE = 400
-"""Longer side of the photographs that are compared, pixels, at most."""
-
+SIDE = 400  # longer side of the photographs that are compared, pixels, at most
 _FINE, _COARSE = 0.5, 1.5
 _DIRECTIONS = np.array([[0.0, 1.0], [1.0, 0.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
-_MARGIN = 4
-"""Pixels from the mask's edge that are left out: the silhouette is always sharp."""
+_MARGIN = 4  # pixels from the mask's edge that are left out: the silhouette is always sharp
 _LEAST = 400
 _NEIGHBOURS = 8
 

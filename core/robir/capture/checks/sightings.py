@@ -18,16 +18,11 @@ from robir.capture.capture import Bounds, View
 from robir.capture.frames import Array
 from robir.capture.images.loading import resize_view
 
-POWER = 2.2
-"""Of display values, that stands for the tone curve while it is not known."""
-
-SIDE = 400
-"""Longer side of the photographs that are looked at, pixels, at most."""
-
+POWER = 2.2  # of display values, that stands for the tone curve while it is not known
+SIDE = 400  # longer side of the photographs that are looked at, pixels, at most
 _GRID = 40
 _POINTS = 1500
-_FRONTAL = 0.3
-"""Cosine to the view direction from which a hull's normal is worth something."""
+_FRONTAL = 0.3  # cosine to the view direction from which a hull's normal is worth something
 _DARKEST = 0.02
 
 

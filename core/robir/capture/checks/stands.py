@@ -19,12 +19,10 @@ from robir.capture.masks.region import focus
 from robir.capture.refusal import CaptureRefusedError
 from robir.capture.store import plain_camera
 
-MAX_POINTS = 4000
-"""Sparse points that are shown at most."""
-
+MAX_POINTS = 4000  # sparse points that are shown at most
+# radius about the cameras' common focus, against their distance, within which an object is likely
+# to be
 REACH = 0.25
-"""Radius about the cameras' common focus, against their distance, within which an object is likely
-to be."""
 
 
 def stands_of(frames: FrameSet) -> dict[str, Any] | None:

@@ -26,23 +26,14 @@ from robir.capture.views import load_views, unheard
 
 Chosen = list[tuple[Frame, Split]]
 
-_SIDE = 160
-"""Longer side of the photographs that are tried, pixels."""
-
-_MOST = 24
-"""Photographs that are tried."""
-
-_POINTS = 5000
-"""Sparse points that are looked at."""
-
+_SIDE = 160  # longer side of the photographs that are tried, pixels
+_MOST = 24  # photographs that are tried
+_POINTS = 5000  # sparse points that are looked at
+# pixels within which a point that is so much farther away than another is hidden by it
 _CELL, _BEHIND = 6, 1.05
-"""Pixels within which a point that is so much farther away than another is hidden by it."""
-
-_AGREE = 0.03
-"""Share of a mask by which masks have to agree better to decide."""
-
+_AGREE = 0.03  # share of a mask by which masks have to agree better to decide
+# variance of brightness at the same points, against that of the other turn, that decides
 _ALIKE = 0.9
-"""Variance of brightness at the same points, against that of the other turn, that decides."""
 
 
 @dataclass(frozen=True, slots=True)

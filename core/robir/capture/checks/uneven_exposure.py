@@ -16,26 +16,17 @@ from robir.capture.frames import Array
 from robir.capture.images.decode import exif_values, header
 from robir.capture.refusal import CaptureRefusedError, warning
 
-SETTINGS_SPREAD = 0.15
-"""Steps of exposure between the camera's settings that are let pass."""
-
+SETTINGS_SPREAD = 0.15  # steps of exposure between the camera's settings that are let pass
+# steps (standard deviation) by which neighbouring photographs may differ over the whole object.
+# Captures under one light and exposure reach 0.07; exposures off by up to half a step reach 0.28.
 BRIGHTNESS_SPREAD = 0.15
-"""Steps (standard deviation) by which neighbouring photographs may differ over the whole object.
-
-Captures under one light and exposure reach 0.07; exposures off by up to half a step reach 0.28.
-"""
-
+# steps (standard deviation) by which photographs may differ at the same points. Captures under one
+# light and exposure reach 0.1, and 0.15 where the visual hull is far from the object; exposures off
+# by up to half a step reach 0.24.
 POINT_SPREAD = 0.2
-"""Steps (standard deviation) by which photographs may differ at the same points.
-
-Captures under one light and exposure reach 0.1, and 0.15 where the visual hull is far from the
-object; exposures off by up to half a step reach 0.24.
-"""
-
 _TIME, _APERTURE, _SPEED, _FLASH = 33434, 33437, 34855, 37385
 _FIRED = 1
-_FEWEST_VIEWS = 18
-"""Views from which nine coefficients can be told from jitter."""
+_FEWEST_VIEWS = 18  # views from which nine coefficients can be told from jitter
 _FLOOR = 1e-3
 _CURE = "Photograph with exposure and white balance locked (manual mode) and all lamps left alone."
 

@@ -31,34 +31,23 @@ from robir.maths.primaries import (
     xyz_to_rec709,
 )
 
-_PLAIN = ("L", "RGB", "CMYK")
-"""Modes that LittleCMS is given."""
-
-_BAND = 1 << 18
-"""Pixels that are converted at a time."""
-
-_MOST_CHUNKS = 64
-"""Chunks of a PNG before its pixels that are looked at."""
-
+_PLAIN = ("L", "RGB", "CMYK")  # modes that LittleCMS is given
+_BAND = 1 << 18  # pixels that are converted at a time
+_MOST_CHUNKS = 64  # chunks of a PNG before its pixels that are looked at
+# largest profile that is looked at, bytes; the tables of printers have two million
 MAX_PROFILE = 1 << 22
-"""Largest profile that is looked at, bytes; the tables of printers have two million."""
-
 _ADOBE = ("Adobe RGB (by EXIF)", ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06)), D65, 563 / 256)
 _P3 = ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06))
 _REC709 = ("Rec.709", REC709, D65)
+# name, primaries and white, CIE xy, by the code points of H.273; all others are as Rec.709
 _PRIMARIES = {
     9: ("Rec.2020", ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046)), D65),
     11: ("DCI-P3", _P3, (0.314, 0.351)),
     12: ("Display P3", _P3, D65),
 }
-"""Name, primaries and white, CIE xy, by the code points of H.273; all others are as Rec.709."""
-
+# exponents by code point; the curves of video and of sRGB itself are shown as sRGB's is
 _TRANSFER = {4: 2.2, 5: 2.8, 8: 1.0, 17: 2.6}
-"""Exponents by code point; the curves of video and of sRGB itself are shown as sRGB's is."""
-
-HDR = {16: "PQ", 18: "HLG"}
-"""Curves whose codes are no display values."""
-
+HDR = {16: "PQ", 18: "HLG"}  # curves whose codes are no display values
 _CMS_FAULTS = (ImageCms.PyCMSError, OSError, ValueError, TypeError)
 
 

@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 from robir.capture.bounds import INSIDE
 from robir.capture.camera import Box
 
+# width of the strip of background that is kept about the object, against the longer side of what is
+# kept: the outline is soft, and what lies beside it tells what is empty
 MARGIN = 0.05
-"""Width of the strip of background that is kept about the object, against the longer side of what
-is kept: the outline is soft, and what lies beside it tells what is empty."""
-
-LEAST_SAVED = 0.25
-"""Share of the photograph's longer side that cutting must take off to be done."""
-
+LEAST_SAVED = 0.25  # share of the photograph's longer side that cutting must take off to be done
+# longer side of photographs, pixels, that no stage reduces: cutting would gain nothing
 NEVER_REDUCED = 256
-"""Longer side of photographs, pixels, that no stage reduces: cutting would gain nothing."""
 
 
 def object_box(mask: NDArray[np.uint8]) -> Box | None:

@@ -31,36 +31,25 @@ from robir.capture.images.regular import regular
 from robir.capture.images.tiff import check_directories
 from robir.capture.refusal import CaptureRefusedError, refuse
 
+# the cure for a missing optional package, in one place
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
-"""The cure for a missing optional package, in one place."""
-
-MAX_PIXELS = 100_000_000
-"""Largest photograph: decoding takes up to sixteen bytes a pixel."""
-
+MAX_PIXELS = 100_000_000  # largest photograph: decoding takes up to sixteen bytes a pixel
+# longest side of a JPEG; other formats allow pictures that are a billion wide and one high
 MAX_SIDE = 65_535
-"""Longest side of a JPEG; other formats allow pictures that are a billion wide and one high."""
-
-MAX_FILE_BYTES = 1 << 30
-"""Largest file of a photograph."""
-
+MAX_FILE_BYTES = 1 << 30  # largest file of a photograph
+# pixels that a JPEG may make the decoder go over: each of its scans goes over all of them
 MAX_DECODED = 2_000_000_000
-"""Pixels that a JPEG may make the decoder go over: each of its scans goes over all of them."""
-
-MAX_EXIF_BYTES = 1 << 20
-"""Largest EXIF data that is looked at; JPEG can have a sixteenth of it."""
-
+MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a sixteenth of it
+# where a picture's `info` says that it was developed here, without a tone curve
 DEVELOPED = "developed"
-"""Where a picture's `info` says that it was developed here, without a tone curve."""
-
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
 
+# what Pillow raises for broken files
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
-"""What Pillow raises for broken files."""
-
+# what Pillow raises for broken EXIF data
 _BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
-"""What Pillow raises for broken EXIF data."""
-
+# what brings a photograph of each EXIF orientation upright
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -70,7 +59,6 @@ _TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""What brings a photograph of each EXIF orientation upright."""
 
 
 @contextmanager

@@ -23,14 +23,10 @@ from robir.maths.primaries import rgb_to_rec709, srgb_codes
 
 Floats = NDArray[np.float32]
 
+# where a picture's `info` holds its linear Rec.709 values, (H, W, 3 or 4) float32, straight
 LINEAR = "linear"
-"""Where a picture's `info` holds its linear Rec.709 values, (H, W, 3 or 4) float32, straight."""
-
-BRIGHT = 0.995
-"""Share of the pixels that have to be below white."""
-
-_STEP = 7
-"""Every how many-th pixel is looked at for that."""
+BRIGHT = 0.995  # share of the pixels that have to be below white
+_STEP = 7  # every how many-th pixel is looked at for that
 
 
 def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:

@@ -34,14 +34,10 @@ from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
 
-_AT_ONCE = 1 << 24
-"""Largest picture, in pixels, that is shrunk as a whole."""
-
-_BAND = 64
-"""Rows of the result that are made at a time of larger ones."""
-
+_AT_ONCE = 1 << 24  # largest picture, in pixels, that is shrunk as a whole
+_BAND = 64  # rows of the result that are made at a time of larger ones
+# pixels between those at which a lens distortion is evaluated; it is all but linear between
 MESH = 8
-"""Pixels between those at which a lens distortion is evaluated; it is all but linear between."""
 
 
 @dataclass(frozen=True, slots=True)

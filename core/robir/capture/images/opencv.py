@@ -7,5 +7,4 @@ from typing import Any
 
 import cv2 as _library
 
-cv2: Any = _library
-"""The library; its functions give arrays of the type they were given."""
+cv2: Any = _library  # the library; its functions give arrays of the type they were given

@@ -11,20 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.capture.images.colour import (
-    HDR,
-    by_profile,
-    converted,
-    has_gain_map,
-    name_of,
-    space_of,
-)
+from robir.capture.images.colour import HDR, by_profile, converted, has_gain_map, name_of, space_of
 from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
 
-_FEWEST = 20
-"""Soft pixels by which colours multiplied by alpha are told."""
+_FEWEST = 20  # soft pixels by which colours multiplied by alpha are told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,11 +12,8 @@ from PIL import Image
 from robir.capture.images.loading import size_within
 from robir.jobs.paths import replacing
 
-MAX_SIDE = 160
-"""Longer side of each of the two pictures, pixels."""
-
-BACKGROUND = 48
-"""Grey behind the object, display value."""
+MAX_SIDE = 160  # longer side of each of the two pictures, pixels
+BACKGROUND = 48  # grey behind the object, display value
 
 
 def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uint8]) -> None:

@@ -30,12 +30,8 @@ from robir.capture.images.loading import (
 )
 from robir.capture.refusal import refuse
 
-OVERVIEW_SIDE = 192
-"""Longer side of the small copies that show what surrounds the object, pixels."""
-
-SPARE = 1.25
-"""Least pixels that are decoded, along a side, for one that is kept."""
-
+OVERVIEW_SIDE = 192  # longer side of the small copies that show what surrounds the object, pixels
+SPARE = 1.25  # least pixels that are decoded, along a side, for one that is kept
 Size = tuple[int, int]
 
 

@@ -11,8 +11,8 @@ from typing import BinaryIO
 
 from robir.jobs.names import open_regular
 
+# largest file of poses that is read; those of thousands of photographs have a tenth of it
 MAX_BYTES = 1 << 28
-"""Largest file of poses that is read; those of thousands of photographs have a tenth of it."""
 
 
 @contextmanager

@@ -6,13 +6,9 @@ from __future__ import annotations
 import struct
 from typing import BinaryIO
 
-MAX_VALUES = 1 << 17
-"""Numbers that an entry may have: a picture of 65,535 rows has as many strips."""
-
+MAX_VALUES = 1 << 17  # numbers that an entry may have: a picture of 65,535 rows has as many strips
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
-_TEXTS = (1, 2, 7)
-"""Kinds of entries that stay bytes."""
-
+_TEXTS = (1, 2, 7)  # kinds of entries that stay bytes
 _EXIF = 34665
 _SAMPLE_FORMAT, _FLOATING = 339, 3
 

@@ -20,34 +20,20 @@ from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import focus
 from robir.capture.masks.sight import Array, Layer, Posed, sampled
 
-RING = 2
-"""Width of the strip along the edges of a photograph that shows the backdrop, pixels."""
-
+RING = 2  # width of the strip along the edges of a photograph that shows the backdrop, pixels
+# codes by which a backdrop of one colour varies at most: no wall that a camera saw does so little,
+# unless it is clipped
 FLAT = 2
-"""Codes by which a backdrop of one colour varies at most: no wall that a camera saw does so little,
-unless it is clipped."""
-
+# the same about an object in a JPEG file: its blocks of 8 pixels carry their edges over
 RINGING = 16
-"""The same about an object in a JPEG file: its blocks of 8 pixels carry their edges over."""
-
+# share of the strips of all photographs that the backdrop covers at least; the object may run out
+# of some of them
 BARE = 0.9
-"""Share of the strips of all photographs that the backdrop covers at least; the object may run out
-of some of them."""
-
-LEAST, MOST = 0.002, 0.9
-"""Share of the photographs that an object covers, in the median."""
-
-LEAST_HOLE = 4
-"""Pixels of an enclosed patch that is looked at."""
-
-RAYS, STEPS = 24, 96
-"""Rays through each enclosed patch, and points looked at along each."""
-
-CARVED = 2
-"""Other photographs that must see the backdrop through a point for it to be empty."""
-
-NEAR_RIM = 3.0
-"""Pixels from a rim within which the object's own colour is read."""
+LEAST, MOST = 0.002, 0.9  # share of the photographs that an object covers, in the median
+LEAST_HOLE = 4  # pixels of an enclosed patch that is looked at
+RAYS, STEPS = 24, 96  # rays through each enclosed patch, and points looked at along each
+CARVED = 2  # other photographs that must see the backdrop through a point for it to be empty
+NEAR_RIM = 3.0  # pixels from a rim within which the object's own colour is read
 
 
 def backdrop_masks(views: Sequence[Posed], *, is_lossy: bool) -> tuple[Layer, ...] | None:

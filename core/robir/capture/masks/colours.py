@@ -15,23 +15,14 @@ from scipy import ndimage
 
 from robir.capture.masks.sight import Layer, Picture
 
-BINS = (20, 28, 28)
-"""Steps of L*, a* and b*."""
-
+BINS = (20, 28, 28)  # steps of L*, a* and b*
 LOWEST = np.array([0.0, -70.0, -70.0], dtype=np.float32)
 HIGHEST = np.array([100.0, 70.0, 70.0], dtype=np.float32)
 
-SMOOTH = 0.8
-"""Width of the smoothing, steps."""
-
-FLOOR = 2e-5
-"""Likelihood of a colour never seen."""
-
-SURE = 4.0
-"""Greatest evidence of one pixel's colour, natural logarithm of a ratio."""
-
-SHARED = 0.3
-"""Share of all photographs' background in the background of one."""
+SMOOTH = 0.8  # width of the smoothing, steps
+FLOOR = 2e-5  # likelihood of a colour never seen
+SURE = 4.0  # greatest evidence of one pixel's colour, natural logarithm of a ratio
+SHARED = 0.3  # share of all photographs' background in the background of one
 
 
 class Palette:

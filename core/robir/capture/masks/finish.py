@@ -9,11 +9,8 @@ from robir.capture.images.opencv import cv2
 from robir.capture.masks.sight import Bytes, Layer, to_lab
 from robir.capture.masks.walker import walk
 
-BAND = 2
-"""Pixels on both sides of the outline that are looked at anew at each size."""
-
-STEPS = 16
-"""Steps of the solver: belief has only a few pixels to go."""
+BAND = 2  # pixels on both sides of the outline that are looked at anew at each size
+STEPS = 16  # steps of the solver: belief has only a few pixels to go
 
 
 def sharpened(image_display: Bytes, belief: Layer) -> Bytes:

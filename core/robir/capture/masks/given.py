@@ -24,23 +24,15 @@ _AFFIX = re.compile(
     r"[-_.](?:mask|masks|alpha|matte|matted|seg|segmentation|rgba|removebg-preview|removebg)$"
 )
 
-IGNORE = "dynamic_mask"
-"""How the names of pictures begin that say what to ignore (instant-ngp)."""
-
-_FEWEST = 3
-"""Photographs by which one mask for all is told from a coincidence."""
-
-_OPEN = 0.5
-"""Share of the border that a mask has to leave in to outline nothing."""
-
-MAX_FILES = 100_000
-"""Files that a folder of masks may hold."""
-
+IGNORE = "dynamic_mask"  # how the names of pictures begin that say what to ignore (instant-ngp)
+_FEWEST = 3  # photographs by which one mask for all is told from a coincidence
+_OPEN = 0.5  # share of the border that a mask has to leave in to outline nothing
+MAX_FILES = 100_000  # files that a folder of masks may hold
+# the cure for missing masks, in one place
 HOW_TO_SUPPLY = (
     "Supply one mask for each photograph (white = object) with --masks DIR, named like the "
     "photographs, or save the photographs as PNG with a transparent background."
 )
-"""The cure for missing masks, in one place."""
 
 
 def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:

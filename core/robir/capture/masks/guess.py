@@ -22,48 +22,24 @@ from robir.capture.masks.sight import Array, Layer, Picture, Posed, reduced, sam
 from robir.capture.masks.soft_hull import Volume
 from robir.capture.masks.walker import walk
 
-SIDE = 320
-"""Longer side at which masks are made, pixels."""
-
+SIDE = 320  # longer side at which masks are made, pixels
+# share of the photographs that may call a part of the object background, round by round
 DISSENT = (0.15, 0.10, 0.07, 0.05)
-"""Share of the photographs that may call a part of the object background, round by round."""
-
+# belief in the object that the volume alone can give a pixel, round by round
 TRUST = (0.62, 0.62, 0.75, 0.85)
-"""Belief in the object that the volume alone can give a pixel, round by round."""
-
+# evidence for the object taken off every pixel, round by round: what both sides may have is
+# background until the other photographs say otherwise
 CAUTION = (1.0, 1.0, 0.5, 0.0)
-"""Evidence for the object taken off every pixel, round by round: what both sides may have is
-background until the other photographs say otherwise."""
-
-SURE = 0.6
-"""Belief from which the volume decides against the colours in the end."""
-
-DEEP = 4
-"""Pixels from the outline of the volume's picture at which it is believed."""
-
-OUTSIDE = 0.02
-"""Belief below which the volume leaves no room for the object."""
-
-SEED = 1.5
-"""Evidence of a surface point of the object in a pixel, natural logarithm of a ratio."""
-
-CONTAINED = 0.85
-"""Share of the masks that must contain a surface point of the object."""
-
-LEAST_CONTRAST = 0.65
-"""Contrast below which object and background look too alike."""
-
-LEAST_AGREEMENT = 0.75
-"""Agreement below which the masks show no common object."""
-
-MOST = 0.9
-"""Share of the photograph that no object covers in most of them."""
-
-ODD = 0.6
-"""Agreement below which a single mask is named."""
-
-RING = 10
-"""Pixels on both sides of an outline by which colours are judged."""
+SURE = 0.6  # belief from which the volume decides against the colours in the end
+DEEP = 4  # pixels from the outline of the volume's picture at which it is believed
+OUTSIDE = 0.02  # belief below which the volume leaves no room for the object
+SEED = 1.5  # evidence of a surface point of the object in a pixel, natural logarithm of a ratio
+CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
+LEAST_CONTRAST = 0.65  # contrast below which object and background look too alike
+LEAST_AGREEMENT = 0.75  # agreement below which the masks show no common object
+MOST = 0.9  # share of the photograph that no object covers in most of them
+ODD = 0.6  # agreement below which a single mask is named
+RING = 10  # pixels on both sides of an outline by which colours are judged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,23 +18,12 @@ from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.sight import Array, Posed
 
-SIDE = 800
-"""Longer side at which features are looked for, pixels."""
-
-MAX_VIEWS = 48
-"""Photographs used at most, evenly spread over their order."""
-
-FEATURES = 2000
-"""Features used of a photograph at most, the strongest."""
-
-NEIGHBOURS = 3
-"""Photographs each photograph is compared with."""
-
-RATIO = 0.8
-"""Greatest distance of the best match against the second best."""
-
-OFF_LINE = 1.2
-"""Pixels a triangulated point may lie beside its features."""
+SIDE = 800  # longer side at which features are looked for, pixels
+MAX_VIEWS = 48  # photographs used at most, evenly spread over their order
+FEATURES = 2000  # features used of a photograph at most, the strongest
+NEIGHBOURS = 3  # photographs each photograph is compared with
+RATIO = 0.8  # greatest distance of the best match against the second best
+OFF_LINE = 1.2  # pixels a triangulated point may lie beside its features
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,10 +57,7 @@ def features(views: Sequence[Posed], most: int = FEATURES) -> list[Features]:
     found = []
     for view in views:
         scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
-        size = (
-            max(1, round(view.camera.width * scale)),
-            max(1, round(view.camera.height * scale)),
-        )
+        size = (max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
         grey = cv2.cvtColor(view.image_display, cv2.COLOR_RGB2GRAY)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         points, words = sift.detectAndCompute(grey, None)

@@ -15,15 +15,12 @@ from robir.capture.masks.colours import Palette
 from robir.capture.masks.sight import Layer, Picture
 from robir.capture.masks.walker import walk
 
-LESSON = 2.0
-"""Pixels from the surface's outline within which a pixel teaches little of either side."""
-
+LESSON = 2.0  # pixels from the surface's outline within which a pixel teaches little of either side
+# pixels by which the surface's outline may be off for one unit of evidence, natural logarithm of a
+# ratio; colours tell at most four
 WIDTH = 1.5
-"""Pixels by which the surface's outline may be off for one unit of evidence, natural logarithm of
-a ratio; colours tell at most four."""
-
+# evidence, natural logarithm of a ratio, beyond which a float's belief says the same
 MOST_EVIDENCE = 30.0
-"""Evidence, natural logarithm of a ratio, beyond which a float's belief says the same."""
 
 
 def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]:

@@ -21,30 +21,17 @@ from robir.capture.camera import Camera
 from robir.capture.masks.sight import Array
 from robir.capture.support import Plane, across, support_plane
 
+# radius about the focus within which the object is looked for, against the cameras' distance
 REACH = 1.0
-"""Radius about the focus within which the object is looked for, against the cameras' distance."""
-
-LINK = 0.08
-"""Points this near belong together, against the cameras' distance."""
-
-DENSE = 0.1
-"""Points of a cell that may belong to the object, against those of its densest cells."""
-
-LEAST_POINTS = 25
-"""Fewer points than this say nothing about the object's extent."""
-
+LINK = 0.08  # points this near belong together, against the cameras' distance
+DENSE = 0.1  # points of a cell that may belong to the object, against those of its densest cells
+LEAST_POINTS = 25  # fewer points than this say nothing about the object's extent
+# height of the lowest points over the plane, against the height of all, from which what carries
+# them has not been seen
 FLOATING = 0.15
-"""Height of the lowest points over the plane, against the height of all, from which what carries
-them has not been seen."""
-
-FOOT = 0.5
-"""Size of what then is looked for down on the plane, against the outline from above."""
-
-BLIND = 0.2
-"""Radius of the object against the cameras' distance, where no points tell it."""
-
-ROOM = 0.6
-"""Room left about the points of the object, against their largest extent."""
+FOOT = 0.5  # size of what then is looked for down on the plane, against the outline from above
+BLIND = 0.2  # radius of the object against the cameras' distance, where no points tell it
+ROOM = 0.6  # room left about the points of the object, against their largest extent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,17 +17,10 @@ from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import Region
 from robir.capture.masks.sight import Array, Layer, sampled
 
-CELLS = 72
-"""Cells along the longest side of the region."""
-
-SEEN = 0.3
-"""Share of the photographs that must have a cell in frame."""
-
-DOUBT = 0.45
-"""Belief in the outermost pixels of the hull's picture at most."""
-
-COARSE = 2
-"""Pixels of a mask along one pixel of the hull's picture."""
+CELLS = 72  # cells along the longest side of the region
+SEEN = 0.3  # share of the photographs that must have a cell in frame
+DOUBT = 0.45  # belief in the outermost pixels of the hull's picture at most
+COARSE = 2  # pixels of a mask along one pixel of the hull's picture
 
 
 class Volume:

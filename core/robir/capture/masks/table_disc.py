@@ -11,11 +11,8 @@ from robir.capture.images.opencv import cv2
 from robir.capture.masks.sight import Array, Layer
 from robir.capture.support import Plane, across
 
-SPREAD = 1.5
-"""Radius of the disc against the farthest part of the object."""
-
-CORNERS = 180
-"""Corners of the polygon drawn for the disc."""
+SPREAD = 1.5  # radius of the disc against the farthest part of the object
+CORNERS = 180  # corners of the polygon drawn for the disc
 
 
 def disc_about(volume: Array, plane: Plane) -> Array:

@@ -38,14 +38,10 @@ from robir.capture.refusal import error, note, warning
 from robir.capture.views import Loaded, Progress, load_views, unheard
 from robir.jobs.paths import replacing
 
-_LEAST_PIXELS = 200
-"""Pixels of a small photograph that a mesh has to cover to be what it shows."""
-
+_LEAST_PIXELS = 200  # pixels of a small photograph that a mesh has to cover to be what it shows
+# suffixes of pictures without the ringing of lossy compression
 LOSSLESS = (".png", ".tif", ".tiff", ".bmp")
-"""Suffixes of pictures without the ringing of lossy compression."""
-
-_ENOUGH_POINTS = 200
-"""Sparse points of a format that make a search for more needless."""
+_ENOUGH_POINTS = 200  # sparse points of a format that make a search for more needless
 
 
 def with_guessed_masks(
@@ -230,10 +226,7 @@ class GuessedMask:
 
 
 def _guess(
-    frames: FrameSet,
-    views: tuple[View, ...],
-    config: CaptureConfig,
-    progress: Progress,
+    frames: FrameSet, views: tuple[View, ...], config: CaptureConfig, progress: Progress
 ) -> tuple[tuple[View, ...], Guess | None, str]:
     """The views with the poses used, and their masks or why there are none."""
     points = frames.points
@@ -247,9 +240,7 @@ def _guess(
     if region is None:
         return views, None, "the cameras do not aim at a common point"
     guess = guess_masks(
-        views,
-        region,
-        lambda share: progress(0.1 + 0.5 * share, "telling object from background"),
+        views, region, lambda share: progress(0.1 + 0.5 * share, "telling object from background")
     )
     fault = guess.fault()
     return views, (guess if fault is None else None), fault or ""

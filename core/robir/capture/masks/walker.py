@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 
 from robir.capture.masks.sight import Layer
 
-STRENGTH = 0.05
-"""Weight of a pixel's own belief against that of its neighbours."""
-
-LEAST_EDGE = 0.002
-"""Weight between neighbours across the strongest edge."""
-
-STEPS = 60
-"""Steps of conjugate gradients at most."""
+STRENGTH = 0.05  # weight of a pixel's own belief against that of its neighbours
+LEAST_EDGE = 0.002  # weight between neighbours across the strongest edge
+STEPS = 60  # steps of conjugate gradients at most
 
 
 def walk(

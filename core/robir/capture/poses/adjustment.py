@@ -27,38 +27,22 @@ from robir.capture.refusal import note, warning
 
 Array = NDArray[np.float64]
 
-NEIGHBOURS = 6
-"""Photographs each photograph is compared with."""
-
-FEATURES = 1200
-"""Of a photograph at most, the strongest."""
-
+NEIGHBOURS = 6  # photographs each photograph is compared with
+FEATURES = 1200  # of a photograph at most, the strongest
+# photographs that must show a point for it to be followed: two agree on some point too easily
 SHORTEST = 3
-"""Photographs that must show a point for it to be followed: two agree on some point too easily."""
-
+# distance of a match from its epipolar line by the given cameras at most, longer sides of a
+# photograph: what is further off is no error of cameras, but another point
 OFF_LINE = 0.01
-"""Distance of a match from its epipolar line by the given cameras at most, longer sides of a
-photograph: what is further off is no error of cameras, but another point."""
-
-OFF = 6.0
-"""Pixels by which a point may be off in one photograph and be followed still."""
-
-FEWEST = 100
-"""Points on the object from which cameras can be judged."""
-
-KEPT = 5
-"""One point in so many takes no part in the adjustment."""
-
-CAPPED = 3.0
-"""Pixels beyond which a point is only known to be wrong."""
-
+OFF = 6.0  # pixels by which a point may be off in one photograph and be followed still
+FEWEST = 100  # points on the object from which cameras can be judged
+KEPT = 5  # one point in so many takes no part in the adjustment
+CAPPED = 3.0  # pixels beyond which a point is only known to be wrong
 ROUNDS = 25
 
-LEAST_LEAD = 2.0
-"""Standard errors by which points that took no part must meet better."""
-
+LEAST_LEAD = 2.0  # standard errors by which points that took no part must meet better
+# share of the distance before, to which it must fall for the user to be warned of the cameras
 NOTEWORTHY = 0.8
-"""Share of the distance before, to which it must fall for the user to be warned of the cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

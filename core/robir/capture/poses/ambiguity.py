@@ -31,14 +31,11 @@ from robir.capture.poses.solve import Workplace
 if TYPE_CHECKING:
     import pycolmap
 
-MIN_MATCHES = 30
-"""Fewer verified matches are no link worth arguing about."""
-
+MIN_MATCHES = 30  # fewer verified matches are no link worth arguing about
+# cells along the longer side of a picture, by which the area that matches cover is counted
 CELLS = 20
-"""Cells along the longer side of a picture, by which the area that matches cover is counted."""
-
+# pixels of the copies by which half of a pair's matches may miss their epipolar lines
 MAX_OFF = 4.0
-"""Pixels of the copies by which half of a pair's matches may miss their epipolar lines."""
 
 
 @dataclass(frozen=True, slots=True)

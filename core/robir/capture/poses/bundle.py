@@ -23,18 +23,13 @@ from robir.capture.camera import Camera
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+# of the first step, as a share of the diagonal, and what no step helps beyond
 DAMPING, MOST_DAMPING = 1e-3, 1e6
-"""Of the first step, as a share of the diagonal, and what no step helps beyond."""
-
-ENOUGH = 1e-5
-"""Share of the sum by which a step must lower it to be followed by another."""
-
+ENOUGH = 1e-5  # share of the sum by which a step must lower it to be followed by another
+# deviation of `zoom` in cameras that are a few pixels off, in units of a pixel's error: points of
+# one thing hardly tell a focal length from a distance
 ZOOM_SPREAD = 0.03
-"""Deviation of `zoom` in cameras that are a few pixels off, in units of a pixel's error: points of
-one thing hardly tell a focal length from a distance."""
-
-FLIP = np.array([1.0, -1.0])
-"""Rows of a picture count downwards, a camera's y axis points up."""
+FLIP = np.array([1.0, -1.0])  # rows of a picture count downwards, a camera's y axis points up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,9 +117,7 @@ class Bundle:
         turn = (left * sign) @ right
         scale = (spread * sign).sum() / (own**2).sum()
         return replace(
-            self,
-            rotations=self.rotations @ turn.T,
-            centres=scale * own @ turn.T + wanted,
+            self, rotations=self.rotations @ turn.T, centres=scale * own @ turn.T + wanted
         )
 
     def local(self, tracks: Tracks, points: Array) -> Array:

@@ -20,30 +20,19 @@ from robir.capture.refusal import MAX_FILES, error, note, warning
 if TYPE_CHECKING:
     import pycolmap
 
-LINK = 30
-"""Verified matches from which on two photographs count as showing the same thing."""
-
+LINK = 30  # verified matches from which on two photographs count as showing the same thing
+# median motion of matched points, in longer sides, below which the camera has not moved
 STILL = 0.004
-"""Median motion of matched points, in longer sides, below which the camera has not moved."""
-
-COMPARABLE = 0.5
-"""A second model of this share of the first is no leftover but half of the capture."""
-
+COMPARABLE = 0.5  # a second model of this share of the first is no leftover but half of the capture
+# photographs stand side by side within this angle and this share of the cameras' distance from
+# their middle
 BESIDE_DEGREES, BESIDE_SHARE = 15.0, 0.3
-"""Photographs stand side by side within this angle and this share of the cameras' distance from
-their middle."""
-
+# matches of photographs side by side, against what either has with its third best partner, below
+# which they are strangers. The right models of five captures have no such pair; one of a round tub
+# with sides laid on each other has nine.
 STRANGE = 0.35
-"""Matches of photographs side by side, against what either has with its third best partner, below
-which they are strangers. The right models of five captures have no such pair; one of a round tub
-with sides laid on each other has nine."""
-
-MIN_STRANGE = 3
-"""Pairs of strangers side by side from which on sides were laid on each other."""
-
-FEW = 0.7
-"""Below this share of photographs placed, the user is warned."""
-
+MIN_STRANGE = 3  # pairs of strangers side by side from which on sides were laid on each other
+FEW = 0.7  # below this share of photographs placed, the user is warned
 _TEXTURE = (
     "Features are corners and patterns: light the object evenly, keep photographs sharp, and put "
     "a plain or glossy object on a patterned cloth or a newspaper that stays in place."

@@ -6,20 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-Pair = tuple[str, str]
-"""Names of two photographs."""
-
-MAX_EXHAUSTIVE = 120
-"""Up to this many photographs, all pairs are compared (7140 of them)."""
-
-TILE = 12
-"""Photographs in a row and a column of one portion; each is loaded once a portion."""
-
-NEIGHBOURS = 10
-"""Pictures before and after one in a sequence that it is compared with."""
-
+Pair = tuple[str, str]  # names of two photographs
+MAX_EXHAUSTIVE = 120  # up to this many photographs, all pairs are compared (7140 of them)
+TILE = 12  # photographs in a row and a column of one portion; each is loaded once a portion
+NEIGHBOURS = 10  # pictures before and after one in a sequence that it is compared with
+# pictures of a sequence, evenly spaced, that are compared with each other to close loops
 LOOP_PICTURES = 40
-"""Pictures of a sequence, evenly spaced, that are compared with each other to close loops."""
 
 
 def all_pairs(names: Sequence[str]) -> list[list[Pair]]:

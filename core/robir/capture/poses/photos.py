@@ -17,18 +17,15 @@ from robir.capture.readers.files import children, is_other, without_others
 from robir.capture.refusal import note, refuse
 from robir.jobs.names import UnsafeNameError, checked_name
 
+# kinds of videos that frames are taken from
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".3gp")
-"""Kinds of videos that frames are taken from."""
-
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
 
 _RENAME = "Rename it with letters and digits, or take it away."
 
+# millimetres; what a "35 mm equivalent" focal length refers to
 _SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)
-"""Millimetres; what a "35 mm equivalent" focal length refers to."""
-
-_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}
-"""Millimetres in a unit of EXIF's focal plane resolution."""
+_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # millimetres in a unit of EXIF's focal plane resolution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,23 +20,15 @@ from robir.capture.refusal import CaptureRefusedError, error, note, warning
 from robir.capture.views import Progress
 from robir.jobs.paths import replacing
 
-FEATURE_SIDE = 1000
-"""Longer side of the copies in pixels."""
-
-LARGE_MEGAPIXELS = 40.0
-"""From this size on the user is told that a photograph was made smaller."""
-
-PANORAMA_ASPECT = 2.2
-"""No lens takes pictures wider than this; stitching does."""
-
-MIN_PHOTOGRAPHS = 6
-"""Fewer cannot be placed dependably, nor do they show an object."""
-
+FEATURE_SIDE = 1000  # longer side of the copies in pixels
+LARGE_MEGAPIXELS = 40.0  # from this size on the user is told that a photograph was made smaller
+PANORAMA_ASPECT = 2.2  # no lens takes pictures wider than this; stitching does
+MIN_PHOTOGRAPHS = 6  # fewer cannot be placed dependably, nor do they show an object
+# the cure for too few photographs
 MORE_PHOTOGRAPHS = (
     "Walk around the object and take 30 to 100, each with at least two thirds of what the one "
     "before shows."
 )
-"""The cure for too few photographs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,14 +31,10 @@ from robir.jobs.paths import read_json, write_json
 if TYPE_CHECKING:
     import pycolmap
 
-REVISION = 3
-"""Raised by hand when the results of this room change."""
-
-MAX_ANEW = 4
-"""How often cameras are placed anew where sides that look alike led them astray."""
-
+REVISION = 3  # raised by hand when the results of this room change
+MAX_ANEW = 4  # how often cameras are placed anew where sides that look alike led them astray
+# typical share of each step in the time
 _SHARES = {"frames": 0.1, "copies": 0.1, "features": 0.35, "matches": 0.25, "cameras": 0.2}
-"""Typical share of each step in the time."""
 
 
 def is_video(source: Path) -> bool:

@@ -25,37 +25,23 @@ from robir.capture.views import Progress
 if TYPE_CHECKING:
     import pycolmap
 
+# bounds of the number of features looked for in a photograph
 MIN_FEATURES, MAX_FEATURES = 2048, 8192
-"""Bounds of the number of features looked for in a photograph."""
-
+# pairs that can be matched at `MIN_FEATURES` in about 100 CPU-seconds; fewer pairs, more features,
+# for the time of a pair goes with the square of their number
 CHEAP_PAIRS = 2500
-"""Pairs that can be matched at `MIN_FEATURES` in about 100 CPU-seconds; fewer pairs, more
-features, for the time of a pair goes with the square of their number."""
-
+# one focal length and one coefficient of distortion: what few photographs can still fix
 CAMERA_MODEL = "SIMPLE_RADIAL"
-"""One focal length and one coefficient of distortion: what few photographs can still fix."""
-
+# focal length in longer sides where nothing is known; a phone's is about 0.8, a portrait 2
 UNKNOWN_FOCAL = 1.2
-"""Focal length in longer sides where nothing is known; a phone's is about 0.8, a portrait 2."""
-
-MIN_MODEL = 3
-"""Photographs of the smallest model worth hearing about."""
-
-ROBUST_SCALE = 0.7
-"""Scale of the Cauchy loss in mean reprojection errors: about the median one."""
-
-REFINE_ITERATIONS = 50
-"""Iterations of the last adjustment at most."""
-
-MIN_TO_CENTRE = 15
-"""Photographs of a lens from which on its axis is looked for."""
-
+MIN_MODEL = 3  # photographs of the smallest model worth hearing about
+ROBUST_SCALE = 0.7  # scale of the Cauchy loss in mean reprojection errors: about the median one
+REFINE_ITERATIONS = 50  # iterations of the last adjustment at most
+MIN_TO_CENTRE = 15  # photographs of a lens from which on its axis is looked for
+# a lens's axis this far from the middle, in longer sides, is a wrong solution
 MAX_OFF_CENTRE = 0.06
-"""A lens's axis this far from the middle, in longer sides, is a wrong solution."""
-
+# each thread that looks for features holds a pyramid of its own in memory
 _THREADS = min(4, os.cpu_count() or 1)
-"""Each thread that looks for features holds a pyramid of its own in memory."""
-
 _PORTION = 2 * _THREADS
 
 

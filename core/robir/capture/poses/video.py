@@ -20,18 +20,12 @@ from robir.capture.refusal import note, refuse
 from robir.capture.views import Progress
 from robir.jobs.paths import replacing
 
-FRAMES = 100
-"""Frames taken from a video at most."""
-
+FRAMES = 100  # frames taken from a video at most
+# longer side in pixels of the picture that sharpness is measured on: noise must not count
 SHARPNESS_SIDE = 480
-"""Longer side in pixels of the picture that sharpness is measured on: noise must not count."""
-
-MAX_BYTES = 1 << 35
-"""Largest video."""
-
+MAX_BYTES = 1 << 35  # largest video
+# largest frame, a little more than 8K: decoders keep up to sixteen of them
 MAX_FRAME_PIXELS = 36_000_000
-"""Largest frame, a little more than 8K: decoders keep up to sixteen of them."""
-
 _CONTAINERS: dict[str, str] = {
     **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
     **dict.fromkeys((".mkv", ".webm"), "matroska"),

@@ -19,14 +19,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from robir.capture.frames import (
-    MAX_NUMBER,
-    Array,
-    Distortion,
-    FrameSet,
-    Lens,
-    checked_lens,
-)
+from robir.capture.frames import MAX_NUMBER, Array, Distortion, FrameSet, Lens, checked_lens
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
 from robir.capture.readers.programs import colmap_rigs
@@ -36,6 +29,7 @@ from robir.capture.refusal import CaptureRefusedError, note, refuse
 
 FORMAT = "colmap"
 
+# camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -56,21 +50,11 @@ _MODELS = {
     16: ("EUCM", 6),
     17: ("EQUIRECTANGULAR", 2),
 }
-"""Camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)."""
-
-
+# models that pycolmap evaluates
 _BY_PYCOLMAP = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "DIVISION", "EUCM")
-"""Models that pycolmap evaluates."""
-
-_MAX_BYTES = 1 << 29
-"""Largest file of a model: every photograph's observations stand in it."""
-
-_MAX_POINTS = 1_000_000
-"""Sparse points that are read; they only help to find the object."""
-
-_LONG = 8192
-"""Letters of a line beyond which it holds no photograph's pose and path."""
-
+_MAX_BYTES = 1 << 29  # largest file of a model: every photograph's observations stand in it
+_MAX_POINTS = 1_000_000  # sparse points that are read; they only help to find the object
+_LONG = 8192  # letters of a line beyond which it holds no photograph's pose and path
 _CURE = "Export the model again."
 _Parameters = Annotated[list[float], Meta(max_length=16)]
 _Sides = tuple[Side, Side]

@@ -19,19 +19,14 @@ from robir.capture.images.regular import regular
 from robir.capture.refusal import refuse
 from robir.jobs.names import open_regular
 
+# where photographs usually lie, the likeliest first
 IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
-"""Where photographs usually lie, the likeliest first."""
-
-MAX_VALUES_BYTES = 1 << 30
-"""Memory that the values of a JSON file may come to."""
-
+MAX_VALUES_BYTES = 1 << 30  # memory that the values of a JSON file may come to
+# what folders of other pictures are called, and what such pictures are called at the end
 _OTHER_PICTURES = re.compile(
     r"mask|matte|alpha|segment|truth|depth|normal|thumb|confidence|albedo|roughness", re.IGNORECASE
 )
-"""What folders of other pictures are called, and what such pictures are called at the end."""
-
-_DEPTH = 3
-"""Folders below the capture's own that are searched for photographs."""
+_DEPTH = 3  # folders below the capture's own that are searched for photographs
 
 
 def read_text(path: Path) -> str:

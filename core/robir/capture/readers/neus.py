@@ -16,14 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from robir.capture.arrays import read_matrix
-from robir.capture.frames import (
-    MAX_NUMBER,
-    OPENGL_FROM_OPENCV,
-    Array,
-    FrameSet,
-    Lens,
-    Sphere,
-)
+from robir.capture.frames import MAX_NUMBER, OPENGL_FROM_OPENCV, Array, FrameSet, Lens, Sphere
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import children, photographs_in
 from robir.capture.readers.shots import Shot, frame_set, with_masks
@@ -34,8 +27,7 @@ NAME = "cameras_sphere.npz"
 
 _MATRIX = "world_mat_"
 _SCALE = "scale_mat_"
-_MAX_SKEW = 1.0
-"""Largest displacement in pixels by skewed pixel axes that is let pass."""
+_MAX_SKEW = 1.0  # largest displacement in pixels by skewed pixel axes that is let pass
 
 
 def find(source: Path) -> Path | None:

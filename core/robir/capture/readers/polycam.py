@@ -102,8 +102,7 @@ _SIDES = [("width", Side), ("height", Side)]
 _NUMBERS = [("fx", Positive), ("fy", Positive), ("cx", Number), ("cy", Number)]
 _ROWS = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
 _POSE = [(key, float) for row in _ROWS for key in row]
-_Camera = msgspec.defstruct("_Camera", [*_SIDES, *_NUMBERS, *_POSE])
-"""A camera file."""
+_Camera = msgspec.defstruct("_Camera", [*_SIDES, *_NUMBERS, *_POSE])  # a camera file
 
 
 def _shot(path: Path, name: str) -> Shot:

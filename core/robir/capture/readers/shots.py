@@ -30,8 +30,8 @@ from robir.capture.masks.given import from_folder
 from robir.capture.readers.files import locate_photographs
 from robir.capture.refusal import note, refuse, warning
 
+# a position, or three numbers that say how something is turned
 Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
-"""A position, or three numbers that say how something is turned."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

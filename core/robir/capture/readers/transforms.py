@@ -34,6 +34,7 @@ _RATIONAL_MODEL = "FULL_OPENCV"
 _FISHEYE_MODELS = frozenset(
     {"OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 )
+# camera models whose parameters are fl_x, fl_y, cx, cy, k1..k6, p1, p2
 _MODELS = _FISHEYE_MODELS | {
     "OPENCV",
     "PINHOLE",
@@ -43,14 +44,7 @@ _MODELS = _FISHEYE_MODELS | {
     "PERSPECTIVE",
     _RATIONAL_MODEL,
 }
-"""Camera models whose parameters are fl_x, fl_y, cx, cy, k1..k6, p1, p2."""
-
-_OTHER_PROJECTIONS = (
-    "equirectangular",
-    "latlong",
-    "orthographic",
-    "ftheta_p0",
-)
+_OTHER_PROJECTIONS = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
 
 _TESTS = ("test", "val", "eval")
 

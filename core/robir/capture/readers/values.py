@@ -18,21 +18,13 @@ from msgspec import Meta
 from robir.capture.frames import MAX_NUMBER
 from robir.capture.refusal import CaptureRefusedError, refuse
 
+# finite, of a size that a camera may have
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
-"""Finite, of a size that a camera may have."""
-
-Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]
-"""A focal length or an angle."""
-
-Side = Annotated[int, Meta(ge=1, le=1 << 20)]
-"""Width or height of a picture in pixels."""
-
+Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]  # a focal length or an angle
+Side = Annotated[int, Meta(ge=1, le=1 << 20)]  # width or height of a picture in pixels
+# what entries of a file refer to each other by
 Identity = Annotated[str, Meta(min_length=1, max_length=64)]
-"""What entries of a file refer to each other by."""
-
-Matrix = list[list[float]]
-"""Rows of a pose, whatever its numbers are worth."""
-
+Matrix = list[list[float]]  # rows of a pose, whatever its numbers are worth
 T = TypeVar("T")
 
 _NAMES = {"float": "a number", "int": "a whole number", "str": "text", "array": "a list"}

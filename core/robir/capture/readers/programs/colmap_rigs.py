@@ -15,9 +15,7 @@ import numpy as np
 from robir.capture.frames import Array
 from robir.capture.readers.shots import opencv_view, turned_by
 
-Take = Callable[[str], tuple]
-"""Next values of a file, by their codes in `struct`."""
-
+Take = Callable[[str], tuple]  # next values of a file, by their codes in `struct`
 _CAMERA = 0
 _SENSORS = {"INVALID": "-1", "CAMERA": "0", "IMU": "1"}
 _POSE = "7d"

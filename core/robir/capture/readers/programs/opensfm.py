@@ -26,6 +26,7 @@ FORMAT = "opensfm"
 NAME = "reconstruction.json"
 
 _CURE = "Take reconstruction.json from the folder opensfm of the project."
+# radial terms of each projection that is read (`camera_from_json` of opensfm/io.py)
 _TERMS = {
     "perspective": 2,
     "simple_radial": 1,
@@ -34,7 +35,6 @@ _TERMS = {
     "fisheye": 2,
     "fisheye_opencv": 4,
 }
-"""Radial terms of each projection that is read (`camera_from_json` of opensfm/io.py)."""
 
 
 class _Camera(msgspec.Struct):
