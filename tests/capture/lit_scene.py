@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The test scene under lamps that stay or move with the camera, for checks of the light."""
+"""The test scene under one lamp that stays, for checks of blur and exposure."""
 
 from __future__ import annotations
 
@@ -13,22 +13,16 @@ from robir.capture.capture import Bounds, View
 
 BOUNDS = Bounds(centre=CENTRE, radius=1.05, origin="hand")
 SUN = np.array([0.5, 0.3, 0.8])
-FLASH = np.array([0.05, 0.08, 1.0])
-LAMP = np.array([-0.8, 0.7, 0.7])
-"""Directions to lamps; the first in the world, the others in the camera's frame."""
 
 
-def photograph(camera: Camera, name: str, lamp: str = "sun", behind: np.ndarray | None = None):
+def photograph(camera: Camera, name: str):
     """A view of the scene with sharp patches, a soft highlight and hard shadows."""
     origins, rays = camera.rays(camera.pixel_centres())
     distance = trace(origins, rays)
     hit = np.isfinite(distance)
     points = (origins + np.where(hit, distance, 0.0)[:, None] * rays)[hit]
     normals = _normals(points - CENTRE)
-    turn = camera.camera_to_world[:3, :3]
-    light = {"sun": SUN, "flash": turn @ FLASH, "lamp": turn @ LAMP}[lamp]
-    light = light / np.linalg.norm(light)
-    up = np.array([0.0, 0.0, 1.0]) if lamp == "sun" else turn @ np.array([0.0, 1.0, 0.0])
+    light = SUN / np.linalg.norm(SUN)
     to_lamp = trace(points + 1e-4 * normals, np.broadcast_to(light, points.shape))
     # What lies behind the start is no obstacle.
     lit = np.isinf(to_lamp) | (to_lamp < 0)
@@ -38,11 +32,9 @@ def photograph(camera: Camera, name: str, lamp: str = "sun", behind: np.ndarray 
     local = points - CENTRE
     albedo = 0.4 + 0.15 * np.sign(np.sin(12 * local) * np.sin(17 * local[:, [1, 2, 0]]))
     strength = np.maximum(normals @ light, 0) * lit
-    values = albedo * (0.3 + 0.1 * normals @ up + 1.0 * strength)[:, None]
+    values = albedo * (0.3 + 0.1 * normals[:, 2] + 1.0 * strength)[:, None]
     values = values + (0.2 * gloss * lit)[:, None]
     image = np.full((camera.width * camera.height, 3), 20, dtype=np.uint8)
-    if behind is not None:
-        image = behind.reshape(-1, 3).copy()
     image[hit] = np.rint(255 * np.clip(values, 0, 1) ** (1 / 2.2))
     shape = (camera.height, camera.width)
     return View(
@@ -54,10 +46,10 @@ def photograph(camera: Camera, name: str, lamp: str = "sun", behind: np.ndarray 
     )
 
 
-def photographs(lamp: str = "sun", count: int = 30, behind: np.ndarray | None = None) -> list[View]:
+def photographs(count: int = 30) -> list[View]:
     """Views from all around."""
     return [
-        photograph(replace(camera, fx=105.0, fy=105.0), f"v{i:02d}", lamp, behind)
+        photograph(replace(camera, fx=105.0, fy=105.0), f"v{i:02d}")
         for i, camera in enumerate(cameras(count, size=(80, 80)))
     ]
 

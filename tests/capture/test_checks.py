@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `robir check` says of blur, exposure, coverage and light that moves with the camera."""
+"""What `robir check` says of blur, exposure and coverage."""
 
 from __future__ import annotations
 
@@ -19,28 +19,19 @@ from robir.capture.capture import Bounds, Finding, View
 from robir.capture.check import check_capture
 from robir.capture.checks.coverage import check_coverage, upwards
 from robir.capture.checks.findings import check_place
-from robir.capture.checks.moving_light import (
-    background_likeness,
-    check_light,
-    check_turntable,
-    light_of_camera,
-)
 from robir.capture.checks.sharpness import check_sharpness
-from robir.capture.checks.sightings import sight
-from robir.capture.checks.uneven_exposure import check_settings, exposure_offsets
+from robir.capture.checks.uneven_exposure import (
+    check_brightness,
+    check_settings,
+    exposure_offsets,
+    sight,
+)
 from robir.capture.config import CaptureConfig
 
 
 @pytest.fixture(scope="module")
 def sunlit() -> list[View]:
-    return photographs("sun")
-
-
-@pytest.fixture(scope="module")
-def detail() -> np.ndarray:
-    """A detailed picture to stand behind the object, (80, 80, 3)."""
-    noise = np.random.default_rng(2).normal(size=(80, 80, 3))
-    return np.clip(110 + 60 * ndimage.gaussian_filter(noise, (1, 1, 0)), 0, 255).astype(np.uint8)
+    return photographs()
 
 
 def the(findings: list[Finding]) -> Finding:
@@ -57,7 +48,7 @@ def blurred(view: View, size: float) -> View:
 
 def test_a_good_capture_is_only_noted(sunlit):
     assert check_sharpness(sunlit, BOUNDS) == []
-    assert check_light(sunlit, BOUNDS) == []
+    assert check_brightness(sunlit, BOUNDS) == []
     assert the(check_coverage(sunlit, BOUNDS)).level == "note"
 
 
@@ -107,51 +98,11 @@ def test_changed_exposure_is_measured(sunlit):
     offsets = exposure_offsets(sight(views, BOUNDS))
     assert np.abs(offsets - (steps - np.median(steps))).mean() < 0.1
     assert np.corrcoef(offsets, steps)[0, 1] > 0.97
-    finding = the(check_light(views, BOUNDS))
+    finding = the(check_brightness(views, BOUNDS))
     assert (finding.code, finding.level) == ("brightness-changes", "warning")
     assert finding.files[0] == "v07"
     assert finding.numbers["spread_steps"] == pytest.approx(steps.std(), rel=0.25)
     assert "manual" in finding.cure
-
-
-@pytest.mark.parametrize(("lamp", "words"), [("flash", "as a flash does"), ("lamp", "turntable")])
-def test_light_that_moves_with_the_camera(lamp, words):
-    finding = the(check_light(photographs(lamp), BOUNDS))
-    assert (finding.code, finding.level) == ("moving-light", "warning")
-    assert words in finding.message
-    assert "base colour" in finding.message
-    assert (finding.numbers["off_axis_degrees"] < 25) == (lamp == "flash")
-
-
-def test_light_that_moves_is_told_under_changing_exposure():
-    steps = np.random.default_rng(4).uniform(-0.3, 0.3, 30)
-    views = [exposed(v, step) for v, step in zip(photographs("lamp"), steps, strict=True)]
-    assert the(check_light(views, BOUNDS)).code == "moving-light"
-
-
-def test_fixed_light_explains_nothing_in_the_camera_frame(sunlit):
-    light = light_of_camera(sight(sunlit, BOUNDS))
-    assert light is not None
-    assert light.share < 0.1
-
-
-def test_a_turntable_shows_by_its_background(sunlit, detail):
-    turned = photographs("lamp", behind=detail)
-    finding = the(check_turntable(turned, turned, BOUNDS))
-    assert (finding.code, finding.level) == ("turntable", "warning")
-    assert "camera at rest" in finding.message
-    # A room that the camera walked through, and a plain wall with vignetting.
-    walked = [replace(view, image_display=view.image_display.copy()) for view in sunlit]
-    for shift, view in enumerate(walked):
-        behind = view.mask == 0
-        view.image_display[behind] = np.roll(detail, 5 * shift, axis=1)[behind]
-    likeness = background_likeness(walked, walked, BOUNDS)
-    assert likeness is not None
-    assert likeness < 0.3
-    y, x = np.mgrid[-1:1:80j, -1:1:80j]
-    wall = np.repeat((180 - 50 * (x**2 + y**2))[:, :, None], 3, axis=2).astype(np.uint8)
-    plain = photographs("sun", 12, wall)
-    assert background_likeness(plain, plain, BOUNDS) is None
 
 
 def test_coverage_names_the_widest_gap():
@@ -245,12 +196,11 @@ def test_far_from_the_origin(sunlit):
 
 
 def test_checks_are_part_of_reading_a_capture(tmp_path):
-    views = photographs("flash", 24)
+    views = photographs(24)
     views[5] = blurred(views[5], 3.0)
     shots = [Shot(v.camera, np.dstack([v.image_display, v.mask])) for v in views]
     writers.nerf_synthetic(tmp_path, shots)
     _, findings, _ = check_capture(tmp_path, None, CaptureConfig())
     found = {finding.code: finding for finding in findings}
-    assert found["moving-light"].level == "warning"
     assert found["blurred"].files == ("r_5",)
     assert found["coverage"].numbers["seen_share"] > 0.9

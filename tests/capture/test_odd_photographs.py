@@ -101,14 +101,6 @@ def test_mixed_cameras_with_their_own_lenses(studio, capsys):
     assert {finding["level"] for finding in found.values()} == {"note"}
 
 
-def test_portrait_and_landscape_under_one_lens(synthetic, capsys):
-    for path in photographs(synthetic)[:5]:
-        Image.open(path).crop((40, 0, 200, 240)).save(path)
-    found = check(synthetic, capsys)["odd-shapes"]
-    assert found["level"] == "warning"
-    assert sorted(found["files"]) == [f"r_{i}" for i in (0, 1, 10, 11, 2)]
-
-
 def test_a_stitched_panorama_of_50_megapixels(synthetic, studio, capsys):
     for folder in (synthetic, studio):
         path = photographs(folder)[3]

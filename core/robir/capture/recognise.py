@@ -13,12 +13,10 @@ from robir.capture.capture import Capture, Finding, Split
 from robir.capture.checks.coverage import check_coverage
 from robir.capture.checks.findings import check_masks, check_photographs, check_place
 from robir.capture.checks.frame_checks import check_count, check_frames
-from robir.capture.checks.moving_light import check_light, check_turntable
 from robir.capture.checks.place import place_object
-from robir.capture.checks.shapes import check_shapes
 from robir.capture.checks.sharpness import check_sharpness
 from robir.capture.checks.turns import prepared
-from robir.capture.checks.uneven_exposure import check_settings
+from robir.capture.checks.uneven_exposure import check_brightness, check_settings
 from robir.capture.config import CaptureConfig
 from robir.capture.formats import KNOWN, reader_of, unread_poses
 from robir.capture.frames import Frame, FrameSet, PosedRefusedError
@@ -38,7 +36,7 @@ _READING = 0.8  # share of the progress that reading the photographs takes
 _FIRST_READING = 0.3  # the same where masks have to be guessed as well
 SURVEY_SIDE = 800  # longer side of the photographs by which masks are guessed, pixels
 # what is looked at once the object's place is known
-_CHECKS = (check_place, check_coverage, check_sharpness, check_light)
+_CHECKS = (check_place, check_coverage, check_sharpness, check_brightness)
 _MOST = 200  # folders of one folder that are looked into for captures
 _REGISTERING = 0.9  # share of the progress that finding poses takes where there are none
 
@@ -242,7 +240,7 @@ def _read_posed(
     loaded, about = _load_masked(frames, chosen, drawn, how, progress)
     findings += about
     if loaded.views:
-        findings += check_photographs(loaded.views) + check_shapes(frames.frames, loaded.views)
+        findings += check_photographs(loaded.views)
     findings += _check_mask_supply(loaded)
     _stop_on_errors(findings)
     findings += check_masks(loaded.views)
@@ -252,7 +250,6 @@ def _read_posed(
     findings += about
     if bounds is None:
         raise CaptureRefusedError(findings)
-    findings += check_turntable(views, loaded.overviews, bounds)
     for check in _CHECKS:
         findings += check(views, bounds)
     progress(1.0, "capture read")

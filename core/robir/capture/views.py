@@ -41,7 +41,6 @@ class Loaded:
 
     Attributes:
         views: In the order of the frames; a view without a mask has a full one.
-        overviews: The same photographs, uncut and small.
         maskless: Names of the views without a mask.
         findings: One error a photograph that could not be read, and notes.
         table: What the object stands on, where masks were guessed and it was found.
@@ -49,7 +48,6 @@ class Loaded:
     """
 
     views: tuple[View, ...]
-    overviews: tuple[View, ...]
     maskless: tuple[str, ...]
     findings: tuple[Finding, ...]
     table: Plane | None = None
@@ -160,7 +158,6 @@ def load_views(
         findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
     return Loaded(
         views=tuple(reading.view for reading in readings),
-        overviews=tuple(reading.overview for reading in readings),
         maskless=tuple(reading.view.name for reading in readings if not reading.has_mask),
         findings=grouped(findings),
         is_linear=bool(readings) and all(reading.is_linear for reading in readings),

@@ -36,17 +36,12 @@ def upwards(views: Sequence[View]) -> Array:
 
 
 def check_coverage(views: Sequence[View], bounds: Bounds) -> list[Finding]:
-    """Say how much of the sphere of directions is photographed and where most is missing.
+    """How much of the sphere of directions is photographed, and where most is missing.
 
-    Args:
-        views: Photographs.
-        bounds: The object's sphere.
-
-    Returns:
-        One finding, whose numbers are: `seen_share`, of the directions above -15 degrees those
-        within 30 degrees of a camera, in [0, 1]; `gap_degrees`, the widest angle to the nearest
-        camera; `gap_direction`, the unit vector in the capture's frame that it belongs to;
-        `up`, unit; and `missing`, unit vectors (N, 3) farther than 45 degrees from every camera.
+    One finding, whose numbers are: `seen_share`, of the directions above -15 degrees those within
+    30 degrees of a camera, in [0, 1]; `gap_degrees`, the widest angle to the nearest camera;
+    `gap_direction`, the unit vector in the capture's frame that it belongs to; `up`, unit; and
+    `missing`, unit vectors (N, 3) farther than 45 degrees from every camera.
     """
     cameras, up = directions_to(views, bounds), upwards(views)
     sphere = _spread(_SAMPLES)

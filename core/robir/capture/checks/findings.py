@@ -20,14 +20,7 @@ _OBJECT = 128
 
 
 def check_photographs(views: Sequence[View]) -> list[Finding]:
-    """Black, white and repeated photographs, and exposure of the object.
-
-    Args:
-        views: Read photographs; where masks are missing, the mask is full.
-
-    Returns:
-        Findings.
-    """
+    """Black, white and repeated photographs, and the object's exposure; masks may be full."""
     found = []
     flat: dict[str, list[str]] = {"black": [], "white": []}
     same: dict[bytes, list[str]] = defaultdict(list)
@@ -40,36 +33,21 @@ def check_photographs(views: Sequence[View]) -> list[Finding]:
             flat["white"].append(view.name)
     for what, names in flat.items():
         if names:
-            found.append(
-                error(
-                    f"all-{what}",
-                    f"{len(names)} of {len(views)} photographs are {what} all over the object",
-                    "Replace them, or remove them together with their poses.",
-                    *names,
-                )
-            )
+            message = f"{len(names)} of {len(views)} photographs are {what} all over the object"
+            cure = "Replace them, or remove them together with their poses."
+            found.append(error(f"all-{what}", message, cure, *names))
     if len(same) == 1 < len(views):
-        found.append(
-            error(
-                "same-photograph",
-                f"All {len(views)} photographs are the same one, pixel by pixel, with different "
-                "poses: nothing tells how far away anything is",
-                "Give the photographs that the poses belong to.",
-                views[0].name,
-            )
-        )
+        message = f"All {len(views)} photographs are the same one, pixel by pixel, with different "
+        message += "poses: nothing tells how far away anything is"
+        cure = "Give the photographs that the poses belong to."
+        found.append(error("same-photograph", message, cure, views[0].name))
     if found:
         return found
     twins = [name for names in same.values() if len(names) > 1 for name in names]
     if twins:
-        found.append(
-            warning(
-                "duplicate-images",
-                f"{len(twins)} of {len(views)} photographs are equal to another, pixel by pixel",
-                "Remove the repeated ones; two poses for one photograph contradict each other.",
-                *twins,
-            )
-        )
+        message = f"{len(twins)} of {len(views)} photographs are equal to another, pixel by pixel"
+        cure = "Remove the repeated ones; two poses for one photograph contradict each other."
+        found.append(warning("duplicate-images", message, cure, *twins))
     return found + _check_exposure(views)
 
 
@@ -79,149 +57,80 @@ def _check_exposure(views: Sequence[View]) -> list[Finding]:
     over = [name for name, values in brightest.items() if (values == 255).mean() > 0.05]
     under = [name for name, values in brightest.items() if (values <= 3).mean() > 0.2]
     if over:
-        found.append(
-            warning(
-                "over-exposed",
-                f"{len(over)} of {len(views)} photographs are clipped (255) on more than 5 % of "
-                f"the object; {100 * clipped_share(views):.1f} % of all object pixels are",
-                "Clipped pixels only tell how bright the object is at least; "
-                "photograph or render with less exposure.",
-                *over,
-            )
-        )
+        message = f"{len(over)} of {len(views)} photographs are clipped (255) on more than 5 % of "
+        message += f"the object; {100 * clipped_share(views):.1f} % of all object pixels are"
+        cure = "Clipped pixels only tell how bright the object is at least; "
+        cure += "photograph or render with less exposure."
+        found.append(warning("over-exposed", message, cure, *over))
     if under:
-        found.append(
-            warning(
-                "under-exposed",
-                f"{len(under)} of {len(views)} photographs are black on more than 20 % of "
-                "the object",
-                "Photograph or render with more exposure.",
-                *under,
-            )
-        )
+        share = f"{len(under)} of {len(views)} photographs"
+        message = f"{share} are black on more than 20 % of the object"
+        cure = "Photograph or render with more exposure."
+        found.append(warning("under-exposed", message, cure, *under))
     if has_spike(views):
         found.append(note("clipping", "Object pixels pile up at 255: the tone curve clips"))
     return found
 
 
 def check_masks(views: Sequence[View]) -> list[Finding]:
-    """Empty, full, tiny, inverted and cut-off masks.
-
-    Args:
-        views: Photographs with masks.
-
-    Returns:
-        Findings.
-    """
+    """Empty, full, tiny, inverted and cut-off masks."""
     shares = {view.name: _share_of(view, float((view.mask >= _OBJECT).sum())) for view in views}
     border = {view.name: _border_share(view) for view in views}
     empty = [name for name, share in shares.items() if share == 0]
     full = [name for name, share in shares.items() if share > 0.999]
     tiny = [name for name, share in shares.items() if 0 < share < 0.005]
     cut = [name for name, share in border.items() if share > 0.02 and name not in full]
-    found = [
-        note(
-            "mask-share",
-            f"Masks cover {100 * np.mean(list(shares.values())):.1f} % of the photographs "
-            f"({100 * min(shares.values()):.1f} to {100 * max(shares.values()):.1f} %)",
-        )
-    ]
+    percent = [100 * share for share in shares.values()]
+    message = f"Masks cover {np.mean(percent):.1f} % of the photographs "
+    found = [note("mask-share", message + f"({min(percent):.1f} to {max(percent):.1f} %)")]
     for names, what, means in ((empty, "empty", "no"), (full, "full", "every")):
         if names:
-            found.append(
-                error(
-                    f"{what}-masks",
-                    f"{len(names)} of {len(views)} masks are {what}: they call {means} pixel "
-                    "object",
-                    "Draw these masks (white = object), or remove the photographs and poses.",
-                    *names,
-                )
-            )
+            message = f"{len(names)} of {len(views)} masks are {what}: they call {means} pixel "
+            cure = "Draw these masks (white = object), or remove the photographs and poses."
+            found.append(error(f"{what}-masks", message + "object", cure, *names))
     if tiny:
-        found.append(
-            warning(
-                "tiny-masks",
-                f"{len(tiny)} of {len(views)} masks cover less than 0.5 % of their photographs",
-                "Check these masks, or crop the photographs.",
-                *tiny,
-            )
-        )
-    centre = np.mean(
-        [view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] >= _OBJECT for view in views]
-    )
+        share = f"{len(tiny)} of {len(views)} masks"
+        message = f"{share} cover less than 0.5 % of their photographs"
+        cure = "Check these masks, or crop the photographs."
+        found.append(warning("tiny-masks", message, cure, *tiny))
+    middles = [view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] for view in views]
+    centre = np.mean(np.array(middles) >= _OBJECT)
     if np.mean(list(border.values())) > 0.8 and centre < 0.5 and not full:
-        found.append(
-            warning(
-                "inverted-masks",
-                "The masks are white at the border and black in the middle",
-                "Invert them if they mark the background: white must be the object.",
-            )
-        )
+        message = "The masks are white at the border and black in the middle"
+        cure = "Invert them if they mark the background: white must be the object."
+        found.append(warning("inverted-masks", message, cure))
     elif cut:
-        found.append(
-            note(
-                "cut-off",
-                f"The object is cut off by the border of {len(cut)} of {len(views)} photographs",
-                *cut,
-            )
-        )
+        of = f"{len(cut)} of {len(views)} photographs"
+        found.append(note("cut-off", f"The object is cut off by the border of {of}", *cut))
     return found
 
 
 def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
-    """How the object was found, and cameras inside it.
-
-    Args:
-        views: Photographs.
-        bounds: The object's sphere.
-
-    Returns:
-        Findings.
-    """
+    """How the object was found, and cameras inside it."""
     x, y, z = bounds.centre
-    found = [
-        note(
-            "bounds",
-            f"Bounding sphere by {bounds.origin}: centre ({x:.4g}, {y:.4g}, {z:.4g}), "
-            f"radius {bounds.radius:.4g}",
-        )
-    ]
-    inside = [
-        view.name
-        for view in views
-        if np.linalg.norm(view.camera.position - bounds.centre) < bounds.radius
-    ]
+    message = f"Bounding sphere by {bounds.origin}: centre ({x:.4g}, {y:.4g}, {z:.4g}), "
+    found = [note("bounds", message + f"radius {bounds.radius:.4g}")]
+    away = [np.linalg.norm(view.camera.position - bounds.centre) for view in views]
+    inside = [v.name for v, d in zip(views, away, strict=True) if d < bounds.radius]
     if inside:
-        found.append(
-            warning(
-                "cameras-inside",
-                f"{len(inside)} of {len(views)} cameras are inside the object's bounding sphere",
-                "Check that poses and masks belong together; "
-                "masks should hold one object, not its surroundings.",
-                *inside,
-            )
-        )
+        of = f"{len(inside)} of {len(views)} cameras"
+        message = f"{of} are inside the object's bounding sphere"
+        cure = "Check that poses and masks belong together; "
+        cure += "masks should hold one object, not its surroundings."
+        found.append(warning("cameras-inside", message, cure, *inside))
     far = float(np.linalg.norm(bounds.centre))
     if far > FAR * bounds.radius:
-        found.append(
-            warning(
-                "far-from-origin",
-                f"The object lies {far:.6g} from the origin and is {2 * bounds.radius:.4g} wide: "
-                "files that hold 32-bit numbers cannot tell its details apart there",
-                "Export the cameras in local coordinates (not longitude and latitude, not UTM).",
-            )
-        )
+        message = f"The object lies {far:.6g} from the origin and is {2 * bounds.radius:.4g} wide: "
+        message += "files that hold 32-bit numbers cannot tell its details apart there"
+        cure = "Export the cameras in local coordinates (not longitude and latitude, not UTM)."
+        found.append(warning("far-from-origin", message, cure))
     return found
 
 
 def clipped_share(views: Iterable[View]) -> float:
     """Share of the object's pixels with a channel at 255."""
-    clipped = total = 0
-    for view in views:
-        pixels = _object_pixels(view)
-        clipped += int((pixels == 255).any(axis=1).sum())
-        total += len(pixels)
-    return clipped / max(total, 1)
+    clipped = [(_object_pixels(view) == 255).any(axis=1) for view in views]
+    return sum(int(each.sum()) for each in clipped) / max(sum(map(len, clipped)), 1)
 
 
 def mask_share(views: Iterable[View]) -> float:

@@ -23,53 +23,26 @@ _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
 
 
 def check_frames(frames: FrameSet) -> list[Finding]:
-    """Counts, missing files, poses and focal lengths, before a pixel is read.
-
-    Args:
-        frames: What the format says.
-
-    Returns:
-        Findings; errors among them mean that reading on is useless.
-    """
+    """Counts, missing files, poses and focal lengths; with an error, reading on is useless."""
     everything = frames.frames
     tests = sum(frame.split == "test" for frame in everything)
-    found = [
-        note(
-            "counts",
-            f"{frames.format} capture with {len(everything)} posed photographs"
-            + (f", {tests} of them test views" if tests else ""),
-        )
-    ]
-    if len(everything) - tests < MIN_VIEWS:
-        found.append(
-            error(
-                "too-few-views",
-                f"{frames.root} has {len(everything) - tests} posed photographs to learn from; "
-                f"at least {MIN_VIEWS} are needed, 30 or more are good",
-                "Add photographs from other directions.",
-            )
-        )
-    elif len(everything) - tests < FEW_VIEWS:
-        found.append(
-            warning(
-                "few-views",
-                f"Only {len(everything) - tests} views to learn from",
-                "Expect guesses on sides that few views see; 30 or more views are good.",
-            )
-        )
+    trains = len(everything) - tests
+    message = f"{frames.format} capture with {len(everything)} posed photographs"
+    found = [note("counts", message + (f", {tests} of them test views" if tests else ""))]
+    if trains < MIN_VIEWS:
+        message = f"{frames.root} has {trains} posed photographs to learn from; "
+        message += f"at least {MIN_VIEWS} are needed, 30 or more are good"
+        found.append(error("too-few-views", message, "Add photographs from other directions."))
+    elif trains < FEW_VIEWS:
+        cure = "Expect guesses on sides that few views see; 30 or more views are good."
+        found.append(warning("few-views", f"Only {trains} views to learn from", cure))
     found += check_count(len(everything))
     missing = [frame.relative for frame in everything if not frame.image.is_file()]
     if missing:
-        found.append(
-            error(
-                "missing-images",
-                f"{len(missing)} of {len(everything)} posed photographs are missing "
-                f"below {frames.root}",
-                "Put the photographs there under the names the poses use, or do without them with "
-                "--skip-missing.",
-                *missing,
-            )
-        )
+        of = f"{len(missing)} of {len(everything)} posed photographs"
+        message = f"{of} are missing below {frames.root}"
+        cure = "Put the photographs there under the names the poses use, or do without them with "
+        found.append(error("missing-images", message, cure + "--skip-missing.", *missing))
     unposed = [] if missing else _check_unposed(frames)
     return found + unposed + _check_poses(everything) + _check_lenses(everything)
 
@@ -78,13 +51,9 @@ def check_count(photographs: int) -> list[Finding]:
     """Whether there are more photographs than can be read in a sane time."""
     if photographs <= MAX_VIEWS:
         return []
-    return [
-        error(
-            "too-many-views",
-            f"There are {photographs} photographs; at most {MAX_VIEWS} are read",
-            "Keep every n-th of them: 200 show an object from all sides.",
-        )
-    ]
+    message = f"There are {photographs} photographs; at most {MAX_VIEWS} are read"
+    cure = "Keep every n-th of them: 200 show an object from all sides."
+    return [error("too-many-views", message, cure)]
 
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
@@ -105,14 +74,9 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
     # estimated here, what has none was named then.
     if not beside or frames.format in ("nerf-synthetic", "nerfactor", "photos"):
         return []
-    return [
-        warning(
-            "unposed-images",
-            f"{len(beside)} photographs have no pose and are left out",
-            "If they show sides that no other does, estimate poses that include them.",
-            *beside,
-        )
-    ]
+    message = f"{len(beside)} photographs have no pose and are left out"
+    cure = "If they show sides that no other does, estimate poses that include them."
+    return [warning("unposed-images", message, cure, *beside)]
 
 
 def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
@@ -124,58 +88,33 @@ def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
             faults[fault].append(frame.relative)
         else:
             places[np.round(frame.camera_to_world, 9).tobytes()].append(frame.relative)
-    found = [
-        error(
-            "bad-pose",
-            f"The pose of {len(names)} of {len(frames)} photographs {fault}",
-            "Estimate the poses again, or remove these photographs.",
-            *names,
-        )
-        for fault, names in faults.items()
-    ]
+    found = []
+    for fault, names in faults.items():
+        message = f"The pose of {len(names)} of {len(frames)} photographs {fault}"
+        cure = "Estimate the poses again, or remove these photographs."
+        found.append(error("bad-pose", message, cure, *names))
     twins = [name for names in places.values() if len(names) > 1 for name in names]
     if twins:
-        found.append(
-            warning(
-                "duplicate-poses",
-                f"{len(twins)} of {len(frames)} photographs share their pose with another",
-                "Remove repeated photographs; if they differ, their poses are wrong.",
-                *twins,
-            )
-        )
+        message = f"{len(twins)} of {len(frames)} photographs share their pose with another"
+        cure = "Remove repeated photographs; if they differ, their poses are wrong."
+        found.append(warning("duplicate-poses", message, cure, *twins))
     return found
 
 
 def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
     absurd = [frame.relative for frame in frames if not frame.lens.is_sane]
     if absurd:
-        return [
-            error(
-                "bad-intrinsics",
-                f"{len(absurd)} of {len(frames)} photographs have a focal length or field of view "
-                "that no camera has",
-                _SIDES_CURE,
-                *absurd,
-            )
-        ]
+        message = f"{len(absurd)} of {len(frames)} photographs have a focal length or field of view"
+        return [error("bad-intrinsics", message + " that no camera has", _SIDES_CURE, *absurd)]
     stated = [(f.lens.fx, f.relative) for f in frames if f.lens.fx is not None]
-    stated += [
-        (1 / f.lens.angle_x, f.relative)
-        for f in frames
-        if f.lens.fx is None and f.lens.angle_x is not None
-    ]
+    angles = [(f.lens.angle_x, f.relative) for f in frames if f.lens.fx is None]
+    stated += [(1 / angle, name) for angle, name in angles if angle is not None]
     if not stated:
         return []
     middle = float(np.median([value for value, _ in stated]))
     odd = [name for value, name in stated if not 0.5 <= value / middle <= 2]
     if not odd:
         return []
-    return [
-        warning(
-            "focal-lengths",
-            f"{len(odd)} of {len(frames)} photographs have a focal length less than half "
-            "or more than twice that of the others",
-            _SIDES_CURE,
-            *odd,
-        )
-    ]
+    message = f"{len(odd)} of {len(frames)} photographs have a focal length less than half "
+    message += "or more than twice that of the others"
+    return [warning("focal-lengths", message, _SIDES_CURE, *odd)]

@@ -23,16 +23,12 @@ MIN_AGREEMENT = 0.8
 def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, list[Finding]]:
     """Find the object's bounding sphere from the masks of the train views.
 
-    Args:
-        frames: Where the format says the object is, and the other order of poses, if any.
-        views: Photographs with masks.
-
     Returns:
         Views (with the poses in the order that fits), bounds or None, and findings; without
         bounds there is an error among them.
     """
     hull = _hull(frames, views)
-    findings = []
+    findings: list[Finding] = []
     if frames.other_order:
         others = _with_other_poses(frames, views)
         other_hull = _hull(frames, others)
@@ -40,44 +36,25 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         used = int(shares[1] > shares[0])
         if used:
             hull, views = other_hull, others
-        findings.append(
-            note(
-                "pose-order",
-                "Poses belong to the photographs in order of their "
-                f"{('names as text', 'numbers')[used]}: their masks agree to "
-                f"{100 * shares[used]:.0f} %, in the other order to {100 * shares[1 - used]:.0f} %",
-            )
-        )
+        order = ("names as text", "numbers")[used]
+        message = f"Poses belong to the photographs in order of their {order}: their masks agree "
+        message += f"to {100 * shares[used]:.0f} %, in the other order to "
+        findings.append(note("pose-order", message + f"{100 * shares[1 - used]:.0f} %"))
     if hull is None or np.median(hull.agreement) < MIN_AGREEMENT:
-        findings.append(
-            error(
-                "masks-disagree",
-                "The masks have no object in common: masks and poses do not belong together",
-                "Check that masks and photographs are paired rightly, that white is the object, "
-                "and that the poses follow the format's axes.",
-            )
-        )
+        message = "The masks have no object in common: masks and poses do not belong together"
+        cure = "Check that masks and photographs are paired rightly, that white is the object, "
+        cure += "and that the poses follow the format's axes."
+        findings.append(error("masks-disagree", message, cure))
         return views, None, findings
     if hull.strict < GOOD_AGREEMENT:
-        findings.append(
-            warning(
-                "masks-disagree",
-                "What all masks allow to be there explains only "
-                f"{100 * hull.strict:.0f} % of a mask",
-                "Check that masks and photographs are paired rightly and that the poses are good.",
-            )
-        )
+        message = f"What all masks allow to be there explains only {100 * hull.strict:.0f} % of a "
+        cure = "Check that masks and photographs are paired rightly and that the poses are good."
+        findings.append(warning("masks-disagree", message + "mask", cure))
     train = [view for view in views if view.split == "train"]
     odd = [v.name for v, share in zip(train, hull.agreement, strict=True) if share < 0.8]
     if odd:
-        findings.append(
-            warning(
-                "odd-masks",
-                f"{len(odd)} of {len(train)} masks show more than the others leave room for",
-                "Check these masks and poses.",
-                *odd,
-            )
-        )
+        message = f"{len(odd)} of {len(train)} masks show more than the others leave room for"
+        findings.append(warning("odd-masks", message, "Check these masks and poses.", *odd))
     sphere = hull.sphere
     start = frames.sphere
     if start is not None and start.is_limit:

@@ -43,41 +43,22 @@ _NEIGHBOURS = 8
 
 
 def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
-    """Find photographs much less sharp at the object than those from similar directions.
-
-    Args:
-        views: Photographs with masks.
-        bounds: The object's sphere.
-
-    Returns:
-        At most one finding.
-    """
+    """Find photographs much less sharp at the object than those from similar directions."""
     ratios = relative_sharpness([resize_view(view, SIDE) for view in views], bounds)
     blurred = sorted((ratios[i], views[i].name) for i in np.flatnonzero(ratios < BLURRED))
     if not blurred:
         return []
-    return [
-        warning(
-            "blurred",
-            f"{len(blurred)} of {len(views)} photographs are much less sharp at the object than "
-            "those from similar directions",
-            "Leave them out or take them again: a faster shutter, a tripod, the focus on the "
-            "object.",
-            *(name for _, name in blurred),
-            sharpness=[round(float(ratio), 3) for ratio, _ in blurred],
-        )
-    ]
+    message = f"{len(blurred)} of {len(views)} photographs are much less sharp at the object than "
+    message += "those from similar directions"
+    cure = "Leave them out or take them again: a faster shutter, a tripod, the focus on the object."
+    names, numbers = [n for _, n in blurred], [round(float(ratio), 3) for ratio, _ in blurred]
+    return [warning("blurred", message, cure, *names, sharpness=numbers)]
 
 
 def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
-    """How sharp photographs are at the object against those from similar directions.
+    """How sharp photographs are at the object against those from similar directions, (V,).
 
-    Args:
-        views: Photographs with masks.
-        bounds: The object's sphere.
-
-    Returns:
-        (V,) ratios; infinite where nothing can be said.
+    Infinite where nothing can be said.
     """
     values = np.array([sharpness(view) for view in views]).reshape(-1, len(_DIRECTIONS) + 1)
     ratios = np.full(len(views), np.inf)

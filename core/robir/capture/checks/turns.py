@@ -16,7 +16,7 @@ import numpy as np
 
 from robir.capture.bounds import Hull, bounds_of, sphere_from_masks
 from robir.capture.capture import Finding, Split, View
-from robir.capture.checks.sightings import sight
+from robir.capture.checks.uneven_exposure import sight
 from robir.capture.frames import LINEAR_SUFFIXES, RAW_SUFFIXES, Array, Frame, FrameSet
 from robir.capture.images.decode import header, orientation, stored_size
 from robir.capture.images.loading import same_shape
@@ -133,21 +133,22 @@ def _tried(
         spread = {i: _spread(_brightness(loaded[i].views, hulls[i], frames.points)) for i in left}
         left = [i for i in left if spread[i] <= min(spread.values()) / _ALIKE]
     if len(left) != 1:
-        raise refuse(
-            "exif-orientation",
+        message = (
             f"EXIF data turns {len(turned)} photographs, and neither sizes nor masks nor what "
-            "they show tell whether the poses are for photographs as stored or as EXIF turns them",
-            "Save the photographs with the turn applied or without EXIF data, as the program "
-            "that found the poses saw them.",
-            *turned,
         )
+        message += (
+            "they show tell whether the poses are for photographs as stored or as EXIF turns "
+        )
+        cure = "Save the photographs with the turn applied or without EXIF data, as the program "
+        cure += "that found the poses saw them."
+        raise refuse("exif-orientation", message + "them", cure, *turned)
     return turns[left[0]]
 
 
 def _brightness(views: Sequence[View], hull: Hull | None, points: Array) -> Array:
     """Brightness of points of the object, or of the sparse points, (P, V); NaN where not seen."""
     if hull is not None:
-        return sight(views, bounds_of(hull.sphere)).brightness
+        return sight(views, bounds_of(hull.sphere))
     result = np.full((len(points[:_POINTS]), len(views)), np.nan)
     for number, view in enumerate(views):
         pixels, depth = view.camera.project(points[:_POINTS])

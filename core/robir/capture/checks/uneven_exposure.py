@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photographs that were not exposed alike: by what the camera wrote, and by how they look."""
+"""Photographs that were not exposed alike: by what the camera wrote, and by how they look.
+
+Points of the masks' visual hull are compared between photographs, before there is a surface: good
+enough in the median, while single points go wrong where the hull stands off the object.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +12,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.checks.coverage import directions_to
-from robir.capture.checks.sightings import POWER, Sightings
 from robir.capture.frames import Array
 from robir.capture.images.decode import exif_values, header
+from robir.capture.images.loading import resize_view
 from robir.capture.refusal import CaptureRefusedError, warning
 
-SETTINGS_SPREAD = 0.15  # steps of exposure between the camera's settings that are let pass
-# steps (standard deviation) by which neighbouring photographs may differ over the whole object.
-# Captures under one light and exposure reach 0.07; exposures off by up to half a step reach 0.28.
+POWER = 2.2  # of display values, that stands for the tone curve while it is not known
+SIDE = 400  # longer side of the photographs that are looked at, pixels, at most
+SETTINGS_SPREAD = 0.15  # stops of exposure between the camera's settings that are let pass
+# stops (standard deviation) by which neighbouring photographs may differ over the whole object:
+# 0.07 under one light and exposure, 0.28 with exposures off by up to half a stop
 BRIGHTNESS_SPREAD = 0.15
-# steps (standard deviation) by which photographs may differ at the same points. Captures under one
-# light and exposure reach 0.1, and 0.15 where the visual hull is far from the object; exposures off
-# by up to half a step reach 0.24.
+# stops (standard deviation) by which photographs may differ at the same points: 0.1, or 0.15 where
+# the visual hull is far from the object, under one light and exposure; else 0.24
 POINT_SPREAD = 0.2
+
+_GRID, _POINTS = 40, 1500
+_FRONTAL = 0.3  # cosine to the view direction from which a hull's normal is worth something
+_DARKEST = 0.02
 _TIME, _APERTURE, _SPEED, _FLASH = 33434, 33437, 34855, 37385
 _FIRED = 1
 _FEWEST_VIEWS = 18  # views from which nine coefficients can be told from jitter
@@ -34,48 +45,33 @@ _CURE = "Photograph with exposure and white balance locked (manual mode) and all
 def check_settings(photographs: Sequence[Path]) -> list[Finding]:
     """Compare the exposures and the flash that cameras wrote into the photographs (EXIF).
 
-    Args:
-        photographs: Files, of which those that say nothing are passed over.
-
-    Returns:
-        Findings; none where fewer than two photographs state their exposure.
+    Files that say nothing are passed over; exposures count where two or more state them.
     """
     stated = {path.name: _settings(path) for path in photographs}
     fired = [name for name, (_, flash) in stated.items() if flash]
     found = []
     if fired:
-        found.append(
-            warning(
-                "flash-fired",
-                f"The flash fired in {len(fired)} of {len(photographs)} photographs: its light "
-                "and reflections move with the camera",
-                "Photograph without flash, under light that stays where it is.",
-                *fired,
-            )
-        )
+        message = f"The flash fired in {len(fired)} of {len(photographs)} photographs: its light "
+        message += "and reflections move with the camera"
+        cure = "Photograph without flash, under light that stays where it is."
+        found.append(warning("flash-fired", message, cure, *fired))
     steps = {name: value for name, (value, _) in stated.items() if value is not None}
-    if len(steps) < 2:
-        return found
-    middle = float(np.median(list(steps.values())))
-    spread = max(steps.values()) - min(steps.values())
+    spread = max(steps.values(), default=0.0) - min(steps.values(), default=0.0)
     if spread > SETTINGS_SPREAD:
+        middle = float(np.median(list(steps.values())))
         apart = sorted(steps, key=lambda name: -abs(steps[name] - middle))
         far = [name for name in apart if abs(steps[name] - middle) > 0.5 * SETTINGS_SPREAD]
+        message = "The camera's exposure (time, aperture and sensitivity) differs by "
+        message += f"{spread:.1f} steps between photographs; {len(far)} of {len(photographs)} "
+        rounded = round(spread, 3)
         found.append(
-            warning(
-                "exposure-settings",
-                f"The camera's exposure (time, aperture and sensitivity) differs by {spread:.1f} "
-                f"steps between photographs; {len(far)} of {len(photographs)} are off",
-                _CURE,
-                *far,
-                spread_steps=round(spread, 3),
-            )
+            warning("exposure-settings", message + "are off", _CURE, *far, spread_steps=rounded)
         )
     return found
 
 
 def _settings(path: Path) -> tuple[float | None, bool]:
-    """Exposure in steps (log2 of time times sensitivity over squared aperture), and the flash."""
+    """Exposure in stops (log2 of time times sensitivity over squared aperture), and the flash."""
     try:
         with header(path) as picture:
             tags: dict[int, Any] = exif_values(picture) or {}
@@ -88,37 +84,23 @@ def _settings(path: Path) -> tuple[float | None, bool]:
     return (float(np.log2(gain)) if 0 < gain < np.inf else None), flash
 
 
-def check_brightness(views: Sequence[View], bounds: Bounds, sightings: Sightings) -> list[Finding]:
-    """Compare the object's brightness between photographs.
-
-    Args:
-        views: Photographs with masks.
-        bounds: The object's sphere.
-        sightings: Points of the object in these photographs.
-
-    Returns:
-        At most one finding.
-    """
-    offsets = uneven_exposures(views, bounds, sightings)
+def check_brightness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
+    """Compare the object's brightness between photographs; at most one finding."""
+    offsets = uneven_exposures(views, bounds, sight(views, bounds))
     if offsets is None:
         return []
     spread = float(offsets.std())
     order = np.argsort(-np.abs(offsets))
     far = [views[i].name for i in order if abs(offsets[i]) > POINT_SPREAD]
     outliers = f" ({len(far)} of {len(views)} stand out)" if far else ""
+    message = f"The object's brightness changes by {spread:.2f} steps between photographs of the "
+    message += f"same places{outliers}: exposure, white balance or the light changed"
     return [
-        warning(
-            "brightness-changes",
-            f"The object's brightness changes by {spread:.2f} steps between photographs of the "
-            f"same places{outliers}: exposure, white balance or the light changed",
-            _CURE,
-            *far,
-            spread_steps=round(spread, 3),
-        )
+        warning("brightness-changes", message, _CURE, *far, spread_steps=round(spread, 3)),
     ]
 
 
-def uneven_exposures(views: Sequence[View], bounds: Bounds, sightings: Sightings) -> Array | None:
+def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -> Array | None:
     """How much brighter than the others each photograph is, where they were not exposed alike.
 
     Two measures have to agree, as each has objects that deceive it. Points of the object, compared
@@ -130,29 +112,28 @@ def uneven_exposures(views: Sequence[View], bounds: Bounds, sightings: Sightings
     Args:
         views: V photographs with masks.
         bounds: The object's sphere.
-        sightings: Points of the object in these photographs.
+        brightness: Of points of the object in these photographs, as `sight` gives it.
 
     Returns:
-        Steps (V,) as of `exposure_offsets`; None where the photographs count as exposed alike.
+        Stops (V,) as of `exposure_offsets`; None where the photographs count as exposed alike.
     """
     if len(views) < _FEWEST_VIEWS:
         return None
-    basis = harmonics(directions_to(views, bounds))
+    basis = _harmonics(directions_to(views, bounds))
     levels = np.array([_level(view) for view in views])
     hat = basis @ np.linalg.pinv(basis)
     left = np.maximum(1 - np.diag(hat), 0.1)
     smooth = float(((levels - hat @ levels) / np.sqrt(left)).std())
-    offsets = exposure_offsets(sightings)
+    offsets = exposure_offsets(brightness)
     apart = smooth > BRIGHTNESS_SPREAD and float(offsets.std()) > POINT_SPREAD
     return offsets if apart else None
 
 
-def exposure_offsets(sightings: Sightings) -> Array:
-    """Median brightness of each photograph relative to the others at the same points, steps, (V,).
+def exposure_offsets(brightness: Array) -> Array:
+    """Median brightness of each photograph relative to the others at the same points, stops, (V,).
 
     Photographs that show fewer than ten comparable points have 0.
     """
-    brightness = sightings.brightness
     brightness = brightness[np.isfinite(brightness).sum(axis=1) >= 4]
     offsets = np.zeros(brightness.shape[1])
     comparable = np.isfinite(brightness).sum(axis=0) >= 10
@@ -166,16 +147,67 @@ def exposure_offsets(sightings: Sightings) -> Array:
 
 
 def _level(view: View) -> float:
-    """Brightness of the object in steps."""
+    """Brightness of the object in stops."""
     inside = view.mask >= 250
     pixels = view.image_display[inside if inside.any() else slice(None)]
     means = ((pixels.reshape(-1, 3) / 255.0) ** POWER).mean(axis=0)
     return float(np.log2(means + _FLOOR).mean())
 
 
-def harmonics(directions: Array) -> Array:
+def _harmonics(directions: Array) -> Array:
     """Real spherical harmonics to the second order, not normalised, (N, 9)."""
     x, y, z = directions.T
-    return np.stack(
-        [np.ones_like(x), x, y, z, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], axis=1
-    )
+    second = [x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y]
+    return np.stack([np.ones_like(x), x, y, z, *second], axis=1)
+
+
+def sight(views: Sequence[View], bounds: Bounds) -> Array:
+    """Brightness (P, V) in stops of up to about 1500 points of the masks' visual hull.
+
+    NaN where a photograph does not show the point.
+    """
+    views = [resize_view(view, SIDE) for view in views]
+    inside = _hull(views, bounds)
+    half = bounds.radius / _GRID
+    cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
+    cells = cells[:: max(1, len(cells) // _POINTS)]
+    slope = np.gradient(ndimage.gaussian_filter(inside.astype(np.float64), 1.5))
+    normals = -np.stack([part[tuple(cells.T)] for part in slope], axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    points = bounds.centre + half * (2 * cells + 1 - _GRID)
+    brightness = np.full((len(points), len(views)), np.nan)
+    for number, view in enumerate(views):
+        towards = view.camera.position - points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        seen = (normals * towards).sum(axis=1) > _FRONTAL
+        for step in np.arange(2.5, 0.75 * _GRID):
+            along = np.rint(cells + step * towards).astype(np.int64)
+            within = ((along >= 0) & (along < _GRID)).all(axis=1)
+            seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
+        row, column, framed, _ = _pixels(view, points)
+        seen &= framed & (view.mask[row, column] >= 250)
+        grey = ((view.image_display / 255.0) ** POWER).mean(axis=2)
+        grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
+        brightness[seen, number] = np.log2(grey[row, column][seen] + _DARKEST)
+    return brightness
+
+
+def _pixels(view: View, points: Array) -> tuple[NDArray[Any], ...]:
+    """Row and column of points, and whether they are in the picture and in the photograph."""
+    camera = view.camera
+    pixels, depth = camera.project(points)
+    column, row = np.clip(pixels, 0, (camera.width - 1, camera.height - 1)).astype(np.int64).T
+    return row, column, camera.in_picture(pixels, depth), camera.in_photograph(pixels, depth)
+
+
+def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
+    """Cells of a cube about the sphere that at most a twentieth of the masks call background."""
+    ticks = np.linspace(-1 + 1 / _GRID, 1 - 1 / _GRID, _GRID) * bounds.radius
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    seen, against = np.zeros(len(grid)), np.zeros(len(grid))
+    for view in views:
+        row, column, framed, known = _pixels(view, grid + bounds.centre)
+        seen += known
+        against += known & ~(framed & (view.mask[row, column] >= 64))
+    kept = (seen >= 0.25 * len(views)) & (against <= 0.05 * seen)
+    return kept.reshape(_GRID, _GRID, _GRID)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from PIL import Image
 
 from robir.capture.camera import Box, Camera
 from robir.capture.capture import Split, View
@@ -28,9 +27,10 @@ from robir.capture.images.loading import (
     straightened,
     undistort,
 )
+from robir.capture.images.opencv import cv2
 from robir.capture.refusal import refuse
 
-OVERVIEW_SIDE = 192  # longer side of the small copies that show what surrounds the object, pixels
+OVERVIEW_SIDE = 192  # longer side of small copies by which a distorted object is found, pixels
 SPARE = 1.25  # least pixels that are decoded, along a side, for one that is kept
 Size = tuple[int, int]
 
@@ -74,7 +74,6 @@ class Reading:
 
     Attributes:
         view: Cut to the object and reduced; its mask is full where there is none.
-        overview: The whole of it, small.
         has_mask: Whether anything says which pixels are the object.
         is_turned: Whether an EXIF orientation was applied.
         colours: What was found of its colours, and done, for the user.
@@ -82,7 +81,6 @@ class Reading:
     """
 
     view: View
-    overview: View
     has_mask: bool
     is_turned: bool
     colours: tuple[str, ...]
@@ -119,11 +117,10 @@ def read_view(
     image = photo.image_display
     layer = np.full(image.shape[:2], 255, np.uint8) if mask is None else mask
     picture = _Picture(image, layer, camera)
-    overview, box = picture.overview(frame.lens.distortion)
+    box = picture.object_box(frame.lens.distortion)
     part = picture.part(frame.lens.distortion, box if max(size) > NEVER_REDUCED else None, max_side)
     return Reading(
         view=part.view(frame.name, split),
-        overview=overview.view(frame.name, split),
         has_mask=mask is not None,
         is_turned=photo.orientation != 1,
         colours=photo.colours,
@@ -213,20 +210,16 @@ class _Picture:
         image, mask = undistort(self.image, self.mask, self.camera, distortion, camera)
         return _Picture(image, mask, camera)
 
-    def overview(self, distortion: Distortion) -> tuple[_Picture, Box | None]:
-        """The whole of it, small and undistorted, and the part of the large one to keep."""
-        size = size_within(self.size, OVERVIEW_SIDE)
-        factor = max(1, min(self.size) // (2 * min(size)))
-        image, mask = (
-            np.asarray(Image.fromarray(layer).reduce(factor)) for layer in (self.image, self.mask)
-        )
-        image, mask = shrink(image, mask, *size)
-        small = _Picture(image, mask, self.camera.resized(*size))
+    def object_box(self, distortion: Distortion) -> Box | None:
+        """The part to keep, undistorted; a small copy tells it where the lens distorts."""
         if distortion.is_null:
-            return small, object_box(self.mask)
+            return object_box(self.mask)
+        size = size_within(self.size, OVERVIEW_SIDE)
+        mask = cv2.resize(self.mask, size, interpolation=cv2.INTER_AREA)
+        small = _Picture(np.dstack([mask] * 3), mask, self.camera.resized(*size))
         small = small.straight(distortion, straightened(small.camera, distortion))
         box = object_box(small.mask)
-        return small, None if box is None else scaled_box(box, small.size, self.size)
+        return None if box is None else scaled_box(box, small.size, self.size)
 
     def part(self, distortion: Distortion, box: Box | None, max_side: int) -> _Picture:
         """A part of it, or the whole, undistorted and at most `max_side` pixels long."""
