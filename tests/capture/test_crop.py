@@ -18,8 +18,7 @@ from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import check_masks, mask_share
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion, Frame, Lens, posed_otherwise
-from robir.capture.images.crop import LEAST_SAVED, MARGIN, object_box
-from robir.capture.images.reading import DrawnMask, read_view
+from robir.capture.images.reading import LEAST_SAVED, MARGIN, DrawnMask, object_box, read_view
 from robir.capture.recognise import read_capture
 from robir.capture.store import load_capture, save_capture
 from robir.cli import main

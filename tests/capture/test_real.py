@@ -10,7 +10,7 @@ import pytest
 
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
-from robir.capture.poses import solve
+from robir.capture.poses import sfm
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SMALL = CaptureConfig(max_side=96)
@@ -66,7 +66,7 @@ def test_captures_without_masks_are_given_some(name, posed):
 
 
 def test_photographs_without_poses_are_refused_where_pycolmap_is_missing(monkeypatch):
-    monkeypatch.setattr(solve, "is_available", lambda: False)
+    monkeypatch.setattr(sfm, "is_available", lambda: False)
     capture, findings, _ = check_capture(DATA / "banana_photos", None, SMALL)
     assert capture is None
     assert findings[0].code == "no-poses"

@@ -12,7 +12,7 @@ import torch
 from capture.masks import scene
 from scipy.ndimage import binary_dilation
 
-from robir.capture.capture import GUESSED_MASKS, KEPT_GROUND, Bounds, Capture, Finding, View
+from robir.capture.capture import GUESSED_MASKS, Bounds, Capture, Finding, View
 from robir.capture.store import load_settled, save_capture, save_masks
 from robir.capture.support import Plane
 from robir.errors import StorageError
@@ -83,8 +83,6 @@ def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
 def test_only_what_we_cut_is_cut_again(guessed):
     assert guessed.has_guessed_masks
     assert not replace(guessed, findings=()).has_guessed_masks
-    kept = (finding(GUESSED_MASKS), finding(KEPT_GROUND))
-    assert not replace(guessed, findings=kept).has_guessed_masks
 
 
 def test_the_hull_of_guessed_masks_ends_above_the_table(guessed, monkeypatch):

@@ -27,7 +27,7 @@ from robir.capture.checks.frame_checks import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation
 from robir.capture.images.loading import read_mask
 from robir.capture.mesh_file import SUFFIXES, read_mesh
-from robir.capture.poses.video import take_frames
+from robir.capture.poses.sources import take_frames
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError

@@ -329,7 +329,7 @@ def test_lenses_that_no_camera_has(studio, lens):
 
 def test_a_film_that_is_a_list_of_other_files(tmp_path):
     pytest.importorskip("av")
-    from robir.capture.poses.video import take_frames
+    from robir.capture.poses.sources import take_frames
 
     film = tmp_path / "film.mp4"
     for content in (b"#EXTM3U\n#EXTINF:5,\n/etc/passwd\n#EXT-X-ENDLIST\n", b"ffconcat version 1.0"):

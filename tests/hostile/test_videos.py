@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from robir.capture.poses.video import FRAMES, take_frames
+from robir.capture.poses.sources import FRAMES, take_frames
 from robir.errors import CaptureError
 
 av = pytest.importorskip("av", reason="VIDEOS NOT TESTED: av is not installed")

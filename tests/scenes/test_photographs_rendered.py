@@ -22,7 +22,7 @@ from blender_scenes.wheel import data_folder
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.frames import FrameSet
-from robir.capture.poses.photos import find_photographs
+from robir.capture.poses.sources import find_photographs
 from robir.capture.recognise import read_frames
 from robir.errors import CaptureError
 from robir.evaluation.aligned import align

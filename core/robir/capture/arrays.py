@@ -32,9 +32,6 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
 
     Returns:
         The array as 64-bit floating-point numbers.
-
-    Raises:
-        ValueError: If it is no such array, or too large.
     """
     shape, is_fortran, dtype = _head(file)
     if dtype.kind not in "fiu" or dtype.itemsize > 8:

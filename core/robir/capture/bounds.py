@@ -49,7 +49,9 @@ class Hull:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Silhouette:
+class Silhouette:
+    """A mask with its camera, to be asked by `kept`."""
+
     camera: Camera
     distance: NDArray[np.float32]
     """(H, W) pixels to the nearest object pixel, 0 on it."""
@@ -67,7 +69,8 @@ def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | Non
     Returns:
         The hull, or None if the masks have nothing in common.
     """
-    silhouettes = [_silhouette(view) for view in views if (view.mask >= INSIDE).any()]
+    masks = [(view.camera, view.mask >= INSIDE) for view in views]
+    silhouettes = [silhouette(camera, mask) for camera, mask in masks if mask.any()]
     if len(silhouettes) < 2:
         return None
     where = start or _first_guess(silhouettes)
@@ -116,15 +119,15 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
         seen += view.camera.in_photograph(pixels, depth)
         framed = view.camera.in_picture(pixels, depth)
         inside += framed & (view.mask[row, column] >= INSIDE)
-    kept = points[(seen >= 2) & (inside >= 0.9 * seen)]
-    if len(kept) < 20:
+    inner = points[(seen >= 2) & (inside >= 0.9 * seen)]
+    if len(inner) < 20:
         return None
-    centre = np.median(kept, axis=0)
-    radius = float(np.quantile(np.linalg.norm(kept - centre, axis=1), 0.98))
+    centre = np.median(inner, axis=0)
+    radius = float(np.quantile(np.linalg.norm(inner - centre, axis=1), 0.98))
     return Sphere(
         centre=centre,
         radius=1.3 * radius,
-        origin=f"{len(kept)} sparse points inside the masks",
+        origin=f"{len(inner)} sparse points inside the masks",
         is_limit=False,
     )
 
@@ -149,15 +152,16 @@ def enclosing_sphere(points: Array) -> tuple[Array, float]:
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
-def _silhouette(view: View) -> _Silhouette:
-    distance = np.asarray(ndimage.distance_transform_edt(view.mask < INSIDE), dtype=np.float32)
+def silhouette(camera: Camera, mask: NDArray[np.bool_]) -> Silhouette:
+    """Of a mask (H, W) that is not empty."""
+    distance = np.asarray(ndimage.distance_transform_edt(~mask), dtype=np.float32)
     on = distance == 0
     sides = (on[:, 0], on[:, -1], on[0], on[-1])
     left, right, top, bottom = (bool(side.any()) for side in sides)
-    return _Silhouette(camera=view.camera, distance=distance, is_open=(left, right, top, bottom))
+    return Silhouette(camera=camera, distance=distance, is_open=(left, right, top, bottom))
 
 
-def _first_guess(silhouettes: Sequence[_Silhouette]) -> Sphere | None:
+def _first_guess(silhouettes: Sequence[Silhouette]) -> Sphere | None:
     """The point nearest to the rays through the masks' centres, and a generous radius."""
     system, right = np.zeros((3, 3)), np.zeros(3)
     for silhouette in silhouettes:
@@ -184,7 +188,7 @@ def _first_guess(silhouettes: Sequence[_Silhouette]) -> Sphere | None:
 
 
 def _coarse(
-    silhouettes: Sequence[_Silhouette], where: Sphere, limit: Sphere | None, dissent: int
+    silhouettes: Sequence[Silhouette], where: Sphere, limit: Sphere | None, dissent: int
 ) -> tuple[Array, float]:
     """Kept cells of the coarse grid about the hull: centres (N, 3) and half their side.
 
@@ -210,13 +214,13 @@ def _coarse(
 
 
 def _carved_cube(
-    silhouettes: Sequence[_Silhouette], centre: Array, reach: float, dissent: int
+    silhouettes: Sequence[Silhouette], centre: Array, reach: float, dissent: int
 ) -> tuple[Array, float]:
     half = reach / GRID
     ticks = np.linspace(-reach + half, reach - half, GRID)
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     cells = grid + centre
-    return cells[_kept(silhouettes, cells, half, dissent)], half
+    return cells[kept(silhouettes, cells, half, dissent)], half
 
 
 def _within(cells: Array, half: float, limit: Sphere | None) -> Array:
@@ -225,8 +229,8 @@ def _within(cells: Array, half: float, limit: Sphere | None) -> Array:
     return cells[np.linalg.norm(cells - limit.centre, axis=1) <= limit.radius + half]
 
 
-def _kept(
-    silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int
+def kept(
+    silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int
 ) -> NDArray[np.bool_]:
     """Which cells at most `dissent` masks call background and a quarter of the views see."""
     alive = np.arange(len(cells))
@@ -239,13 +243,13 @@ def _kept(
         alive = alive[against[alive] <= dissent]
     # Cells that few views see may have proportionally few masks against them.
     fair = against[alive] * len(silhouettes) <= dissent * seen[alive]
-    kept = np.zeros(len(cells), dtype=bool)
-    kept[alive] = fair & (seen[alive] >= max(2, len(silhouettes) // 4))
-    return kept
+    result = np.zeros(len(cells), dtype=bool)
+    result[alive] = fair & (seen[alive] >= max(2, len(silhouettes) // 4))
+    return result
 
 
 def _verdict(
-    silhouette: _Silhouette, points: Array, reach: float
+    silhouette: Silhouette, points: Array, reach: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether a view can judge points, and whether it calls all within `reach` background.
 
@@ -272,30 +276,29 @@ def _indices(camera: Camera, pixels: Array) -> tuple[NDArray[np.int64], NDArray[
     return row, column
 
 
-def _agreement(silhouettes: Sequence[_Silhouette], cells: Array, half: float) -> Array:
-    """Share of each mask's pixels whose rays meet a kept cell, (V,).
-
-    Each cell is splatted as a disc that covers it, so that no gaps remain between cells.
-    """
+def _agreement(silhouettes: Sequence[Silhouette], cells: Array, half: float) -> Array:
+    """Share of each mask's pixels whose rays meet a kept cell, (V,)."""
     shares = []
-    for silhouette in silhouettes:
-        camera = silhouette.camera
-        pixels, depth = camera.project(cells)
-        row, column = _indices(camera, pixels)
-        visible = camera.in_picture(pixels, depth)
-        empty = np.ones((camera.height, camera.width), dtype=bool)
-        empty[row[visible], column[visible]] = False
-        inside = silhouette.distance == 0
-        if not visible.any():
-            shares.append(0.0)
-            continue
-        reach = np.sqrt(3.0) * half * max(camera.fx, camera.fy) / np.median(depth[visible])
-        near = np.asarray(ndimage.distance_transform_edt(empty)) <= max(float(reach), 1.0)
-        shares.append(float((near & inside).sum() / inside.sum()))
+    for one in silhouettes:
+        inside = one.distance == 0
+        shares.append(float((shown(one.camera, cells, half) & inside).sum() / inside.sum()))
     return np.array(shares)
 
 
-def _refined(silhouettes: Sequence[_Silhouette], cells: Array, half: float, dissent: int) -> Sphere:
+def shown(camera: Camera, cells: Array, half: float) -> NDArray[np.bool_]:
+    """Pixels (H, W) whose rays meet cells (N, 3) of half a side; each fills a disc."""
+    pixels, depth = camera.project(cells)
+    row, column = _indices(camera, pixels)
+    visible = camera.in_picture(pixels, depth)
+    empty = np.ones((camera.height, camera.width), dtype=bool)
+    if not visible.any():
+        return ~empty
+    empty[row[visible], column[visible]] = False
+    reach = np.sqrt(3.0) * half * max(camera.fx, camera.fy) / np.median(depth[visible])
+    return np.asarray(ndimage.distance_transform_edt(empty)) <= max(float(reach), 1.0)
+
+
+def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int) -> Sphere:
     """Bounding sphere of the hull after dividing the outermost cells `_LEVELS` times."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)
@@ -306,7 +309,7 @@ def _refined(silhouettes: Sequence[_Silhouette], cells: Array, half: float, diss
         outer = np.linalg.norm(cells - centre, axis=1) >= radius - 4 * np.sqrt(3.0) * half
         half = 0.5 * half
         children = (cells[outer][:, None, :] + half * corners).reshape(-1, 3)
-        children = children[_kept(silhouettes, children, half, dissent)]
+        children = children[kept(silhouettes, children, half, dissent)]
         if len(children) == 0:
             break
         cells = children

@@ -85,7 +85,7 @@ class Finding:
 
 
 PHOTOGRAPHS_ALONE = "photos"  # format of photographs, or a video, whose cameras we find
-GUESSED_MASKS, KEPT_GROUND = "guessed-masks", "kept-ground"
+GUESSED_MASKS = "guessed-masks"
 # codes of findings about masks that we cut: by colours and poses, by the one colour of the
 # backdrop, and roughly about a mesh that was handed in
 BACKDROP_MASKS, MESH_MASKS = "backdrop-masks", "mesh-masks"
@@ -133,8 +133,7 @@ class Capture:
     @property
     def has_guessed_masks(self) -> bool:
         """Whether the object was cut out by us, and without any of the ground it stands on."""
-        codes = {finding.code for finding in self.findings}
-        return GUESSED_MASKS in codes and KEPT_GROUND not in codes
+        return any(finding.code == GUESSED_MASKS for finding in self.findings)
 
     def without(self, names: Collection[str]) -> Capture:
         """The capture without some views."""

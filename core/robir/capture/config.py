@@ -21,9 +21,6 @@ class CaptureConfig:
         max_held_out: Number of views kept aside at most, at least 1.
         held_out_sector: Degrees about the object, seen from above, of which no photograph takes
             part: those held out then lie outside what was seen, not between it. 0 for none.
-        ground: What becomes of the table where masks have to be guessed: "cut" removes it,
-            "keep" leaves a disc of it around the object. Before a backdrop of one colour all that
-            is seen is the object.
         adjust_cameras: Whether given cameras are moved where points that stand out in the
             photographs meet better for it.
         outside: What becomes of photographs and masks that lie outside the capture's folder, by
@@ -39,7 +36,6 @@ class CaptureConfig:
     held_out_every: int = 8
     max_held_out: int = 8
     held_out_sector: float = 0.0
-    ground: Literal["keep", "cut"] = "cut"
     adjust_cameras: bool = True
     outside: Literal["refuse", "take"] = "refuse"
     box: tuple[float, ...] = ()

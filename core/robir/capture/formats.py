@@ -15,10 +15,7 @@ from robir.capture.readers import (
     llff,
     meshroom,
     metashape,
-    nerf_synthetic,
-    nerfstudio,
     neus,
-    polycam,
     reality_scan,
     transforms,
 )
@@ -102,15 +99,15 @@ def _with(frames: FrameSet, finding: Finding) -> FrameSet:
 
 def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
     """Everything in a folder that poses can be read from, what says most first."""
-    keyframes = polycam.find(source)
+    keyframes = transforms.find_keyframes(source)
     if keyframes is not None:
-        yield f"{keyframes.name}/", partial(polycam.read, keyframes)
-    is_synthetic = (source / nerf_synthetic.TRAIN).is_file()
+        yield f"{keyframes.name}/", partial(transforms.read_keyframes, keyframes)
+    is_synthetic = (source / transforms.TRAIN).is_file()
     if is_synthetic:
-        yield nerf_synthetic.TRAIN, partial(nerf_synthetic.read, source)
-    own = source / nerfstudio.NAME
+        yield transforms.TRAIN, partial(transforms.read_synthetic, source)
+    own = source / transforms.NAME
     if own.is_file():
-        yield own.name, partial(nerfstudio.read, own)
+        yield own.name, partial(transforms.read, own)
     archive = neus.find(source)
     if archive is not None:
         yield archive.name, partial(neus.read, archive)
@@ -147,9 +144,9 @@ def file_reader(path: Path) -> Reader | None:
     for module, suffixes in _FILES:
         if suffix in suffixes and module.looks_like(path):
             return partial(module.read, path)
-    is_json = suffix == ".json" and path.name != nerf_synthetic.TRAIN
+    is_json = suffix == ".json" and path.name != transforms.TRAIN
     if is_json and transforms.looks_like(path):
-        return partial(nerfstudio.read, path)
+        return partial(transforms.read, path)
     return partial(neus.read, path) if suffix == ".npz" and neus.is_camera_file(path) else None
 
 

@@ -252,9 +252,6 @@ def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
 
     Returns:
         The lens itself.
-
-    Raises:
-        CaptureError: If a number makes no sense.
     """
     sizes = [value for value in (lens.width, lens.height) if value is not None]
     focals = [value for value in (lens.fx, lens.fy, lens.angle_x) if value is not None]
@@ -265,14 +262,11 @@ def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
         or min((*sizes, *focals), default=1) <= 0
     ):
         size = "x".join(f"{value:g}" for value in sizes) or "unknown size"
-        raise refuse(
-            "bad-intrinsics",
-            f"{path}: {whose} has {size} pixels, a focal length of "
-            f"{' and '.join(f'{value:g}' for value in focals)} and the lens parameters "
-            f"{(*others, *lens.distortion.parameters)}",
-            "Estimate the cameras again, or export them again.",
-            path.name,
-        )
+        message = f"{path}: {whose} has {size} pixels, a focal length of "
+        message += f"{' and '.join(f'{value:g}' for value in focals)} and the lens parameters "
+        message += f"{(*others, *lens.distortion.parameters)}"
+        cure = "Estimate the cameras again, or export them again."
+        raise refuse("bad-intrinsics", message, cure, path.name)
     return lens
 
 
@@ -331,9 +325,6 @@ def unique_names(relatives: list[str]) -> list[str]:
 
     Returns:
         One name each, fit for a file name.
-
-    Raises:
-        CaptureError: If two photographs have the same path, or one has a path that is none.
     """
     parts = [
         [p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")] for r in relatives
@@ -347,12 +338,9 @@ def unique_names(relatives: list[str]) -> list[str]:
         _check_name(name, relative)
     if len(set(names)) < len(names):
         twice = sorted(relative for relative, n in Counter(relatives).items() if n > 1)
-        raise refuse(
-            "duplicate-images",
-            f"{len(twice)} photographs are named more than once, with one pose each",
-            "Keep one entry a photograph.",
-            *twice,
-        )
+        message = f"{len(twice)} photographs are named more than once, with one pose each"
+        cure = "Keep one entry a photograph."
+        raise refuse("duplicate-images", message, cure, *twice)
     return names
 
 
@@ -362,11 +350,9 @@ def _check_name(name: str, relative: str) -> None:
         checked_name(relative)
         file_in(Path(), name)
     except UnsafeNameError as fault:
-        raise refuse(
-            "bad-name",
-            f"A photograph cannot be named: {fault}",
-            "Give the photographs short names of letters and digits, in the file of poses too.",
-        ) from None
+        message = f"A photograph cannot be named: {fault}"
+        cure = "Give the photographs short names of letters and digits, in the file of poses too."
+        raise refuse("bad-name", message, cure) from None
 
 
 def _has_image_suffix(name: str) -> bool:

@@ -54,9 +54,6 @@ def read_parts(
         document: As `opened` gives it.
         binary: Likewise.
         files: Contents of files beside it by the names that it uses.
-
-    Raises:
-        MeshFaultError: If something does not fit, or is too much.
     """
     reader = _Reader(document, binary, files)
     shown = list(_shown(document))

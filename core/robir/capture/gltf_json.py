@@ -81,11 +81,7 @@ def opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
 
 
 def buffer_of(uri: str, files: Mapping[str, bytes]) -> bytes:
-    """Contents of a buffer or picture that a file names or holds as text.
-
-    Raises:
-        MeshFaultError: If it is not there.
-    """
+    """Contents of a buffer or picture that a file names or holds as text."""
     if uri.startswith("data:"):
         try:
             return base64.b64decode(uri.partition(",")[2])
@@ -118,22 +114,14 @@ def _chunks(content: bytes) -> tuple[bytes, bytes]:
 
 
 def refuse_extension(name: str) -> None:
-    """Refuse what a file cannot be understood without.
-
-    Raises:
-        MeshFaultError: If an extension changes triangles and is not known.
-    """
+    """Refuse what a file cannot be understood without."""
     if not name.startswith(_HARMLESS):
         what = COMPRESSED.get(name, f"written with {name[:60]}")
         raise MeshFaultError(f"it is {what}, which is not read; export it without that")
 
 
 def entry(entries: list[Any], index: Any, who: str, what: str) -> Any:
-    """An entry of a list of the file by its number.
-
-    Raises:
-        MeshFaultError: If there is none.
-    """
+    """An entry of a list of the file by its number."""
     if not isinstance(index, int) or not 0 <= index < len(entries):
         raise MeshFaultError(f"{who} names {what} {index}, which is not there")
     return entries[index]

@@ -84,11 +84,7 @@ class Given:
 
 
 def mesh_parts(path: Path) -> dict[str, bytes]:
-    """Contents of the files that a mesh consists of, its own under the empty name.
-
-    Raises:
-        CaptureError: If the file is of no known kind, cannot be read, or names what lies elsewhere.
-    """
+    """Contents of the files that a mesh consists of, its own under the empty name."""
     suffix = path.suffix.lower()
     if suffix in FOREIGN:
         raise CaptureError(_way_by_blender(path))
@@ -118,11 +114,7 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
 
 
 def read_mesh(path: Path) -> Given:
-    """All triangles of a file, whatever objects and materials they belong to.
-
-    Raises:
-        CaptureError: If it cannot be read, or holds no usable triangle; says which.
-    """
+    """All triangles of a file, whatever objects and materials they belong to."""
     parts = mesh_parts(path)
     suffix = path.suffix.lower()
     content = parts.pop("")

@@ -22,12 +22,12 @@ from robir.capture.formats import KNOWN, reader_of, unread_poses
 from robir.capture.frames import Frame, FrameSet, PosedRefusedError
 from robir.capture.images.decode import may_hold_alpha
 from robir.capture.masks import given as mask_files
-from robir.capture.poses import solve
-from robir.capture.poses.photos import find_photographs
-from robir.capture.poses.register import is_video, register
+from robir.capture.poses import sfm
+from robir.capture.poses.register import register
+from robir.capture.poses.sources import find_photographs, is_video
 from robir.capture.readers.files import children
 from robir.capture.readers.left_out import without_left_out
-from robir.capture.readers.nerf_synthetic import FORMAT as SYNTHETIC
+from robir.capture.readers.transforms import SYNTHETIC
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
@@ -63,9 +63,6 @@ def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> 
 
     Returns:
         Posed files.
-
-    Raises:
-        CaptureError: If nothing is there, no format fits, or the poses cannot be read.
     """
     if is_video(source):
         raise _no_poses(f"{source} is a video")
@@ -109,13 +106,11 @@ def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
         if path.parent in strange or (path.is_symlink() and leads_out(path, homes))
     ]
     if elsewhere:
-        raise refuse(
-            "outside",
-            f"{len(elsewhere)} photographs or masks lie outside the capture's folder {homes[0]}",
-            "Bring them into it; or, if you trust the capture, take them from where they are with "
-            "--set capture.outside=take.",
-            *elsewhere,
-        )
+        message = f"{len(elsewhere)} photographs or masks lie outside the capture's folder "
+        message += f"{homes[0]}"
+        cure = "Bring them into it; or, if you trust the capture, take them from where they are "
+        cure += "with --set capture.outside=take."
+        raise refuse("outside", message, cure, *elsewhere)
 
 
 def _folders(source: Path) -> list[Path]:
@@ -127,32 +122,24 @@ def _not_recognised(source: Path) -> CaptureRefusedError:
     """Why a folder is no capture, and where the capture may be."""
     captures = [child.name for child in _folders(source) if reader_of(child) is not None]
     if captures:
-        return refuse(
-            "no-capture",
-            f"{source} is no capture itself but holds {len(captures)}",
-            "Give one of them.",
-            *captures,
-        )
+        message = f"{source} is no capture itself but holds {len(captures)}"
+        cure = "Give one of them."
+        return refuse("no-capture", message, cure, *captures)
     photographs = [path.relative_to(source).as_posix() for path in find_photographs(source)]
     if not photographs:
-        return refuse(
-            "no-capture",
-            f"{source} holds no capture: there are neither photographs nor camera poses",
-            f"Give the folder that holds photographs, or {KNOWN}.",
-        )
+        message = f"{source} holds no capture: there are neither photographs nor camera poses"
+        cure = f"Give the folder that holds photographs, or {KNOWN}."
+        return refuse("no-capture", message, cure)
     refusal = _no_poses(f"{source} holds {len(photographs)} photographs", *photographs)
     return CaptureRefusedError([*unread_poses(source), *refusal.findings])
 
 
 def _no_poses(what: str, *photographs: str) -> CaptureRefusedError:
-    return refuse(
-        "no-poses",
-        f"{what} but no camera poses",
-        "Install what finds them: pip install 'robir[photos]'; or estimate them, for example with "
-        f"COLMAP, and give the folder that holds {KNOWN}. Masks will be needed as well "
-        "(--masks DIR).",
-        *photographs,
-    )
+    message = f"{what} but no camera poses"
+    cure = "Install what finds them: pip install 'robir[photos]'; or estimate them, for example "
+    cure += f"with COLMAP, and give the folder that holds {KNOWN}. Masks will be needed as well "
+    cure += "(--masks DIR)."
+    return refuse("no-poses", message, cure, *photographs)
 
 
 def _lacks_poses(source: Path) -> bool:
@@ -194,7 +181,7 @@ def read_capture(
         CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
             hold everything that was noticed until then, a `PosedRefusedError` if poses are sound.
     """
-    if workshop is not None and solve.is_available() and _lacks_poses(source):
+    if workshop is not None and sfm.is_available() and _lacks_poses(source):
         photographs = find_photographs(source) if source.is_dir() else []
         _stop_on_errors(check_count(len(photographs)))
         if config.outside == "refuse":
@@ -314,14 +301,8 @@ def _folder_of_masks(frames: FrameSet) -> Path | None:
 def _check_mask_supply(loaded: Loaded) -> list[Finding]:
     if not loaded.maskless or len(loaded.maskless) == len(loaded.views):
         return []  # where none has a mask they were guessed, or it was said why they cannot be
-    return [
-        error(
-            "missing-masks",
-            f"{len(loaded.maskless)} of {len(loaded.views)} photographs have no mask",
-            mask_files.HOW_TO_SUPPLY,
-            *loaded.maskless,
-        )
-    ]
+    message = f"{len(loaded.maskless)} of {len(loaded.views)} photographs have no mask"
+    return [error("missing-masks", message, mask_files.HOW_TO_SUPPLY, *loaded.maskless)]
 
 
 def _stop_on_errors(findings: list[Finding]) -> None:

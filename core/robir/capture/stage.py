@@ -7,7 +7,7 @@ from typing import Any
 
 from robir.capture.checks.findings import clipped_share, mask_share
 from robir.capture.config import CaptureConfig
-from robir.capture.poses.adjustment import with_adjusted_cameras
+from robir.capture.poses.adjust import with_adjusted_cameras
 from robir.capture.recognise import Workshop, read_capture
 from robir.capture.refusal import describe
 from robir.capture.store import save_capture
@@ -25,10 +25,6 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
     Returns:
         Metrics: format, views and held_out (counts), mask_share and clipped_share (in [0, 1]),
         bounds_radius (capture unit).
-
-    Raises:
-        CaptureError: If the capture cannot be reconstructed; nothing is stored.
-        CancelledError: If the user asked to stop.
     """
     capture = read_capture(
         context.source,

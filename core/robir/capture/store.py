@@ -97,9 +97,6 @@ def load_bounds(paths: JobPaths) -> Bounds:
 
     Args:
         paths: The result folder.
-
-    Raises:
-        StorageError: If a file is missing or damaged.
     """
     folder = paths.stage("capture")
     try:
@@ -204,9 +201,6 @@ def load_settled(paths: JobPaths) -> Capture:
 
     Returns:
         The capture in its own frame, or in the one that the geometry stage brought it to.
-
-    Raises:
-        StorageError: If a file is missing or damaged.
     """
     capture = load_capture(paths.stage("capture"))
     if paths.cut_masks.exists():

@@ -146,13 +146,8 @@ def load_views(
         progress((done + 1) / len(chosen), f"reading {frame.name}")
     turned = [reading.view.name for reading in readings if reading.is_turned]
     if turned:
-        findings.append(
-            note(
-                "exif-orientation",
-                f"{len(turned)} photographs were turned upright as their EXIF data says",
-                *turned,
-            )
-        )
+        message = f"{len(turned)} photographs were turned upright as their EXIF data says"
+        findings.append(note("exif-orientation", message, *turned))
     findings += _about_colours(readings, exposure)
     if any(not frame.lens.distortion.is_null for frame, _ in chosen):
         findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
@@ -190,15 +185,10 @@ def _about_colours(readings: Sequence[Reading], exposure: float) -> list[Finding
     found = [note("colours", f"Colours of the photographs: {groups}{scaled}")]
     toned = [reading.view.name for reading in readings if not reading.is_linear]
     if 0 < len(toned) < len(readings):
-        found.append(
-            warning(
-                "mixed-tone-curves",
-                f"{len(toned)} of {len(readings)} photographs went through a tone curve, the "
-                "others are linear",
-                "Give all photographs of one kind.",
-                *toned,
-            )
-        )
+        message = f"{len(toned)} of {len(readings)} photographs went through a tone curve, the "
+        message += "others are linear"
+        cure = "Give all photographs of one kind."
+        found.append(warning("mixed-tone-curves", message, cure, *toned))
     return found
 
 
@@ -213,9 +203,6 @@ def _refuse_odd_size(frame: Frame, most: float) -> None:
     """Refuse a photograph that has nothing to do with the others, before it is decoded."""
     size = stored_size(frame.image)
     if size is not None and size[0] * size[1] > most:
-        raise refuse(
-            "wrong-size",
-            f"{frame.image} is {size[0]}x{size[1]} pixels, many times as large as the others",
-            "Give the photographs the poses were made for.",
-            frame.image.name,
-        )
+        message = f"{frame.image} is {size[0]}x{size[1]} pixels, many times as large as the others"
+        cure = "Give the photographs the poses were made for."
+        raise refuse("wrong-size", message, cure, frame.image.name)

@@ -15,10 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture, View
-from robir.capture.masks.finish import sharpened
-from robir.capture.masks.guess import SIDE
-from robir.capture.masks.recut import recut
-from robir.capture.masks.sight import Picture, reduced
+from robir.capture.masks.guess import SIDE, Picture, recut, reduced, sharpened
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import mask_distance, object_hull
 from robir.geometry.mesh.tracer import EmbreeTracer

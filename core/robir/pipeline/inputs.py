@@ -11,8 +11,7 @@ from pathlib import Path
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.decode import MAX_FILE_BYTES
 from robir.capture.mesh_file import mesh_parts
-from robir.capture.poses.register import is_video
-from robir.capture.poses.video import MAX_BYTES
+from robir.capture.poses.sources import MAX_BYTES, is_video
 from robir.errors import CaptureError
 from robir.jobs.names import leads_out, open_regular
 

@@ -15,8 +15,8 @@ from robir.capture.capture import Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import PosedRefusedError
 from robir.capture.poses.diagnose import Links, judge
-from robir.capture.poses.photos import find_photographs
-from robir.capture.poses.prepare import Prepared
+from robir.capture.poses.sfm import Prepared
+from robir.capture.poses.sources import find_photographs
 from robir.capture.recognise import read_capture
 from robir.capture.refusal import CaptureRefusedError, describe, error, grouped, note
 

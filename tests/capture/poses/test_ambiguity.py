@@ -11,9 +11,8 @@ import pytest
 
 from robir.capture.poses import register
 from robir.capture.poses.ambiguity import Verdict, forget, hold_against_links
-from robir.capture.poses.diagnose import Links, _strangers, look_alikes
-from robir.capture.poses.prepare import Prepared
-from robir.capture.poses.solve import Workplace
+from robir.capture.poses.diagnose import Links, look_alikes, strangers
+from robir.capture.poses.sfm import Prepared, Workplace
 
 pytestmark = pytest.mark.pycolmap
 
@@ -133,7 +132,7 @@ def test_photographs_side_by_side_without_matches_are_strangers(turned, compared
     step = np.abs(np.subtract.outer(range(COUNT), range(COUNT)))
     matches = np.where(np.minimum(step, COUNT - step) <= 2, 200, 0)
     links = Links(matches, np.full((COUNT, COUNT), compared), 0.1, 0.0)
-    found = _strangers(photographs(), links, ring(turned))
+    found = strangers(photographs(), links, ring(turned))
     assert [f"{count} pairs" in finding.message for finding in found] == [True] * bool(count)
     if found:
         assert "IMG_0.jpg and IMG_6.jpg" in found[0].files

@@ -15,9 +15,8 @@ from robir import cli
 from robir.capture.camera import Camera
 from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
-from robir.capture.poses import solve
-from robir.capture.poses.prepare import FEATURE_SIDE, prepare
-from robir.capture.poses.register import register
+from robir.capture.poses import sfm
+from robir.capture.poses.register import FEATURE_SIDE, prepare, register
 from robir.capture.refusal import CaptureRefusedError
 
 
@@ -126,7 +125,7 @@ def test_damaged_exif_and_a_panorama_of_50_megapixels(walk: Walk, tmp_path: Path
 
 
 def test_without_pycolmap_the_refusal_names_the_extra(walk: Walk, monkeypatch):
-    monkeypatch.setattr(solve, "is_available", lambda: False)
+    monkeypatch.setattr(sfm, "is_available", lambda: False)
     capture, findings, _ = check_capture(walk.folder, None, CaptureConfig())
     assert capture is None
     assert findings[0].code == "no-poses"

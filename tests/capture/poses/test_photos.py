@@ -13,10 +13,9 @@ from scipy import ndimage
 
 from robir.capture.images.decode import exif_values, opened, orientation, upright
 from robir.capture.images.loading import Photo, open_photo
-from robir.capture.poses.pairs import all_pairs, sequence_pairs
-from robir.capture.poses.photos import find_photographs, lens_of
-from robir.capture.poses.prepare import prepare
-from robir.capture.poses.video import FRAMES, sharpness, take_frames
+from robir.capture.poses.register import prepare
+from robir.capture.poses.sfm import all_pairs, sequence_pairs
+from robir.capture.poses.sources import FRAMES, find_photographs, lens_of, sharpness, take_frames
 from robir.capture.refusal import CaptureRefusedError
 from robir.pipeline.inputs import capture_fingerprint
 

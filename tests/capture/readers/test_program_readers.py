@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
-from robir.capture.poses.photos import find_photographs
+from robir.capture.poses.sources import find_photographs
 from robir.capture.recognise import read_capture, read_frames
 from robir.capture.refusal import CaptureRefusedError
 

@@ -63,10 +63,6 @@ def prepared(
         frames: What the format says.
         chosen: Frames to read, with their split.
         drawn: Masks by frame name that win over the format's own.
-
-    Raises:
-        CaptureError: If a mask cannot be read, or if EXIF data turns photographs and nothing tells
-            whether poses heed it.
     """
     chosen, masks, findings = without_ignoring(chosen, drawn)
     exif = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}

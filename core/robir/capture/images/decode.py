@@ -81,11 +81,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
 
 
 def load(picture: Image.Image, path: Path) -> None:
-    """Decode the pixels of an open picture.
-
-    Raises:
-        CaptureError: If they are damaged, or take too long.
-    """
+    """Decode the pixels of an open picture."""
     whole = stored_size(path) if picture.format in ("JPEG", "MPO") else None
     if whole is not None:
         _check_scans(path, whole[0] * whole[1])
@@ -198,12 +194,9 @@ def header(path: Path) -> Iterator[Image.Image]:
                 "missing-images", f"{path} does not exist", "Put it there.", path.name
             ) from None
         except UnidentifiedImageError:
-            raise refuse(
-                "unreadable-images",
-                f"{path} is not a photograph that can be read",
-                "Save it as PNG, JPEG or TIFF.",
-                path.name,
-            ) from None
+            message = f"{path} is not a photograph that can be read"
+            cure = "Save it as PNG, JPEG or TIFF."
+            raise refuse("unreadable-images", message, cure, path.name) from None
         except _DAMAGE as fault:
             raise _damaged(path, fault) from None
         yield stack.enter_context(picture)
@@ -211,13 +204,10 @@ def header(path: Path) -> Iterator[Image.Image]:
 
 def _check_size(path: Path, width: int, height: int) -> None:
     if width * height > MAX_PIXELS or max(width, height) > MAX_SIDE:
-        raise refuse(
-            "too-large",
-            f"{path} is {width}x{height} pixels; photographs of up to "
-            f"{MAX_PIXELS // 1_000_000} megapixels are read",
-            "Save it smaller.",
-            path.name,
-        )
+        message = f"{path} is {width}x{height} pixels; photographs of up to "
+        message += f"{MAX_PIXELS // 1_000_000} megapixels are read"
+        cure = "Save it smaller."
+        raise refuse("too-large", message, cure, path.name)
 
 
 def _check_scans(path: Path, pixels: int) -> None:
@@ -228,12 +218,9 @@ def _check_scans(path: Path, pixels: int) -> None:
             scans += (last + block).count(SCAN)
             last = block[-1:]
     if scans > 1 and scans * pixels > MAX_DECODED:
-        raise refuse(
-            "too-large",
-            f"{path} stores its picture in {scans} passes, which takes too long to decode",
-            "Save it again.",
-            path.name,
-        )
+        message = f"{path} stores its picture in {scans} passes, which takes too long to decode"
+        cure = "Save it again."
+        raise refuse("too-large", message, cure, path.name)
 
 
 def exif_values(picture: Image.Image) -> dict[int, object] | None:
@@ -274,12 +261,9 @@ def _register_heif(path: Path) -> None:
     try:
         import pillow_heif
     except ImportError:
-        raise refuse(
-            "missing-reader",
-            f"{path} is a HEIC photograph, which needs the package pillow-heif",
-            f"{INSTALL_PHOTOS}; or save the photographs as JPEG.",
-            path.name,
-        ) from None
+        message = f"{path} is a HEIC photograph, which needs the package pillow-heif"
+        cure = f"{INSTALL_PHOTOS}; or save the photographs as JPEG."
+        raise refuse("missing-reader", message, cure, path.name) from None
     pillow_heif.register_heif_opener()
 
 
@@ -293,12 +277,9 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         import rawpy
     except ImportError:
-        raise refuse(
-            "missing-reader",
-            f"{path} is a RAW photograph, which needs the package rawpy",
-            f"{INSTALL_PHOTOS}; or develop the photographs, all with the same settings.",
-            path.name,
-        ) from None
+        message = f"{path} is a RAW photograph, which needs the package rawpy"
+        cure = f"{INSTALL_PHOTOS}; or develop the photographs, all with the same settings."
+        raise refuse("missing-reader", message, cure, path.name) from None
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
@@ -324,9 +305,6 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
 
 
 def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
-    return refuse(
-        "unreadable-images",
-        f"{path} is truncated or damaged ({fault})",
-        "Copy it again from the camera, or remove it and its pose.",
-        path.name,
-    )
+    message = f"{path} is truncated or damaged ({fault})"
+    cure = "Copy it again from the camera, or remove it and its pose."
+    return refuse("unreadable-images", message, cure, path.name)

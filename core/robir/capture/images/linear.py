@@ -36,9 +36,6 @@ def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
         path: EXR or TIFF.
         file: The same, open.
         most: Pixels it may have.
-
-    Raises:
-        ValueError: If it is damaged, too large, or holds no colours.
     """
     try:
         values = _exr(path, most) if path.suffix.lower() == ".exr" else _tiff(file, most)

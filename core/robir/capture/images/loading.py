@@ -33,11 +33,12 @@ from robir.capture.images.pixels import Photo, in_srgb, pixels_of
 from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
+Size = tuple[int, int]
 
 _AT_ONCE = 1 << 24  # largest picture, in pixels, that is shrunk as a whole
 _BAND = 64  # rows of the result that are made at a time of larger ones
 # pixels between those at which a lens distortion is evaluated; it is all but linear between
-MESH = 8
+_MESH = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +58,9 @@ class StoredPhoto:
     stated: int
 
     @property
-    def size(self) -> tuple[int, int]:
+    def size(self) -> Size:
         """Width and height in pixels, turned upright, before it is decoded."""
-        width, height = self.picture.size
-        return (height, width) if self.orientation >= 5 else (width, height)
+        return self.picture.size[:: -1 if self.orientation >= 5 else 1]
 
     def read(self, reduction: int = 1, exposure: float = 1.0) -> Photo:
         """Decode it, once.
@@ -68,9 +68,6 @@ class StoredPhoto:
         Args:
             reduction: 1, 2, 4 or 8: by how much it may be reduced if that spares decoding.
             exposure: Factor on linear values; others are as they are.
-
-        Raises:
-            CaptureError: If the pixels are damaged or are no display values.
         """
         is_linear = LINEAR in self.picture.info
         applied = 1 if is_linear else reduce(self.picture, reduction)
@@ -87,9 +84,9 @@ class StoredPhoto:
 
 @contextmanager
 def open_photo(
-    path: Path, declared: tuple[int, int] | None, is_upright: bool | None = None
+    path: Path, declared: Size | None, is_upright: bool | None = None
 ) -> Iterator[StoredPhoto]:
-    """Open a photograph.
+    """Open a photograph, whose size may still differ from the declared one.
 
     Programs that write poses with an image size ignore the EXIF orientation, so it is applied
     only if the pixels as stored do not have the declared size, or none is declared, unless it is
@@ -100,12 +97,6 @@ def open_photo(
         declared: (width, height) that belongs to the pose, or None.
         is_upright: Whether the pose is for the photograph as its EXIF orientation turns it; None
             if that is not known.
-
-    Yields:
-        The photograph; its size may still differ from the declared one.
-
-    Raises:
-        CaptureError: If the file is missing or no photograph.
     """
     with header(path) as picture:
         stated = orientation(picture)
@@ -113,10 +104,8 @@ def open_photo(
         yield StoredPhoto(picture, path, stated if is_upright else 1, stated)
 
 
-def read_mask(
-    path: Path, size: tuple[int, int], turn: int = 1, is_turned: bool | None = False
-) -> Bytes:
-    """Read a mask: alpha where it varies, else brightness; 255 is the object.
+def read_mask(path: Path, size: Size, turn: int = 1, is_turned: bool | None = False) -> Bytes:
+    """Read a mask, (H, W) of its own size: alpha where it varies, else brightness; 255 is object.
 
     Masks of zeros and ones are stretched to 0 and 255.
 
@@ -125,73 +114,49 @@ def read_mask(
         size: Width and height of its photograph.
         turn: EXIF orientation that brings a mask to its photograph if one of them was turned.
         is_turned: Whether that is so; None if it is where the mask fits only thus.
-
-    Returns:
-        (H, W) uint8 coverage, of its own size.
-
-    Raises:
-        CaptureError: If the file is missing, truncated or no picture.
     """
     with opened(path) as picture:
         picture = upright(picture, orientation(picture))
         turned = upright(picture, turn)
         if is_turned is None:
             is_turned = same_shape(turned.size, size) and not same_shape(picture.size, size)
-        picture = turned if is_turned else picture
-        photo = pixels_of(picture)
+        photo = pixels_of(turned if is_turned else picture)
     mask = photo.image_display.max(axis=2) if photo.alpha is None else photo.alpha
     return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
 
 
-def fitted_mask(mask: Bytes, size: tuple[int, int]) -> Bytes:
-    """A mask brought to the size of its photograph, whose shape it has.
-
-    Args:
-        mask: (h, w) uint8.
-        size: Width and height of the photograph.
-
-    Returns:
-        (H, W) uint8, resampled where it was smaller or larger.
-    """
+def fitted_mask(mask: Bytes, size: Size) -> Bytes:
+    """A mask brought to the size of its photograph, whose shape it has."""
     if mask.shape[::-1] == size:
         return mask
     return np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
 
 
-def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+def same_shape(one: Size, other: Size) -> bool:
     """Whether two (width, height) differ by a scale and at most a pixel of rounding."""
     return abs(one[0] * other[1] - one[1] * other[0]) <= max(*one, *other)
 
 
-def size_within(size: tuple[int, int], max_side: int) -> tuple[int, int]:
+def size_within(size: Size, max_side: int) -> Size:
     """Width and height of a picture brought down to a longer side of at most `max_side`."""
     scale = min(1.0, max_side / max(size))
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
 
 def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
-    """Area average of a photograph and its mask.
+    """Area average of a photograph (H, W, 3), straight, and its mask (H, W), both uint8.
 
     Colours are weighted by the mask, so that the background (or the black under a transparent
     alpha) does not bleed into the object's edge. Averages display values: the tone curve is not
     known yet.
-
-    Args:
-        image: (H, W, 3) uint8, straight.
-        mask: (H, W) uint8.
-        width: New width in pixels.
-        height: New height in pixels.
-
-    Returns:
-        Image (height, width, 3) uint8, straight, and mask (height, width) uint8.
     """
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
-
     if mask.size > _AT_ONCE:
         return _shrink_in_bands(image, mask, width, height)
-    small = cv2.resize(_weighted(image, mask), (width, height), interpolation=cv2.INTER_AREA)
-    return _straight(small)
+    return _straight(
+        cv2.resize(_weighted(image, mask), (width, height), interpolation=cv2.INTER_AREA)
+    )
 
 
 def _weighted(image: Bytes, mask: Bytes) -> NDArray[np.float32]:
@@ -206,8 +171,11 @@ def _weighted(image: Bytes, mask: Bytes) -> NDArray[np.float32]:
 def _straight(layers: NDArray[np.float32]) -> tuple[Bytes, Bytes]:
     """The picture and the mask of `_weighted`."""
     layers[:, :, :3] /= layers[:, :, 3:]
-    codes = _bytes(layers)
-    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+    return _parted(np.clip(np.rint(layers), 0, 255).astype(np.uint8))
+
+
+def _parted(layers: Bytes) -> tuple[Bytes, Bytes]:
+    return np.ascontiguousarray(layers[:, :, :3]), np.ascontiguousarray(layers[:, :, 3])
 
 
 def _shrink_in_bands(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
@@ -218,8 +186,7 @@ def _shrink_in_bands(image: Bytes, mask: Bytes, width: int, height: int) -> tupl
     for top in range(0, height, _BAND):
         rows = np.arange(top, min(top + _BAND, height))
         first, last = int(top * step), min(len(mask), math.ceil((rows[-1] + 1) * step))
-        part = np.s_[first:last]
-        size = (width, last - first)
+        part, size = np.s_[first:last], (width, last - first)
         layers = cv2.resize(_weighted(image[part], mask[part]), size, interpolation=cv2.INTER_AREA)
         # what each row of the file has in common with each row that is wanted
         at = np.arange(first, last)
@@ -242,13 +209,6 @@ def straightened(camera: Camera, distortion: Distortion) -> Camera:
     """The camera of the photograph without its lens distortion, of the same size.
 
     The field of view shrinks just so much that no pixel lies outside the photograph.
-
-    Args:
-        camera: Camera of the photograph, distortion aside.
-        distortion: Lens distortion.
-
-    Raises:
-        CaptureError: If the distortion folds the picture over itself.
     """
     lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     zoom = _zoom_without_gaps(lens, distortion)
@@ -267,34 +227,27 @@ def undistort(
         distortion: Lens distortion.
         straight: The camera of the picture that is wanted: as `straightened` has it, or of a
             part of that.
-
-    Returns:
-        Image and mask of that camera's size.
     """
     # exact in the middle of every few pixels, and one such square beyond the border
-    columns, rows = (
-        MESH * (np.arange(-1, -(-side // MESH) + 1) + 0.5)
-        for side in (straight.width, straight.height)
-    )
+    sides = (straight.width, straight.height)
+    columns, rows = (_MESH * (np.arange(-1, -(-side // _MESH) + 1) + 0.5) for side in sides)
     middles = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
     at = _distorted_pixels(middles, straight, camera, distortion) - 0.5
     at = at.reshape(len(rows), len(columns), 2).astype(np.float32)
-    fine = cv2.resize(at, (MESH * len(columns), MESH * len(rows)), interpolation=cv2.INTER_LINEAR)
-    where = fine[MESH : MESH + straight.height, MESH : MESH + straight.width]
-    codes = cv2.remap(
-        np.dstack([image, mask]), where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.ascontiguousarray(codes[:, :, :3]), np.ascontiguousarray(codes[:, :, 3])
+    fine = cv2.resize(at, (_MESH * len(columns), _MESH * len(rows)), interpolation=cv2.INTER_LINEAR)
+    where = fine[_MESH : _MESH + straight.height, _MESH : _MESH + straight.width]
+    layers = np.dstack([image, mask])
+    border = cv2.BORDER_REPLICATE
+    return _parted(cv2.remap(layers, where, None, cv2.INTER_LINEAR, borderMode=border))
 
 
 def _distorted_pixels(
     pixels: NDArray[np.float64], straight: Camera, camera: Camera, distortion: Distortion
 ) -> NDArray[np.float64]:
     """Where points of the undistorted picture lie in the photograph, (N, 2) pixels."""
-    x = (pixels[:, 0] - straight.cx) / straight.fx
-    y = (pixels[:, 1] - straight.cy) / straight.fy
-    x, y = distortion.apply(x, y)
-    return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=1)
+    plain = (pixels - [straight.cx, straight.cy]) / [straight.fx, straight.fy]
+    bent = np.stack(distortion.apply(*plain.T), axis=1)
+    return bent * [camera.fx, camera.fy] + [camera.cx, camera.cy]
 
 
 @lru_cache
@@ -303,48 +256,32 @@ def _zoom_without_gaps(
 ) -> float:
     """Smallest focal factor, at least 1, whose picture's border lies inside the photograph.
 
-    Args:
-        lens: Width, height, fx, fy, cx and cy of a camera: many photographs share them.
-        distortion: Lens distortion.
+    `lens` is width, height, fx, fy, cx and cy of a camera: many photographs share them.
     """
     width, height, fx, fy, cx, cy = lens
     camera = Camera(
         camera_to_world=np.eye(4), width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
     )
-    u = np.linspace(0.0, camera.width, 65)
-    v = np.linspace(0.0, camera.height, 65)
-    border = np.concatenate(
-        [np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(camera.height))]
-        + [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(camera.width))]
-    )
-    size = np.array([camera.width, camera.height], dtype=np.float64)
+    u, v = np.linspace(0.0, width, 65), np.linspace(0.0, height, 65)
+    sides = [np.stack([u, np.full(65, edge)], axis=1) for edge in (0.0, float(height))]
+    sides += [np.stack([np.full(65, edge), v], axis=1) for edge in (0.0, float(width))]
+    border, middle = np.concatenate(sides), np.array([cx, cy])
+    # Along every ray from the middle the distorted radius has to grow.
+    fan = (middle + np.linspace(0.0, 1.0, 17)[:, None, None] * (border - middle)).reshape(-1, 2)
 
     def fits(zoom: float) -> bool:
-        straight = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
+        straight = replace(camera, fx=fx * zoom, fy=fy * zoom)
         at = _distorted_pixels(border, straight, camera, distortion)
-        if not ((at >= -0.5) & (at <= size + 0.5)).all():
+        if not ((at >= -0.5) & (at <= np.array([width, height]) + 0.5)).all():
             return False
-        # Along every ray from the middle the distorted radius has to grow.
-        middle = np.array([straight.cx, straight.cy])
-        steps = np.linspace(0.0, 1.0, 17)[:, None, None]
-        fan = _distorted_pixels(
-            (middle + steps * (border - middle)).reshape(-1, 2), straight, camera, distortion
-        ).reshape(17, len(border), 2)
-        radii = np.linalg.norm(fan - fan[0], axis=2)
-        return bool((np.diff(radii, axis=0) > 0).all())
+        bent = _distorted_pixels(fan, straight, camera, distortion).reshape(17, len(border), 2)
+        return bool((np.diff(np.linalg.norm(bent - bent[0], axis=2), axis=0) > 0).all())
 
     for zoom in np.geomspace(1.0, 2.0, 141):
         if fits(float(zoom)):
             return float(zoom)
-    raise refuse(
-        "distortion",
-        "The lens distortion folds the picture over itself: "
-        f"radial {distortion.radial}, rational {distortion.rational}, "
-        f"tangential {distortion.tangential}, skew {distortion.skew:g}",
-        "Undistort the photographs (for example with `colmap image_undistorter`) "
-        "and give that folder.",
-    )
-
-
-def _bytes(values: NDArray[np.float32]) -> Bytes:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    message = "The lens distortion folds the picture over itself: "
+    message += f"radial {distortion.radial}, rational {distortion.rational}, "
+    message += f"tangential {distortion.tangential}, skew {distortion.skew:g}"
+    cure = "Undistort the photographs (for example with `colmap image_undistorter`) "
+    raise refuse("distortion", message, cure + "and give that folder.")

@@ -27,9 +27,6 @@ def normal_images(document: Document) -> list[Document]:
 
     Args:
         document: JSON of a glTF file.
-
-    Raises:
-        ValueError: If one does not lie on the mesh's first texture coordinates as they are.
     """
     return [_image(document, named) for named in _named(document)[0]]
 
@@ -47,10 +44,6 @@ def normal_maps(
     Returns:
         The maps, no two of the same texture and strength, and which of them each material has, by
         its number; materials without one are missing.
-
-    Raises:
-        ValueError: As `normal_images`; or if a picture is missing or too large.
-        OSError: If one cannot be decoded.
     """
     distinct, of_material = _named(document)
     maps, pixels = [], 0

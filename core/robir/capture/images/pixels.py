@@ -84,18 +84,12 @@ def in_srgb(
         picture: As stored.
         deep: Its pixels, where they have 16 bits, as `deep_codes` has them.
         path: Its file, for messages.
-
-    Raises:
-        CaptureError: If its codes are no display values.
     """
     space = space_of(picture)
     if space is not None and space.name in HDR.values():
-        raise refuse(
-            "hdr-colours",
-            f"{path} holds HDR codes ({space.name}), which are no display values",
-            "Export it as a standard photograph (SDR), or linearly as EXR.",
-            path.name,
-        )
+        message = f"{path} holds HDR codes ({space.name}), which are no display values"
+        cure = "Export it as a standard photograph (SDR), or linearly as EXR."
+        raise refuse("hdr-colours", message, cure, path.name)
     told = [name_of(picture) if space is None else space.name]
     if space is not None and space.is_known and not picture.mode.startswith("I"):
         told = [f"{space.name} (converted to sRGB)"]

@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One photograph from its file to a view: decoded once, cut to the object, undistorted, reduced."""
+"""One photograph from its file to a view: decoded once, cut to the object, undistorted, reduced.
+
+Pixels are for the object, not for its surroundings.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from robir.capture.bounds import INSIDE
 from robir.capture.camera import Box, Camera
 from robir.capture.capture import Split, View
 from robir.capture.frames import Distortion, Frame, rigid
-from robir.capture.images.crop import NEVER_REDUCED, object_box, scaled_box
 from robir.capture.images.decode import undone
 from robir.capture.images.loading import (
     Bytes,
     Photo,
+    Size,
     StoredPhoto,
     fitted_mask,
     open_photo,
@@ -30,9 +35,13 @@ from robir.capture.images.loading import (
 from robir.capture.images.opencv import cv2
 from robir.capture.refusal import refuse
 
-OVERVIEW_SIDE = 192  # longer side of small copies by which a distorted object is found, pixels
-SPARE = 1.25  # least pixels that are decoded, along a side, for one that is kept
-Size = tuple[int, int]
+# width of the strip of background that is kept about the object, against the longer side of what is
+# kept: the outline is soft, and what lies beside it tells what is empty
+MARGIN = 0.05
+LEAST_SAVED = 0.25  # share of the photograph's longer side that cutting must take off to be done
+_NEVER_CUT = 256  # longer side of photographs, pixels, that no stage reduces
+_OVERVIEW_SIDE = 192  # longer side of small copies by which a distorted object is found, pixels
+_SPARE = 1.25  # least pixels that are decoded, along a side, for one that is kept
 
 
 class MaskSource(Protocol):
@@ -49,11 +58,7 @@ class MaskSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DrawnMask:
-    """A mask that was given.
-
-    Attributes:
-        mask: (h, w) uint8, of the photograph's shape.
-    """
+    """A mask that was given, (h, w) uint8, of the photograph's shape."""
 
     mask: Bytes
 
@@ -102,9 +107,6 @@ def read_view(
         given: Its mask or the mask's file, which win over the format's own and over alpha; or None.
         max_side: Longer side that is kept of what shows the object, pixels.
         exposure: Factor on the values of a linear photograph.
-
-    Raises:
-        CaptureError: If photograph or mask cannot be read, or do not fit the pose or each other.
     """
     with open_photo(frame.image, frame.lens.size, frame.is_upright) as stored:
         size = stored.size
@@ -114,13 +116,12 @@ def read_view(
         photo = stored.read(_reduction(size, source, max_side), exposure)
     camera = _reduced(frame.lens.camera(rigid(frame.camera_to_world), *size), photo)
     mask = photo.alpha if source is None else source.of(photo, size)
-    image = photo.image_display
-    layer = np.full(image.shape[:2], 255, np.uint8) if mask is None else mask
-    picture = _Picture(image, layer, camera)
-    box = picture.object_box(frame.lens.distortion)
-    part = picture.part(frame.lens.distortion, box if max(size) > NEVER_REDUCED else None, max_side)
+    image, bent = photo.image_display, frame.lens.distortion
+    picture = _Picture(image, np.full_like(image[:, :, 0], 255) if mask is None else mask, camera)
+    part = picture.part(bent, picture.box(bent) if max(size) > _NEVER_CUT else None, max_side)
+    layers = {"image_display": part.image, "mask": part.mask, "camera": part.camera}
     return Reading(
-        view=part.view(frame.name, split),
+        view=View(name=frame.name, split=split, **layers),
         has_mask=mask is not None,
         is_turned=photo.orientation != 1,
         colours=photo.colours,
@@ -128,36 +129,49 @@ def read_view(
     )
 
 
+def object_box(mask: Bytes) -> Box | None:
+    """The part of a picture about its object, by its mask (H, W).
+
+    The mask's bounding box with a margin, but for sides where the picture ends; None where the
+    whole picture is hardly larger, or the mask is empty.
+    """
+    inside = mask >= INSIDE
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if len(rows) == 0:
+        return None
+    height, width = mask.shape
+    margin = math.ceil(MARGIN * (max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1))
+    left, right = max(0, columns[0] - margin), min(width, columns[-1] + 1 + margin)
+    top, bottom = max(0, rows[0] - margin), min(height, rows[-1] + 1 + margin)
+    if max(right - left, bottom - top) > (1.0 - LEAST_SAVED) * max(width, height):
+        return None
+    return int(left), int(top), int(right), int(bottom)
+
+
 def _check_size(size: Size, frame: Frame) -> None:
     declared = frame.lens.size
     if declared is None or size == declared:
         return
     if not (frame.lens.is_scalable and same_shape(size, declared)):
-        raise refuse(
-            "wrong-size",
-            f"{frame.image} is {size[0]}x{size[1]} pixels, but its pose is for "
-            f"{declared[0]}x{declared[1]}",
-            "Give the photographs the poses were made for, or correct the stated size.",
-            frame.image.name,
-        )
+        message = f"{frame.image} is {size[0]}x{size[1]} pixels, but its pose is for "
+        cure = "Give the photographs the poses were made for, or correct the stated size."
+        sides = f"{declared[0]}x{declared[1]}"
+        raise refuse("wrong-size", message + sides, cure, frame.image.name)
 
 
 def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> DrawnMask:
     """A mask from its file."""
-    width, height = stored.size
     is_turned, turn = None, stored.orientation
     if frame.is_mask_upright is not None:
         is_turned = frame.is_mask_upright != frame.is_upright
         turn = undone(stored.stated) if frame.is_mask_upright else stored.stated
     mask = read_mask(path, stored.size, turn, is_turned)
-    if not same_shape((mask.shape[1], mask.shape[0]), stored.size):
-        raise refuse(
-            "wrong-size",
-            f"The mask {path} is {mask.shape[1]}x{mask.shape[0]} pixels, but its "
-            f"photograph {stored.path.name} is {width}x{height}",
-            "Draw the mask on the photograph itself, uncropped.",
-            path.name,
-        )
+    height, width = mask.shape
+    if not same_shape((width, height), stored.size):
+        message = f"The mask {path} is {width}x{height} pixels, but its photograph "
+        message += f"{stored.path.name} is {stored.size[0]}x{stored.size[1]}"
+        cure = "Draw the mask on the photograph itself, uncropped."
+        raise refuse("wrong-size", message, cure, path.name)
     return DrawnMask(mask)
 
 
@@ -170,18 +184,16 @@ def _reduction(size: Size, source: MaskSource | None, max_side: int) -> int:
         if box is not None:
             share = max(box[2] - box[0], box[3] - box[1]) / max(outline.shape)
     side = share * max(size)
-    wanted = SPARE * min(side, max_side)
+    wanted = _SPARE * min(side, max_side)
     return next(factor for factor in (8, 4, 2, 1) if factor == 1 or side / factor >= wanted)
 
 
 def _reduced(camera: Camera, photo: Photo) -> Camera:
     """The camera of a photograph that was reduced while it was decoded."""
-    width, height = photo.size
-    factor = photo.reduction
-    if factor == 1:
+    if photo.reduction == 1:
         return camera
-    exact = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
-    return replace(camera, width=width, height=height, **exact)
+    exact = {name: getattr(camera, name) / photo.reduction for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, width=photo.size[0], height=photo.size[1], **exact)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,30 +208,27 @@ class _Picture:
     def size(self) -> Size:
         return self.camera.width, self.camera.height
 
-    def view(self, name: str, split: Split) -> View:
-        return View(
-            name=name, image_display=self.image, mask=self.mask, camera=self.camera, split=split
-        )
-
     def shrunk(self, size: Size) -> _Picture:
-        image, mask = shrink(self.image, self.mask, *size)
-        return _Picture(image, mask, self.camera.resized(*size))
+        return _Picture(*shrink(self.image, self.mask, *size), self.camera.resized(*size))
 
     def straight(self, distortion: Distortion, camera: Camera) -> _Picture:
         """As another camera sees it, without the distortion."""
-        image, mask = undistort(self.image, self.mask, self.camera, distortion, camera)
-        return _Picture(image, mask, camera)
+        return _Picture(*undistort(self.image, self.mask, self.camera, distortion, camera), camera)
 
-    def object_box(self, distortion: Distortion) -> Box | None:
+    def box(self, distortion: Distortion) -> Box | None:
         """The part to keep, undistorted; a small copy tells it where the lens distorts."""
         if distortion.is_null:
             return object_box(self.mask)
-        size = size_within(self.size, OVERVIEW_SIDE)
+        width, height = size = size_within(self.size, _OVERVIEW_SIDE)
         mask = cv2.resize(self.mask, size, interpolation=cv2.INTER_AREA)
         small = _Picture(np.dstack([mask] * 3), mask, self.camera.resized(*size))
-        small = small.straight(distortion, straightened(small.camera, distortion))
-        box = object_box(small.mask)
-        return None if box is None else scaled_box(box, small.size, self.size)
+        found = object_box(small.straight(distortion, straightened(small.camera, distortion)).mask)
+        if found is None:
+            return None
+        left, top, right, bottom = found
+        x, y = self.size[0] / width, self.size[1] / height
+        end = min(self.size[0], math.ceil(right * x)), min(self.size[1], math.ceil(bottom * y))
+        return math.floor(left * x), math.floor(top * y), *end
 
     def part(self, distortion: Distortion, box: Box | None, max_side: int) -> _Picture:
         """A part of it, or the whole, undistorted and at most `max_side` pixels long."""
@@ -239,10 +248,6 @@ class _Picture:
         return picture.straight(distortion, camera).shrunk(target)
 
     def _cut(self, box: Box) -> _Picture:
-        left, top, right, bottom = box
-        part = np.s_[top:bottom, left:right]
-        return _Picture(
-            np.ascontiguousarray(self.image[part]),
-            np.ascontiguousarray(self.mask[part]),
-            self.camera.part(box),
-        )
+        part = np.s_[box[1] : box[3], box[0] : box[2]]
+        image, mask = np.ascontiguousarray(self.image[part]), np.ascontiguousarray(self.mask[part])
+        return _Picture(image, mask, self.camera.part(box))

@@ -17,11 +17,7 @@ MAX_BYTES = 1 << 28
 
 @contextmanager
 def regular(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """A regular file of sane size, opened for reading; everything a capture holds is read by it.
-
-    Raises:
-        OSError: If it is missing, no regular file, or larger than `most` bytes.
-    """
+    """A regular file of sane size, opened for reading; everything a capture holds is read by it."""
     with os.fdopen(open_regular(path), "rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > most:

@@ -21,9 +21,6 @@ def check_directories(file: BinaryIO) -> bool:
 
     Returns:
         Whether it is a TIFF file of floating-point numbers.
-
-    Raises:
-        ValueError: If an entry has more numbers than a photograph needs.
     """
     order = _ORDERS.get(file.read(4))
     try:

@@ -17,8 +17,8 @@ from scipy import ndimage
 
 from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
+from robir.capture.masks.guess import Array, Layer, Posed, sampled
 from robir.capture.masks.region import focus
-from robir.capture.masks.sight import Array, Layer, Posed, sampled
 
 RING = 2  # width of the strip along the edges of a photograph that shows the backdrop, pixels
 # codes by which a backdrop of one colour varies at most: no wall that a camera saw does so little,

@@ -48,9 +48,6 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
 
     Returns:
         Mask of each frame, by frame name.
-
-    Raises:
-        CaptureError: If the folder is missing or a photograph has no mask.
     """
     frames = tuple(frames)
     own = {os.path.normpath(f.image) for f in frames if not may_hold_alpha(f.image)}
@@ -71,28 +68,19 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
                 break
     missing = [frame.relative for frame in frames if frame.name not in found]
     if missing and pictures and own >= {os.path.normpath(path) for path in pictures}:
-        raise refuse(
-            "missing-masks",
-            f"{folder} holds photographs and no masks that outline the object"
-            f" ({IGNORE}* says what to ignore)",
-            HOW_TO_SUPPLY,
-        )
+        message = f"{folder} holds photographs and no masks that outline the object ({IGNORE}* "
+        message += "says what to ignore)"
+        raise refuse("missing-masks", message, HOW_TO_SUPPLY)
     if missing:
-        raise refuse(
-            "missing-masks",
-            f"{len(missing)} of {len(frames)} photographs have no mask in {folder}",
-            "Name each mask like its photograph (IMG_1.png or IMG_1_mask.png for IMG_1.jpg).",
-            *missing,
-        )
+        message = f"{len(missing)} of {len(frames)} photographs have no mask in {folder}"
+        cure = "Name each mask like its photograph (IMG_1.png or IMG_1_mask.png for IMG_1.jpg)."
+        raise refuse("missing-masks", message, cure, *missing)
     users = Counter(found.values())
     shared = [frame.relative for frame in frames if users[found[frame.name]] > 1]
     if shared:
-        raise refuse(
-            "missing-masks",
-            f"{len(shared)} photographs share a mask in {folder}",
-            "Give each photograph a mask of its own, in the same subfolder as the photograph.",
-            *shared,
-        )
+        message = f"{len(shared)} photographs share a mask in {folder}"
+        cure = "Give each photograph a mask of its own, in the same subfolder as the photograph."
+        raise refuse("missing-masks", message, cure, *shared)
     return found
 
 
@@ -107,9 +95,6 @@ def without_ignoring(
     Args:
         chosen: Frames with their split.
         drawn: Masks by frame name that win over the format's own.
-
-    Raises:
-        CaptureError: If a mask cannot be read.
     """
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
     beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]
@@ -120,15 +105,9 @@ def without_ignoring(
         found.append(note("ignore-masks", f"{what} and are not used", *dynamic))
     if len(chosen) < _FEWEST or not _are_one(masks):
         return list(chosen), dict(drawn), found
-    found.append(
-        warning(
-            "ignore-masks",
-            f"The masks of all {len(chosen)} photographs are the same picture and leave the border "
-            "in: they say what to ignore, not what is the object, and are not used",
-            HOW_TO_SUPPLY,
-            str(masks[0]),
-        )
-    )
+    message = f"The masks of all {len(chosen)} photographs are the same picture and leave the "
+    message += "border in: they say what to ignore, not what is the object, and are not used"
+    found.append(warning("ignore-masks", message, HOW_TO_SUPPLY, str(masks[0])))
     return [(replace(frame, mask=None), split) for frame, split in chosen], {}, found
 
 
@@ -151,11 +130,8 @@ def _pictures(folder: Path) -> list[Path]:
         folders.sort()
         seen += len(names) + len(folders)
         if seen > MAX_FILES:
-            raise refuse(
-                "missing-masks",
-                f"{folder} holds more than {MAX_FILES} files and can be no folder of masks",
-                HOW_TO_SUPPLY,
-            )
+            message = f"{folder} holds more than {MAX_FILES} files and can be no folder of masks"
+            raise refuse("missing-masks", message, HOW_TO_SUPPLY)
         paths = [Path(parent, name) for name in sorted(names)]
         found += [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
     return found

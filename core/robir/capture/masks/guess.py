@@ -1,45 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Masks from photographs with poses alone: colours, a common volume, and edges, in turns.
+"""Masks from photographs with poses alone: GrabCut in each, and a common volume, in turns.
 
-Each round learns the colours of object and background, cuts every photograph along its edges, and
-carves the volume that all cuts allow; its picture in each photograph is where the next round
-expects the object. The turns of colour model and cut are those of GrabCut (Rother, Kolmogorov and
-Blake 2004), the volume ties the photographs together as in Campbell et al. 2010.
+Each round cuts every photograph by its colours and edges (GrabCut: Rother, Kolmogorov and Blake
+2004) and carves the volume that nearly all cuts allow; its picture in each photograph is where the
+next round expects the object, as in Campbell et al. 2010. Sparse points of the object lie in it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.capture.bounds import kept, shown, silhouette
+from robir.capture.camera import Camera
 from robir.capture.images.opencv import cv2
-from robir.capture.masks.colours import Palette
 from robir.capture.masks.region import Region
-from robir.capture.masks.sight import Array, Layer, Picture, Posed, reduced, sampled
-from robir.capture.masks.soft_hull import Volume
-from robir.capture.masks.walker import walk
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Layer = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 SIDE = 320  # longer side at which masks are made, pixels
 # share of the photographs that may call a part of the object background, round by round
 DISSENT = (0.15, 0.10, 0.07, 0.05)
-# belief in the object that the volume alone can give a pixel, round by round
-TRUST = (0.62, 0.62, 0.75, 0.85)
-# evidence for the object taken off every pixel, round by round: what both sides may have is
-# background until the other photographs say otherwise
-CAUTION = (1.0, 1.0, 0.5, 0.0)
-SURE = 0.6  # belief from which the volume decides against the colours in the end
-DEEP = 4  # pixels from the outline of the volume's picture at which it is believed
-OUTSIDE = 0.02  # belief below which the volume leaves no room for the object
-SEED = 1.5  # evidence of a surface point of the object in a pixel, natural logarithm of a ratio
-CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
-LEAST_CONTRAST = 0.65  # contrast below which object and background look too alike
-LEAST_AGREEMENT = 0.75  # agreement below which the masks show no common object
-MOST = 0.9  # share of the photograph that no object covers in most of them
-ODD = 0.6  # agreement below which a single mask is named
-RING = 10  # pixels on both sides of an outline by which colours are judged
+CELLS = 64  # along the longest side of the region
+_SLIM = 0.6  # of a cell that masks carve and pictures show: whole ones would make it fat
+_ROOM = (
+    12  # pixels beyond the volume's picture at which nothing is looked for after the first round
+)
+_DEEP = 4  # pixels within it from which it is believed against the colours in the end
+_CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
+_RING = 10  # pixels on both sides of an outline by which colours are judged
+_LEAST_CONTRAST = 0.65  # below this object and background look too alike
+_LEAST_AGREEMENT = 0.75  # below this the masks show no common object
+_LEAST, _MOST = 0.002, 0.9  # share of the photographs that an object covers, in the median
+_ODD = 0.6  # agreement below which a single mask is named
+_SLACK = 6.0  # pixels by which the outline of a surface may be off
+_BAND = 3  # small pixels on both sides of an outline that are looked at anew in the photograph
+_FINE_SIDE = 640  # longer side of what is looked at then, pixels
+
+
+class Posed(Protocol):
+    """A photograph, (H, W, 3) uint8 display values, with its camera."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def image_display(self) -> Bytes: ...  # noqa: D102
+    @property
+    def camera(self) -> Camera: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A photograph reduced to the size masks are made at: CIE L*a*b* (H, W, 3) uint8, camera."""
+
+    lab: Bytes
+    camera: Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,148 +69,210 @@ class Guess:
     """Masks and how far they are to be trusted.
 
     Attributes:
-        masks: Belief in the object at each pixel, (H, W) float32 in [0, 1], at most `SIDE` long.
+        masks: (H, W) float32, 1 on the object, at most `SIDE` long.
         agreement: (V,) intersection over union of each mask with the volume all masks allow.
         contrast: (V,) share of the pixels along each outline that colours learnt from the other
-            photographs put on the right side, both sides weighing the same; one half where object
-            and background look alike.
+            photographs put on the right side; one half where object and background look alike.
         region: Where the object was looked for.
-        volume: (N, 3) points that fill what all masks allow, capture frame.
     """
 
     masks: tuple[Layer, ...]
-    agreement: NDArray[np.float64]
-    contrast: NDArray[np.float64]
+    agreement: Array
+    contrast: Array
     region: Region
-    volume: NDArray[np.float64]
 
     def fault(self) -> str | None:
         """Why the masks are not to be trusted, a clause for the user, or None."""
-        shares = [float((mask > 0.5).mean()) for mask in self.masks]
-        if np.median(shares) < 0.002 or len(self.volume) == 0:
+        share = np.median([mask.mean() for mask in self.masks])
+        contrast, agreement = (float(np.median(x)) for x in (self.contrast, self.agreement))
+        if share < _LEAST:
             return "nothing stands out from the background where the cameras aim"
-        if np.median(shares) > MOST:
+        if share > _MOST:
             return "everything the cameras see looks like the object"
-        contrast = float(np.median(self.contrast))
-        if contrast < LEAST_CONTRAST:
+        if contrast < _LEAST_CONTRAST:
             return (
                 "object and background look alike: along the outlines found, colour puts only "
                 f"{100 * contrast:.0f} % of the pixels on the right side"
             )
-        agreement = float(np.median(self.agreement))
-        if agreement < LEAST_AGREEMENT:
-            return (
-                "what was cut out of the photographs has no common shape: it agrees to "
-                f"{100 * agreement:.0f} %"
-            )
+        if agreement < _LEAST_AGREEMENT:
+            what = "what was cut out of the photographs has no common shape"
+            return f"{what}: it agrees to {100 * agreement:.0f} %"
         return None
 
     @property
-    def odd(self) -> NDArray[np.bool_]:
+    def odd(self) -> Mask:
         """(V,) which masks do not agree with the others."""
-        return self.agreement < ODD
+        return self.agreement < _ODD
 
 
 def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[float], None]) -> Guess:
-    """Cut the object of a region out of photographs.
-
-    Args:
-        views: Photographs with cameras.
-        region: Where the object is.
-        progress: Told the share of the work done.
-
-    Returns:
-        The masks and their agreement.
-    """
+    """Cut the object of a region out of photographs; `progress` hears the share of the work."""
     pictures = reduced(views, SIDE)
-    volume = Volume(region, [picture.camera for picture in pictures])
-    priors = [volume.picture(k) for k in range(len(pictures))]
+    cells, half = region.cells(CELLS)
+    priors = [shown(p.camera, cells[region.is_core(cells)], half) for p in pictures]
+    rooms = [shown(p.camera, cells, half) for p in pictures]
     points, masks = region.points, priors
-    palette = Palette(pictures, [_first_lesson(prior) for prior in priors])
-    for number, (dissent, trust) in enumerate(zip(DISSENT, TRUST, strict=True)):
+    for number, dissent in enumerate(DISSENT):
         masks = []
-        seeds = [_seeds(picture, points) for picture in pictures]
-        for k, picture in enumerate(pictures):
-            odds = palette.evidence(k, picture.lab.shape[:2]) - CAUTION[number] + seeds[k]
-            belief = 1 / (1 + np.exp(-odds - _log_odds(priors[k], trust)))
-            masks.append(walk(picture.lab, np.where(priors[k] < OUTSIDE, 1e-3, belief)))
-            progress((number + (k + 1) / len(pictures)) / len(DISSENT))
-        volume.carve(masks, dissent)
-        priors = [volume.picture(k) for k in range(len(pictures))]
-        palette = Palette(pictures, masks)
-        points = _within_masks(region.points, pictures, masks)
-    agreement = np.array([_overlap(*pair) for pair in zip(masks, priors, strict=True)])
+        for picture, prior, room in zip(pictures, priors, rooms, strict=True):
+            labels = np.where(prior, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+            labels[~room] = cv2.GC_BGD
+            labels[_near_points(picture.camera, points) & room] = cv2.GC_FGD
+            masks.append(_grabbed(picture.lab, labels))
+            progress((number + len(masks) / len(pictures)) / len(DISSENT))
+        outlines = [
+            silhouette(p.camera, m) for p, m in zip(pictures, masks, strict=True) if m.any()
+        ]
+        left = cells[kept(outlines, cells, _SLIM * half, round(dissent * len(outlines)))]
+        priors = [shown(p.camera, left, _SLIM * half) for p in pictures]
+        rooms = [cv2.dilate(prior.astype(np.uint8), _disc(_ROOM)) == 1 for prior in priors]
+        points = _within(region.points, pictures, masks)
+    agreement = [(m & p).sum() / max((m | p).sum(), 1) for m, p in zip(masks, priors, strict=True)]
     # one hole drills through the whole visual hull, so what all others see is put back
-    masks = [_mended(*pair) for pair in zip(masks, priors, strict=True)]
+    deep = [cv2.erode(p.astype(np.uint8), _disc(_DEEP), borderValue=1) == 1 for p in priors]
+    masks = [mask | inner for mask, inner in zip(masks, deep, strict=True)]
     return Guess(
-        masks=tuple(masks),
-        agreement=agreement,
-        contrast=np.array(
-            [
-                _contrast(mask, palette.evidence_of_others(k, mask.shape))
-                for k, mask in enumerate(masks)
-            ]
-        ),
+        masks=tuple(mask.astype(np.float32) for mask in masks),
+        agreement=np.array(agreement),
+        contrast=_contrasts([picture.lab for picture in pictures], masks),
         region=region,
-        volume=volume.points(),
     )
 
 
-def _first_lesson(prior: Layer) -> Layer:
-    """Where colours are learnt before the first cut: deep within the region and well outside."""
-    return np.select([prior > 0.75, prior < 0.35], [1.0, 0.0], 0.5).astype(np.float32)
+def reduced(views: Sequence[Posed], side: int) -> list[Picture]:
+    """Photographs at most `side` pixels long, in the same order."""
+    pictures = []
+    for view in views:
+        camera = view.camera
+        scale = min(1.0, side / max(camera.width, camera.height))
+        size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        small = cv2.resize(view.image_display, size, interpolation=cv2.INTER_AREA)
+        pictures.append(Picture(cv2.cvtColor(small, cv2.COLOR_RGB2LAB), camera.resized(*size)))
+    return pictures
 
 
-def _log_odds(belief: Layer, trust: float) -> Layer:
-    bounded = np.clip(belief, OUTSIDE, trust)
-    return np.log(bounded / (1 - bounded))
+def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]:
+    """Cut the object out again near the outlines of a surface.
+
+    Colours alone cannot tell a shadow from what casts it; a surface can, to within a few pixels.
+
+    Args:
+        pictures: Photographs.
+        outlines: (H, W) signed distances to the outline of the surface, pixels, negative on it.
+
+    Returns:
+        (H, W) each, 1 on the object.
+    """
+    masks = []
+    for picture, outline in zip(pictures, outlines, strict=True):
+        labels = np.where(outline < 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+        labels[outline < -_SLACK], labels[outline > _SLACK] = cv2.GC_FGD, cv2.GC_BGD
+        masks.append(_grabbed(picture.lab, labels).astype(np.float32))
+    return masks
 
 
-def _seeds(picture: Picture, points: Array) -> Layer:
-    """Evidence of the object's surface points, (H, W): even hidden ones lie in its silhouette."""
-    camera = picture.camera
+def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
+    """Mask of a photograph whose outline follows the photograph's edges.
+
+    Args:
+        image_display: (H, W, 3) uint8, the photograph.
+        belief: (h, w) in [0, 1], the same picture smaller.
+
+    Returns:
+        (H, W) uint8, 255 on the object.
+    """
+    height, width = image_display.shape[:2]
+    small = _without_crumbs(belief > 0.5)
+    mask = np.zeros((height, width), np.uint8)
+    if not small.any():
+        return mask
+    # only the part of the photograph about the object
+    left, top, wide, high = cv2.boundingRect(small.astype(np.uint8))
+    low = np.maximum([top - 4, left - 4], 0)
+    high_end = np.minimum([top + high + 4, left + wide + 4], small.shape)
+    scale = np.array([height, width]) / small.shape
+    (y0, x0), (y1, x1) = np.rint(low * scale).astype(int), np.rint(high_end * scale).astype(int)
+    part = image_display[y0:y1, x0:x1]
+    own = small[low[0] : high_end[0], low[1] : high_end[1]].astype(np.float32)
+    zoom = min(1.0, _FINE_SIDE / max(part.shape[:2]))
+    size = (max(1, round(part.shape[1] * zoom)), max(1, round(part.shape[0] * zoom)))
+    inside = (cv2.resize(own, size, interpolation=cv2.INTER_LINEAR) > 0.5).astype(np.uint8)
+    square = _disc(max(1, round(_BAND * max(size) / max(own.shape))))
+    labels = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    labels[cv2.erode(inside, square) == 1] = cv2.GC_FGD
+    labels[cv2.dilate(inside, square) == 0] = cv2.GC_BGD
+    lab = cv2.cvtColor(cv2.resize(part, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2LAB)
+    fine = _grabbed(lab, labels).astype(np.float32)
+    fine = cv2.resize(fine, part.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    mask[y0:y1, x0:x1] = np.where(fine > 0.5, 255, 0)
+    return mask
+
+
+def _disc(radius: int) -> Bytes:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+
+
+def _grabbed(lab: Bytes, labels: Bytes) -> Mask:
+    """Object pixels by GrabCut, whose labels of the object are the odd ones."""
+    if 0 < int((labels % 2).sum()) < labels.size:
+        cv2.setRNGSeed(0)  # of the first clusters of colours
+        models = np.zeros((1, 65)), np.zeros((1, 65))
+        cv2.grabCut(lab, labels, None, *models, 1, cv2.GC_INIT_WITH_MASK)
+    return labels % 2 == 1
+
+
+def _near_points(camera: Camera, points: Array) -> Mask:
+    """Pixels of the object's surface points, even hidden ones; one on its own may be a mistake."""
     pixels, depth = camera.project(points)
     column, row = pixels[camera.in_picture(pixels, depth)].astype(np.int64).T
     count = np.zeros((camera.height, camera.width), dtype=np.float32)
     np.add.at(count, (row, column), 1)
     near = cv2.boxFilter(count, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    # a point on its own may be a mistake
-    return np.float32(SEED) * np.clip(near - 1, 0, 2)
+    return (near > 1.5) & (count > 0)
 
 
-def _within_masks(points: Array, pictures: Sequence[Picture], masks: Sequence[Layer]) -> Array:
-    """Points that nearly all masks contain, in what looks like a hole or not."""
+def _within(points: Array, pictures: Sequence[Picture], masks: Sequence[Mask]) -> Array:
+    """Points that nearly all masks contain."""
     inside, seen = np.zeros(len(points)), np.zeros(len(points))
     for picture, mask in zip(pictures, masks, strict=True):
-        outlines, _ = cv2.findContours(
-            (mask > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-        )
-        filled = cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
         pixels, depth = picture.camera.project(points)
         known = picture.camera.in_picture(pixels, depth)
-        inside += known * sampled(filled, pixels)
+        inside += known & sampled(mask, pixels)
         seen += known
-    return points[inside >= CONTAINED * np.maximum(seen, 1)]
+    return points[inside >= _CONTAINED * np.maximum(seen, 1)]
 
 
-def _mended(mask: Layer, prior: Layer) -> Layer:
-    """A mask with what lies deep within the picture of the volume put back."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * DEEP + 1, 2 * DEEP + 1))
-    deep = cv2.erode((prior > SURE).astype(np.uint8), disc, borderValue=1) == 1
-    return np.where(deep, np.maximum(mask, prior), mask)
+def sampled(layer: NDArray, pixels: Array) -> NDArray:
+    """Values of a layer (H, W, ...) at the pixels nearest to image points (N, 2)."""
+    column = np.clip(pixels[:, 0], 0, layer.shape[1] - 1).astype(np.int64)
+    row = np.clip(pixels[:, 1], 0, layer.shape[0] - 1).astype(np.int64)
+    return layer[row, column]
 
 
-def _overlap(mask: Layer, prior: Layer) -> float:
-    one, two = mask > 0.5, prior > 0.4
-    return float((one & two).sum() / max((one | two).sum(), 1))
+def _contrasts(labs: Sequence[Bytes], masks: Sequence[Mask]) -> Array:
+    """Shares of the pixels along outlines whose colour is on the right side, by the others (V,)."""
+    sides = []
+    for lab, mask in zip(labs, masks, strict=True):
+        cells = (lab // 16).astype(np.int64) @ np.array([256, 16, 1])
+        inside = mask.astype(np.uint8)
+        within = mask & (cv2.erode(inside, _disc(_RING), borderValue=1) == 0)
+        beyond = ~mask & (cv2.dilate(inside, _disc(_RING)) == 1)
+        sides.append([np.bincount(cells[part], minlength=4096) for part in (within, beyond)])
+    counts = np.array(sides, np.float64)
+    others = counts.sum(axis=0) - counts + 1e-3
+    others /= others.sum(axis=2, keepdims=True)
+    is_object = others[:, 0] > others[:, 1]
+    right = np.stack([(counts[:, 0] * is_object).sum(1), (counts[:, 1] * ~is_object).sum(1)])
+    totals = counts.sum(axis=2).T
+    return np.where(totals.min(axis=0) > 0, (right / np.maximum(totals, 1)).mean(axis=0), 0.5)
 
 
-def _contrast(mask: Layer, evidence: Layer) -> float:
-    """Share of the pixels along an outline whose colour is on the right side."""
-    inside = (mask > 0.5).astype(np.uint8)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RING + 1, 2 * RING + 1))
-    within = (inside == 1) & (cv2.erode(inside, disc, borderValue=1) == 0)
-    beyond = (inside == 0) & (cv2.dilate(inside, disc) == 1)
-    if not within.any() or not beyond.any():
-        return 0.5
-    return float(0.5 * ((evidence[within] > 0).mean() + (evidence[beyond] < 0).mean()))
+def _without_crumbs(mask: Mask) -> Mask:
+    """A mask without pieces and holes of less than a thousandth of it."""
+    least = max(4.0, 1e-3 * float(mask.sum()))
+    for inside in (True, False):
+        layer = (mask == inside).astype(np.uint8)
+        _, pieces, facts, _ = cv2.connectedComponentsWithStats(layer, connectivity=8)
+        small = facts[:, cv2.CC_STAT_AREA] < least
+        mask = np.where((layer == 1) & small[pieces], not inside, mask)
+    return mask

@@ -14,7 +14,6 @@ from robir.capture.camera import Camera
 from robir.capture.capture import (
     BACKDROP_MASKS,
     GUESSED_MASKS,
-    KEPT_GROUND,
     MESH_MASKS,
     PHOTOGRAPHS_ALONE,
     Finding,
@@ -27,26 +26,24 @@ from robir.capture.images.loading import Bytes, Photo
 from robir.capture.images.opencv import cv2
 from robir.capture.masks import matching
 from robir.capture.masks.backdrop import backdrop_masks
-from robir.capture.masks.finish import sharpened
 from robir.capture.masks.given import HOW_TO_SUPPLY
-from robir.capture.masks.guess import Guess, guess_masks
+from robir.capture.masks.guess import Guess, Layer, guess_masks, sharpened
 from robir.capture.masks.region import find_region, region_of_box
-from robir.capture.masks.sight import Layer
-from robir.capture.masks.table_disc import disc_about, disc_picture
 from robir.capture.mesh_file import read_mesh
 from robir.capture.refusal import error, note, warning
 from robir.capture.views import Loaded, Progress, load_views, unheard
 from robir.jobs.paths import replacing
 
-_LEAST_PIXELS = 200  # pixels of a small photograph that a mesh has to cover to be what it shows
-# suffixes of pictures without the ringing of lossy compression
-LOSSLESS = (".png", ".tif", ".tiff", ".bmp")
+_LEAST_PIXELS = 200  # of a small photograph that a mesh has to cover to be what it shows
+LOSSLESS = (".png", ".tif", ".tiff", ".bmp")  # pictures without the ringing of lossy compression
 _ENOUGH_POINTS = 200  # sparse points of a format that make a search for more needless
+
+Chosen = Sequence[tuple[Frame, Split]]
 
 
 def with_guessed_masks(
     frames: FrameSet,
-    chosen: Sequence[tuple[Frame, Split]],
+    chosen: Chosen,
     loaded: Loaded,
     how: tuple[CaptureConfig, Path | None, Path | None],
     progress: Progress = unheard,
@@ -67,10 +64,20 @@ def with_guessed_masks(
     """
     config, folder, mesh = how
     progress(0.0, "looking for the object")
+
+    def read_again(cuts: dict[str, GuessedMask]) -> Loaded:
+        those = [pair for pair in chosen if pair[0].name in cuts]
+        return load_views(
+            those, cuts, config.max_side, lambda share, text: progress(0.6 + 0.4 * share, text)
+        )
+
     is_lossy = any(frame.image.suffix.lower() not in LOSSLESS for frame, _ in chosen)
     if not config.box and (beliefs := backdrop_masks(loaded.views, is_lossy=is_lossy)):
-        again = _read_again(chosen, (loaded.views, beliefs, None), (config, folder), progress)
-        return again, [_about_backdrop(beliefs, folder)]
+        share = 100 * float(np.median([(belief > 0.5).mean() for belief in beliefs]))
+        message = "The photographs have no masks, but one colour all around: whatever else they "
+        message += f"show, {share:.0f} % of them, is the object and what it stands on; "
+        about = note(BACKDROP_MASKS, message + _where_masks(folder))
+        return read_again(_cuts(chosen, loaded.views, beliefs, folder)), [about]
     seen, guess, fault = _guess(frames, loaded.views, config, progress)
     if mesh is not None and frames.format == PHOTOGRAPHS_ALONE:
         # it stands in a frame of its own, and masks are what brings the cameras there
@@ -78,75 +85,36 @@ def with_guessed_masks(
     if guess is None and mesh is not None:
         cuts = about_mesh(read_mesh(mesh).vertices, chosen, loaded.views)
         if 2 * len(cuts) > len(chosen):
-            again = load_views(
-                [pair for pair in chosen if pair[0].name in cuts],
-                cuts,
-                config.max_side,
-                lambda share, text: progress(0.6 + 0.4 * share, text),
-            )
-            return again, [
-                note(
-                    MESH_MASKS,
-                    f"The photographs have no masks and none could be guessed ({fault}), so the "
-                    "mesh says where the object is; nothing says whether it stands where it should",
-                )
-            ]
+            message = f"The photographs have no masks and none could be guessed ({fault}), so the "
+            message += "mesh says where the object is; nothing says whether it stands where it "
+            return read_again(cuts), [note(MESH_MASKS, message + "should")]
     if guess is None:
-        return loaded, [
-            error(
-                "no-masks",
-                "The photographs have no masks: nothing says which pixels are the object, and "
-                f"they could not be guessed ({fault})",
-                f"{HOW_TO_SUPPLY} Or say where the object is with the setting "
-                "capture.box=[x, y, z, width, depth, height].",
-            )
-        ]
-    rim = None
-    plane = guess.region.plane
-    if config.ground == "keep" and plane is not None:
-        rim = disc_about(guess.volume, plane)
-    again = _read_again(chosen, (seen, guess.masks, rim), (config, folder), progress)
-    account = _account(guess, loaded.views, config, folder)
-    return replace(again, table=plane), account
+        message = "The photographs have no masks: nothing says which pixels are the object, and "
+        cure = f"{HOW_TO_SUPPLY} Or say where the object is with the setting "
+        cure += "capture.box=[x, y, z, width, depth, height]."
+        return loaded, [error("no-masks", f"{message}they could not be guessed ({fault})", cure)]
+    again = read_again(_cuts(chosen, seen, guess.masks, folder))
+    return replace(again, table=guess.region.plane), _account(guess, loaded.views, folder)
 
 
-def _read_again(
-    chosen: Sequence[tuple[Frame, Split]],
-    guessed: tuple[Sequence[View], Sequence[Layer], Array | None],
-    how: tuple[CaptureConfig, Path | None],
-    progress: Progress,
-) -> Loaded:
-    """The photographs with the masks guessed for them.
-
-    Args:
-        chosen: Frames with their split.
-        guessed: The views that masks were guessed from, belief in the object in each, and the rim
-            of the ground that is kept, or None.
-        how: Settings of the stage, and the folder where masks are written, or None.
-        progress: Told the share of the work done.
-    """
-    views, beliefs, rim = guessed
-    config, folder = how
+def _cuts(
+    chosen: Chosen, views: Sequence[View], beliefs: Sequence[Layer], folder: Path | None
+) -> dict[str, GuessedMask]:
+    """Masks by name, from the views that they were guessed from and the belief in each."""
     by_name = {frame.name: frame for frame, _ in chosen}
-    cuts: dict[str, GuessedMask] = {}
+    cuts = {}
     for view, belief in zip(views, beliefs, strict=True):
         frame = by_name[view.name]
-        small = view.camera.resized(belief.shape[1], belief.shape[0])
         cuts[view.name] = GuessedMask(
             lens=frame.lens,
-            camera=small,
+            camera=view.camera.resized(belief.shape[1], belief.shape[0]),
             belief=belief,
-            disc=None if rim is None else disc_picture(rim, small),
             path=None if folder is None else _mask_path(folder, frame.relative),
         )
-    return load_views(
-        chosen, cuts, config.max_side, lambda share, text: progress(0.6 + 0.4 * share, text)
-    )
+    return cuts
 
 
-def about_mesh(
-    vertices: Array, chosen: Sequence[tuple[Frame, Split]], views: Sequence[View]
-) -> dict[str, GuessedMask]:
+def about_mesh(vertices: Array, chosen: Chosen, views: Sequence[View]) -> dict[str, GuessedMask]:
     """Rough masks by name: the convex hull of what shows a mesh, in photographs that show it whole.
 
     Args:
@@ -162,15 +130,11 @@ def about_mesh(
         hull = cv2.convexHull(pixels.astype(np.float32)[:, None])
         layer = np.zeros(view.mask.shape, np.uint8)
         cv2.fillConvexPoly(layer, np.rint(hull).astype(np.int32), 1)
-        if layer.sum() < _LEAST_PIXELS:
-            continue
-        cuts[view.name] = GuessedMask(
-            lens=frame.lens,
-            camera=view.camera,
-            belief=np.zeros(layer.shape, np.float32),
-            disc=layer.astype(np.float32),
-            path=None,
-        )
+        if layer.sum() >= _LEAST_PIXELS:
+            belief = layer.astype(np.float32)
+            cuts[view.name] = GuessedMask(
+                lens=frame.lens, camera=view.camera, belief=belief, is_rough=True
+            )
     return cuts
 
 
@@ -180,49 +144,45 @@ class GuessedMask:
 
     Attributes:
         lens: Lens of the photograph.
-        camera: Camera of the layers, undistorted.
+        camera: Camera of the belief, undistorted.
         belief: (h, w) in [0, 1].
-        disc: (h, w), ground that is kept, or what is taken without a look at colours; or None.
+        is_rough: Whether it is taken without a look at colours.
         path: File the mask is written to, or None.
     """
 
     lens: Lens
     camera: Camera
     belief: Layer
-    disc: Layer | None
-    path: Path | None
+    is_rough: bool = False
+    path: Path | None = None
 
     def outline(self, size: tuple[int, int]) -> Bytes:
         """The guess itself, as photographed."""
-        belief, disc = self._bent(size)
-        whole = belief if disc is None else np.maximum(belief, disc)
-        return np.where(whole > 0.5, np.uint8(255), np.uint8(0))
+        return np.where(self._bent(size) > 0.5, np.uint8(255), np.uint8(0))
 
     def of(self, photo: Photo, size: tuple[int, int]) -> Bytes:
         """The mask at the size the photograph was decoded to; written where it shall be."""
-        belief, disc = self._bent(size)
-        mask = sharpened(photo.image_display, belief)
-        if disc is not None:
-            ground = cv2.resize(disc, photo.size, interpolation=cv2.INTER_LINEAR) > 0.5
-            mask = np.where(ground, np.uint8(255), mask)
+        belief = self._bent(size)
+        if self.is_rough:
+            large = cv2.resize(belief, photo.size, interpolation=cv2.INTER_LINEAR)
+            mask = np.where(large > 0.5, np.uint8(255), np.uint8(0))
+        else:
+            mask = sharpened(photo.image_display, belief)
         if self.path is not None:
-            _write(self.path, mask)
+            with replacing(self.path) as temporary:
+                Image.fromarray(mask).save(temporary, format="PNG", compress_level=3)
         return mask
 
-    def _bent(self, size: tuple[int, int]) -> tuple[Layer, Layer | None]:
-        """The layers with the distortion of the photograph."""
+    def _bent(self, size: tuple[int, int]) -> Layer:
+        """The belief with the distortion of the photograph."""
         if self.lens.distortion.is_null:
-            return self.belief, self.disc
-        pinhole = self.lens.camera(self.camera.camera_to_world, *size)
-        pinhole = pinhole.resized(self.camera.width, self.camera.height)
-        x, y = _straight_pixels(pinhole, self.camera, self.lens.distortion)
-
-        def bent(layer: Layer) -> Layer:
-            return cv2.remap(
-                layer, x, y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-
-        return bent(self.belief), None if self.disc is None else bent(self.disc)
+            return self.belief
+        bent = self.lens.camera(self.camera.camera_to_world, *size)
+        bent = bent.resized(self.camera.width, self.camera.height)
+        where = _straight_pixels(bent, self.camera, self.lens.distortion)
+        return cv2.remap(
+            self.belief, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
 
 
 def _guess(
@@ -231,7 +191,7 @@ def _guess(
     """The views with the poses used, and their masks or why there are none."""
     points = frames.points
     if len(points) < _ENOUGH_POINTS:
-        views, points = _triangulated(frames, views)
+        views, points = _with_points(frames, views)
     cameras = [view.camera for view in views]
     if config.box:
         region = region_of_box(config.box, cameras, points)
@@ -239,42 +199,29 @@ def _guess(
         region = find_region(cameras, points)
     if region is None:
         return views, None, "the cameras do not aim at a common point"
-    guess = guess_masks(
-        views, region, lambda share: progress(0.1 + 0.5 * share, "telling object from background")
-    )
+    telling = "telling object from background"
+    guess = guess_masks(views, region, lambda share: progress(0.1 + 0.5 * share, telling))
     fault = guess.fault()
     return views, (guess if fault is None else None), fault or ""
 
 
-def _triangulated(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View, ...], Array]:
+def _with_points(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View, ...], Array]:
     """Surface points; the views get the order of poses that yields more of them."""
     every = np.linspace(0, len(views) - 1, min(len(views), matching.MAX_VIEWS))
     features = matching.features([views[k] for k in np.unique(every.round().astype(int))])
-    points = matching.triangulated(features)
+    points = matching.surface_points(features)
     if not frames.other_order:
         return views, points
     others = {frame.name: frame for frame in frames.other_order}
-
     turned = {view.name: posed_otherwise(view.camera, others[view.name]) for view in views}
     moved = [
         replace(each, camera=turned[each.name].resized(each.camera.width, each.camera.height))
         for each in features
     ]
-    other_points = matching.triangulated(moved)
+    other_points = matching.surface_points(moved)
     if len(other_points) <= len(points):
         return views, points
-    views = tuple(replace(view, camera=turned[view.name]) for view in views)
-    return views, other_points
-
-
-def _about_backdrop(beliefs: Sequence[Layer], folder: Path | None) -> Finding:
-    """What the user is told about masks by the backdrop's colour."""
-    share = 100 * float(np.median([(belief > 0.5).mean() for belief in beliefs]))
-    return note(
-        BACKDROP_MASKS,
-        "The photographs have no masks, but one colour all around: whatever else they show, "
-        f"{share:.0f} % of them, is the object and what it stands on; {_where_masks(folder)}",
-    )
+    return tuple(replace(view, camera=turned[view.name]) for view in views), other_points
 
 
 def _where_masks(folder: Path | None) -> str:
@@ -284,69 +231,38 @@ def _where_masks(folder: Path | None) -> str:
     return f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
 
 
-def _account(
-    guess: Guess, views: Sequence[View], config: CaptureConfig, folder: Path | None
-) -> list[Finding]:
+def _account(guess: Guess, views: Sequence[View], folder: Path | None) -> list[Finding]:
     """What the user is told about guessed masks."""
-    agreement = 100 * float(np.median(guess.agreement))
-    contrast = 100 * float(np.median(guess.contrast))
-    found = [
-        note(
-            GUESSED_MASKS,
-            "The photographs have no masks, so masks were guessed from "
-            f"{guess.region.origin}: they agree with each other to {agreement:.0f} %, colour "
-            f"alone decides {contrast:.0f} % of the pixels along the outlines; "
-            f"{_where_masks(folder)}",
-        )
-    ]
+    agreement, contrast = (100 * float(np.median(x)) for x in (guess.agreement, guess.contrast))
+    message = f"The photographs have no masks, so masks were guessed from {guess.region.origin}: "
+    message += f"they agree with each other to {agreement:.0f} %, colour alone decides "
+    message += f"{contrast:.0f} % of the pixels along the outlines; {_where_masks(folder)}"
+    found = [note(GUESSED_MASKS, message)]
     odd = [view.name for view, is_odd in zip(views, guess.odd, strict=True) if is_odd]
     if odd:
-        found.append(
-            warning(
-                "odd-guesses",
-                f"{len(odd)} of {len(views)} guessed masks disagree with the others",
-                "Look at these masks first, and mend them or leave these photographs out.",
-                *odd,
-            )
-        )
-    code = "ground"
-    if guess.region.plane is None:
-        ground = "No table was found under the object"
-    elif config.ground == "keep":
-        code = KEPT_GROUND
-        ground = "A disc of the table is kept with the object (capture.ground)"
-    else:
-        ground = "The table under the object is cut away (capture.ground)"
-    return [*found, note(code, ground)]
+        message = f"{len(odd)} of {len(views)} guessed masks disagree with the others"
+        cure = "Look at these masks first, and mend them or leave these photographs out."
+        found.append(warning("odd-guesses", message, cure, *odd))
+    has_table = guess.region.plane is not None
+    none = "No table was found under the object"
+    return [*found, note("ground", "The table under the object is cut away" if has_table else none)]
 
 
-def _straight_pixels(
-    camera: Camera, straight: Camera, distortion: Distortion
-) -> tuple[Layer, Layer]:
-    """Array indices in the undistorted picture of each pixel of the photograph, (H, W) each."""
-    centres = camera.pixel_centres()
-    bent_x = (centres[:, 0] - camera.cx) / camera.fx
-    bent_y = (centres[:, 1] - camera.cy) / camera.fy
-    x, y = bent_x, bent_y
+def _straight_pixels(camera: Camera, straight: Camera, distortion: Distortion) -> Layer:
+    """Array indices (H, W, 2) in the undistorted picture of each pixel of the photograph."""
+    bent = (camera.pixel_centres() - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    at = bent
     for _ in range(30):  # x = x' - (distortion of x), which contracts for every usable lens
-        there_x, there_y = distortion.apply(x, y)
-        step_x, step_y = bent_x - there_x, bent_y - there_y
-        x, y = x + step_x, y + step_y
-        if max(np.abs(step_x).max(), np.abs(step_y).max()) < 1e-6:
+        step = bent - np.stack(distortion.apply(*at.T), axis=1)
+        at = at + step
+        if np.abs(step).max() < 1e-6:
             break
-    shape = (camera.height, camera.width)
-    columns = (x * straight.fx + straight.cx - 0.5).reshape(shape)
-    rows = (y * straight.fy + straight.cy - 0.5).reshape(shape)
-    return columns.astype(np.float32), rows.astype(np.float32)
+    where = at * [straight.fx, straight.fy] + [straight.cx - 0.5, straight.cy - 0.5]
+    return where.reshape(camera.height, camera.width, 2).astype(np.float32)
 
 
 def _mask_path(folder: Path, relative: str) -> Path:
     """File of a mask, so named that `--masks` finds its photograph."""
     parts = PurePosixPath(relative.replace("\\", "/")).parts
-    kept = [part for part in parts if part not in ("..", ".", "/") and ":" not in part]
-    return folder.joinpath(*kept).with_suffix(".png")
-
-
-def _write(path: Path, mask: Bytes) -> None:
-    with replacing(path) as temporary:
-        Image.fromarray(mask).save(temporary, format="PNG", compress_level=3)
+    own = [part for part in parts if part not in ("..", ".", "/") and ":" not in part]
+    return folder.joinpath(*own).with_suffix(".png")

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from robir.capture.poses.prepare import Prepared
-from robir.capture.poses.solve import Workplace
+from robir.capture.poses.sfm import Prepared, Workplace
 
 if TYPE_CHECKING:
     import pycolmap

@@ -10,29 +10,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from robir.capture.capture import Finding
 from robir.capture.poses.ambiguity import Verdict
-from robir.capture.poses.prepare import MIN_PHOTOGRAPHS, MORE_PHOTOGRAPHS, Prepared
-from robir.capture.poses.solve import Workplace
+from robir.capture.poses.sfm import MIN_PHOTOGRAPHS, MORE_PHOTOGRAPHS, Prepared, Workplace
 from robir.capture.refusal import MAX_FILES, error, note, warning
 
 if TYPE_CHECKING:
     import pycolmap
 
-LINK = 30  # verified matches from which on two photographs count as showing the same thing
+_LINK = 30  # verified matches from which on two photographs count as showing the same thing
 # median motion of matched points, in longer sides, below which the camera has not moved
-STILL = 0.004
-COMPARABLE = 0.5  # a second model of this share of the first is no leftover but half of the capture
+_STILL = 0.004
+# a second model of this share of the first is no leftover but half of the capture
+_COMPARABLE = 0.5
 # photographs stand side by side within this angle and this share of the cameras' distance from
 # their middle
-BESIDE_DEGREES, BESIDE_SHARE = 15.0, 0.3
+_BESIDE_DEGREES, _BESIDE_SHARE = 15.0, 0.3
 # matches of photographs side by side, against what either has with its third best partner, below
-# which they are strangers. The right models of five captures have no such pair; one of a round tub
-# with sides laid on each other has nine.
-STRANGE = 0.35
-MIN_STRANGE = 3  # pairs of strangers side by side from which on sides were laid on each other
-FEW = 0.7  # below this share of photographs placed, the user is warned
+# which they are strangers: no pair of five right models, nine of a tub with its sides confused
+_STRANGE, _MIN_STRANGE = 0.35, 3
+_FEW = 0.7  # below this share of photographs placed, the user is warned
 _TEXTURE = (
     "Features are corners and patterns: light the object evenly, keep photographs sharp, and put "
     "a plain or glossy object on a patterned cloth or a newspaper that stays in place."
@@ -66,12 +65,7 @@ class Links:
 
 
 def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
-    """Read from the database what the pairs of photographs have in common.
-
-    Args:
-        place: Work folder whose database holds the matches.
-        photographs: In the order the rows get.
-    """
+    """Read from the database what the pairs of photographs, in this order, have in common."""
     import pycolmap
 
     kinds = pycolmap.TwoViewGeometryConfiguration
@@ -89,7 +83,7 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
             inliers = geometry.inlier_matches
             compared[i, j] = compared[j, i] = True
             matches[i, j] = matches[j, i] = len(inliers)
-            if len(inliers) < LINK:
+            if len(inliers) < _LINK:
                 continue
             sides = [max(photographs[row].width, photographs[row].height) for row in (i, j)]
             moved = points[one][inliers[:, 0]] / sides[0] - points[two][inliers[:, 1]] / sides[1]
@@ -102,90 +96,68 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
 def judge(
     photographs: Sequence[Prepared], links: Links, models: Sequence[pycolmap.Reconstruction]
 ) -> list[Finding]:
-    """What came out, in words.
+    """What came out of all that was tried, in words; models with the largest first.
 
-    Args:
-        photographs: All that were tried, in order.
-        links: What their pairs have in common.
-        models: The largest first.
-
-    Returns:
-        Findings; an error among them means that the largest model is of no use.
+    An error among the findings means that the largest model is of no use.
     """
-    placed = [_names(model, photographs) for model in models]
+    placed = []
+    for model in models:
+        posed = {image.name for image in model.images.values() if image.has_pose}
+        placed.append([row for row, one in enumerate(photographs) if one.copy in posed])
+    names = [photograph.relative for photograph in photographs]
     if not placed or len(placed[0]) < MIN_PHOTOGRAPHS:
-        return [_failure(photographs, links, placed[0] if placed else [])]
+        return [_failure(names, links, len(placed[0]) if placed else 0)]
     first, total = placed[0], len(photographs)
-    rest = [p.relative for p in photographs if p.relative not in set(first)]
-    second = [name for name in placed[1] if name in rest] if len(placed) > 1 else []
-    if not second and _are_apart(photographs, links, first, rest):
+    rest = [row for row in range(total) if row not in set(first)]
+    second = [row for row in placed[1] if row in rest] if len(placed) > 1 else []
+    linked = links.matches >= _LINK
+    is_apart = not linked[np.ix_(rest, first)].any() and linked[np.ix_(rest, rest)].any(1).all()
+    if not second and is_apart:  # linked with each other but with none that was placed
         second = rest
-    if len(second) >= max(MIN_PHOTOGRAPHS, COMPARABLE * len(first)):
-        return [_two_groups(total, first, second)]
+    if len(second) >= max(MIN_PHOTOGRAPHS, _COMPARABLE * len(first)):
+        message = f"The {total} photographs fall into groups without overlap: "
+        message += f"{_range(names, first)} and {_range(names, second)} show two different "
+        message += "objects, or two sides with nothing in common"
+        return [error("two-groups", message, _OVERLAP)]
     points, fault = models[0].num_points3D(), models[0].compute_mean_reprojection_error()
-    found = [
-        note(
-            "placed",
-            f"{len(first)} of {total} photographs were placed by {points} common points, which "
-            f"they see {fault:.2f} pixels off (of copies of {photographs[0].width}x"
-            f"{photographs[0].height})",
-        ),
-        note(
-            "frame",
-            "The cameras' axes and unit are COLMAP's: photographs do not tell which way is up, "
-            "nor how large the object is",
-        ),
-    ]
-    found += _strangers(photographs, links, models[0])
+    message = f"{len(first)} of {total} photographs were placed by {points} common points, which "
+    message += f"they see {fault:.2f} pixels off (of copies of {photographs[0].width}x"
+    found = [note("placed", f"{message}{photographs[0].height})")]
+    message = "The cameras' axes and unit are COLMAP's: photographs do not tell which way is up, "
+    found.append(note("frame", message + "nor how large the object is"))
+    found += strangers(photographs, links, models[0])
     if rest:
-        severity = "Only " if len(first) < FEW * total else ""
-        found.append(
-            warning(
-                "unregistered",
-                f"{severity}{len(first)} of {total} photographs could be placed; these "
-                f"{len(rest)} are left out{_why(photographs, links, first, rest)}",
-                "They share too little with the others: photograph their side in smaller steps, "
-                "sharp and in the same light.",
-                *rest,
-            )
-        )
+        best = [int(links.matches[row, first].max()) for row in rest]
+        message = "Only " if len(first) < _FEW * total else ""
+        message += f"{len(first)} of {total} photographs could be placed; these {len(rest)} are "
+        message += f"left out (at best {min(best)} to {max(best)} points in common with one that "
+        cure = "They share too little with the others: photograph their side in smaller steps, "
+        cure += "sharp and in the same light."
+        lost = [names[row] for row in rest]
+        found.append(warning("unregistered", message + "was placed)", cure, *lost))
     return found
 
 
 def look_alikes(photographs: Sequence[Prepared], verdict: Verdict, forgotten: int) -> list[Finding]:
-    """What sides that look alike did to the model, in words.
+    """What sides that look alike did to the model that is used.
 
-    Args:
-        photographs: All that were tried.
-        verdict: On the model that is used.
-        forgotten: Pairs whose matches were left out to make it, 0 if all were used.
+    `forgotten` pairs' matches were left out to make it.
     """
     if not verdict.broken and not forgotten:
         return []
+    message = "The object looks alike from several sides"
     if not verdict.broken:
-        return [
-            warning(
-                "look-alike",
-                "The object looks alike from several sides; matches of different sides "
-                f"contradicted the surest links between photographs, and {forgotten} pairs were "
-                "left out until none did",
-                "Look at the cameras before you go on.",
-            )
-        ]
+        message += "; matches of different sides contradicted the surest links between "
+        message += f"photographs, and {forgotten} pairs were left out until none did"
+        return [warning("look-alike", message, "Look at the cameras before you go on.")]
     names = {photograph.copy: photograph.relative for photograph in photographs}
-    between = (f"{names[one]} and {names[two]}" for one, two in verdict.broken[:MAX_FILES])
-    return [
-        warning(
-            "look-alike",
-            "The object looks alike from several sides, and some photographs may have been put on "
-            f"the wrong one: {len(verdict.broken)} pairs that have much in common are far apart",
-            _TELL_APART,
-            *between,
-        )
-    ]
+    between = [f"{names[one]} and {names[two]}" for one, two in verdict.broken[:MAX_FILES]]
+    message += ", and some photographs may have been put on the wrong one: "
+    message += f"{len(verdict.broken)} pairs that have much in common are far apart"
+    return [warning("look-alike", message, _TELL_APART, *between)]
 
 
-def _strangers(
+def strangers(
     photographs: Sequence[Prepared], links: Links, model: pycolmap.Reconstruction
 ) -> list[Finding]:
     """A warning where the model puts photographs side by side that have little in common."""
@@ -195,131 +167,54 @@ def _strangers(
     turned = np.stack([image.cam_from_world().rotation.matrix() for image in images])
     centres = np.stack([image.projection_center() for image in images])
     away = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
-    near = np.linalg.norm(centres[:, None] - centres, axis=2) < BESIDE_SHARE * away
+    near = np.linalg.norm(centres[:, None] - centres, axis=2) < _BESIDE_SHARE * away
     cosine = (np.einsum("aij,bij->ab", turned, turned) - 1) / 2
-    beside = near & (cosine > np.cos(np.radians(BESIDE_DEGREES)))
+    beside = near & (cosine > np.cos(np.radians(_BESIDE_DEGREES)))
     among = np.ix_(placed, placed)
     third = np.sort(links.matches[among], axis=1)[:, -3]
     expected = np.minimum(third[:, None], third)
-    strange = beside & links.compared[among] & (expected >= LINK)
-    strange &= links.matches[among] < STRANGE * expected
+    strange = beside & links.compared[among] & (expected >= _LINK)
+    strange &= links.matches[among] < _STRANGE * expected
     pairs = np.argwhere(np.triu(strange, 1))
-    if len(pairs) < MIN_STRANGE:
+    if len(pairs) < _MIN_STRANGE:
         return []
     names = [photographs[row].relative for row in placed]
-    return [
-        warning(
-            "look-alike",
-            f"{len(pairs)} pairs of photographs were placed side by side and yet have little in "
-            "common: sides that look alike may have been laid on each other",
-            _TELL_APART,
-            *(f"{names[one]} and {names[two]}" for one, two in pairs),
-        )
-    ]
+    message = f"{len(pairs)} pairs of photographs were placed side by side and yet have little in "
+    message += "common: sides that look alike may have been laid on each other"
+    between = [f"{names[one]} and {names[two]}" for one, two in pairs]
+    return [warning("look-alike", message, _TELL_APART, *between)]
 
 
-def _names(model: pycolmap.Reconstruction, photographs: Sequence[Prepared]) -> list[str]:
-    """Photographs of a model, in order."""
-    posed = {image.name for image in model.images.values() if image.has_pose}
-    return [photograph.relative for photograph in photographs if photograph.copy in posed]
-
-
-def _are_apart(
-    photographs: Sequence[Prepared], links: Links, placed: Sequence[str], rest: Sequence[str]
-) -> bool:
-    """Whether those left out are linked with each other but with none that was placed."""
-    rows = {photograph.relative: row for row, photograph in enumerate(photographs)}
-    inside, outside = [rows[name] for name in placed], [rows[name] for name in rest]
-    linked = links.matches >= LINK
-    to_each_other = linked[np.ix_(outside, outside)].any(axis=1)
-    return not linked[np.ix_(outside, inside)].any() and bool(to_each_other.all())
-
-
-def _why(
-    photographs: Sequence[Prepared], links: Links, placed: Sequence[str], rest: Sequence[str]
-) -> str:
-    """What the photographs left out have in common with the others."""
-    rows = {photograph.relative: row for row, photograph in enumerate(photographs)}
-    inside = [rows[name] for name in placed]
-    best = [int(links.matches[rows[name], inside].max()) for name in rest]
-    return f" (at best {min(best)} to {max(best)} points in common with one that was placed)"
-
-
-def _two_groups(total: int, first: Sequence[str], second: Sequence[str]) -> Finding:
-    return error(
-        "two-groups",
-        f"The {total} photographs fall into groups without overlap: {_range(first)} and "
-        f"{_range(second)} show two different objects, or two sides with nothing in common",
-        _OVERLAP,
-    )
-
-
-def _failure(photographs: Sequence[Prepared], links: Links, placed: Sequence[str]) -> Finding:
+def _failure(names: Sequence[str], links: Links, count: int) -> Finding:
     """Why no model, or none worth the name, came out; the surest reason first."""
-    count, total = len(placed), len(photographs)
-    outcome = (
-        f"Only {count} of {total} photographs could be placed"
-        if count
-        else (f"None of the {total} photographs could be placed")
-    )
-    linked = links.matches >= LINK
+    outcome = f"{f'Only {count}' if count else 'None'} of {'' if count else 'the '}{len(names)} "
+    outcome += "photographs could be placed"
+    linked = links.matches >= _LINK
     if not linked.any():
-        i, j = divmod(int(np.argmax(links.matches)), len(photographs))
-        best = (
-            f"the best pair, {photographs[i].relative} and {photographs[j].relative}, has "
-            f"{links.matches[i, j]} points in common and needs {LINK}"
-        )
-        return error(
-            "no-matches",
-            f"{outcome}: no two have enough in common; {best if i != j else 'no pair has any'}",
-            f"{_TEXTURE} Neighbouring photographs should share two thirds of what they show.",
-        )
-    if links.motion < STILL:
-        return error(
-            "no-baseline",
-            f"{outcome}: they are all taken from the same place (points move by "
-            f"{100 * links.motion:.2f} % of the picture), so nothing tells distances",
-            MORE_PHOTOGRAPHS,
-        )
-    groups = _groups(linked)
-    if len(groups) > 1 and len(groups[1]) >= max(2, COMPARABLE * len(groups[0])):
-        names = [[photographs[row].relative for row in group] for group in groups[:2]]
+        i, j = divmod(int(np.argmax(links.matches)), len(names))
+        best = f"the best pair, {names[i]} and {names[j]}, has {links.matches[i, j]} points in "
+        best += f"common and needs {_LINK}"
+        message = f"{outcome}: no two have enough in common; "
+        cure = f"{_TEXTURE} Neighbouring photographs should share two thirds of what they show."
+        return error("no-matches", message + (best if i != j else "no pair has any"), cure)
+    if links.motion < _STILL:
+        message = f"{outcome}: they are all taken from the same place (points move by "
+        message += f"{100 * links.motion:.2f} % of the picture), so nothing tells distances"
+        return error("no-baseline", message, MORE_PHOTOGRAPHS)
+    number, label = connected_components(linked, directed=False)
+    groups = sorted((np.flatnonzero(label == k).tolist() for k in range(number)), key=len)[::-1]
+    if len(groups) > 1 and len(groups[1]) >= max(2, _COMPARABLE * len(groups[0])):
         most = links.matches[np.ix_(groups[0], groups[1])].max()
-        return error(
-            "no-overlap",
-            f"{outcome}: {_range(names[0])} and {_range(names[1])} have at most {most} points in "
-            "common",
-            _OVERLAP,
-        )
+        message = f"{outcome}: {_range(names, groups[0])} and {_range(names, groups[1])} have at "
+        return error("no-overlap", f"{message}most {most} points in common", _OVERLAP)
     if links.flat_share > 0.8:
-        return error(
-            "no-parallax",
-            f"{outcome}: the camera only turned on the spot, or all it sees is flat",
-            MORE_PHOTOGRAPHS,
-        )
-    neighbours = int(np.median(linked.sum(axis=0)))
-    return error(
-        "too-few-placed",
-        f"{outcome}: a photograph has enough in common with {neighbours} others only",
-        f"{_TEXTURE} {MORE_PHOTOGRAPHS}",
-    )
+        message = f"{outcome}: the camera only turned on the spot, or all it sees is flat"
+        return error("no-parallax", message, MORE_PHOTOGRAPHS)
+    message = f"{outcome}: a photograph has enough in common with "
+    message += f"{int(np.median(linked.sum(axis=0)))} others only"
+    return error("too-few-placed", message, f"{_TEXTURE} {MORE_PHOTOGRAPHS}")
 
 
-def _groups(linked: NDArray[np.bool_]) -> list[list[int]]:
-    """Connected sets of photographs, the largest first."""
-    left = set(range(len(linked)))
-    groups = []
-    while left:
-        group, border = set(), {min(left)}
-        while border:
-            group |= border
-            border = {int(j) for i in border for j in np.flatnonzero(linked[i])} - group
-        left -= group
-        groups.append(sorted(group))
-    return sorted(groups, key=len, reverse=True)
-
-
-def _range(names: Sequence[str]) -> str:
-    if len(names) < 2:
-        return ", ".join(names)
-    return f"{names[0]} to {names[-1]} ({len(names)} photographs)"
+def _range(names: Sequence[str], rows: Sequence[int]) -> str:
+    first, last = names[rows[0]], names[rows[-1]]
+    return first if len(rows) < 2 else f"{first} to {last} ({len(rows)} photographs)"

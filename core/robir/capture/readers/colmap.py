@@ -91,9 +91,6 @@ def read(source: Path, images: Path | None = None) -> FrameSet:
 
     Returns:
         Frames and sparse points in the model's own frame.
-
-    Raises:
-        CaptureError: If a file is damaged or a camera model is not supported.
     """
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
@@ -132,11 +129,8 @@ def _image_folder(source: Path, model: Path, names: list[str]) -> Path:
 
 def _lens_of(model: _Model, number: int, relative: str) -> Lens:
     if number not in model.lenses:
-        raise refuse(
-            "bad-colmap",
-            f"{model.folder}: {relative} was taken with camera {number}, which is not listed",
-            _CURE,
-        )
+        message = f"{model.folder}: {relative} was taken with camera {number}, which is not listed"
+        raise refuse("bad-colmap", message, _CURE)
     return model.lenses[number]
 
 
@@ -157,13 +151,8 @@ def _read_model(folder: Path) -> _Model:
     except CaptureRefusedError:
         raise
     except (OSError, ValueError, OverflowError, struct.error) as fault:
-        raise refuse(
-            "bad-colmap",
-            f"The COLMAP model in {folder} is truncated or damaged ({fault})",
-            _CURE,
-            cameras.name,
-            listed.name,
-        ) from None
+        message = f"The COLMAP model in {folder} is truncated or damaged ({fault})"
+        raise refuse("bad-colmap", message, _CURE, cameras.name, listed.name) from None
     images = [(name, camera, own.get(number, pose)) for number, name, camera, pose in posed]
     return _Model(folder, suffix, lenses, sorted(images, key=lambda entry: entry[0]))
 
@@ -290,11 +279,8 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
         case "SIMPLE_DIVISION", (fx, cx, cy, k) if _is_for_pycolmap("DIVISION", 5):
             fy, distortion = fx, Distortion(model="DIVISION", others=(k,))
         case _:
-            raise refuse(
-                "camera-model",
-                f"{path}: the camera model {name} is not supported",
-                "Undistort the photographs with `colmap image_undistorter` and give that folder.",
-                path.name,
-            )
+            message = f"{path}: the camera model {name} is not supported"
+            cure = "Undistort the photographs with `colmap image_undistorter` and give that folder."
+            raise refuse("camera-model", message, cure, path.name)
     lens = Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
     return checked_lens(lens, path, f"a {name} camera")

@@ -30,12 +30,7 @@ _DEPTH = 3  # folders below the capture's own that are searched for photographs
 
 
 def read_text(path: Path) -> str:
-    """Content of a text file of poses, UTF-8 with or without a mark at its beginning.
-
-    Raises:
-        OSError: If it cannot be read, see `regular`.
-        ValueError: If it is no UTF-8.
-    """
+    """Content of a text file of poses, UTF-8 with or without a mark at its beginning."""
     with regular(path) as file:
         return file.read().decode("utf-8-sig")
 
@@ -48,27 +43,17 @@ def load_json(path: Path) -> Any:
 
     Returns:
         Whatever it holds; whole numbers of absurd size as floating-point ones.
-
-    Raises:
-        CaptureError: If it cannot be read as JSON.
     """
     try:
         return json.loads(_bounded(read_text(path)), parse_int=_whole)
     except (OSError, ValueError, RecursionError) as fault:
-        raise refuse(
-            "bad-json",
-            f"{path} is not readable as JSON ({fault})",
-            "Write the file again.",
-            path.name,
-        ) from None
+        message = f"{path} is not readable as JSON ({fault})"
+        cure = "Write the file again."
+        raise refuse("bad-json", message, cure, path.name) from None
 
 
 def load_xml(path: Path, cure: str) -> Element:
-    """Root of an XML file.
-
-    Raises:
-        CaptureError: If it cannot be read as XML.
-    """
+    """Root of an XML file."""
     try:
         return ElementTree.fromstring(_undefined(read_text(path)))  # nosec B314
     except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
@@ -78,11 +63,7 @@ def load_xml(path: Path, cure: str) -> Element:
 
 
 def load_table(path: Path, cure: str) -> list[list[str]]:
-    """Rows of a CSV file, blank ones left out, spaces around values too.
-
-    Raises:
-        CaptureError: If it cannot be read.
-    """
+    """Rows of a CSV file, blank ones left out, spaces around values too."""
     try:
         rows = csv.reader(read_text(path).splitlines())
         return [[word.strip() for word in row] for row in rows if row]

@@ -28,23 +28,15 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
         names = [frame.name for frame in chosen]
         found.append(note("left-out", f"{len(chosen)} photographs are left out as asked", *names))
     if unwanted - known:
-        found.append(
-            warning(
-                "unknown-photographs",
-                "Photographs that were to be left out are not in the capture",
-                "Name them as the findings do.",
-                *sorted(unwanted - known),
-            )
-        )
+        message = "Photographs that were to be left out are not in the capture"
+        cure = "Name them as the findings do."
+        found.append(warning("unknown-photographs", message, cure, *sorted(unwanted - known)))
     if missing:
+        message = f"{len(missing)} of {len(frames.frames)} posed photographs are missing and left "
+        message += "out"
+        cure = "Put them below the capture's folder to have them used."
         found.append(
-            warning(
-                "missing-skipped",
-                f"{len(missing)} of {len(frames.frames)} posed photographs are missing and left "
-                "out",
-                "Put them below the capture's folder to have them used.",
-                *(frame.relative for frame in missing),
-            )
+            warning("missing-skipped", message, cure, *(frame.relative for frame in missing))
         )
     gone = {frame.name for frame in (*chosen, *missing)}
     return replace(

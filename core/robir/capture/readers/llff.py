@@ -38,21 +38,15 @@ def read(path: Path) -> FrameSet:
     Returns:
         Frames in the file's own frame, rows in order of the names as text; the numeric order is
         in `other_order` where it differs.
-
-    Raises:
-        CaptureError: If the file is damaged or does not fit the photographs.
     """
     root = path.parent
     rows = _rows(path)
     folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)
     photographs = photographs_in(folder, root)
     if len(photographs) != len(rows):
-        raise refuse(
-            "missing-images",
-            f"{path} has {len(rows)} poses, but {folder} has {len(photographs)} photographs",
-            "Bring exactly the photographs the poses were made for.",
-            *photographs,
-        )
+        message = f"{path} has {len(rows)} poses, but {folder} has {len(photographs)} photographs"
+        cure = "Bring exactly the photographs the poses were made for."
+        raise refuse("missing-images", message, cure, *photographs)
     shots = [
         Shot(name=relative, lens=_lens(path, row), pose=_pose(row))
         for relative, row in zip(photographs, rows, strict=True)
@@ -80,12 +74,10 @@ def _rows(path: Path) -> Array:
             "bad-poses", f"{path} is no readable array ({fault})", "Copy it again.", path.name
         ) from None
     if rows.shape[1] != 17:
-        raise refuse(
-            "bad-poses",
-            f"{path} has shape {rows.shape}; a row of 17 numbers for each photograph is needed",
-            "Write it as LLFF's imgs2poses does.",
-            path.name,
-        )
+        message = f"{path} has shape {rows.shape}; a row of 17 numbers for each photograph is "
+        message += "needed"
+        cure = "Write it as LLFF's imgs2poses does."
+        raise refuse("bad-poses", message, cure, path.name)
     return rows
 
 
@@ -99,10 +91,7 @@ def _pose(row: Array) -> Array:
 def _lens(path: Path, row: Array) -> Lens:
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
     if not (1 <= height < MAX_NUMBER and 1 <= width < MAX_NUMBER and 0 < focal < MAX_NUMBER):
-        raise refuse(
-            "bad-intrinsics",
-            f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}",
-            "Estimate the poses again.",
-            path.name,
-        )
+        message = f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}"
+        cure = "Estimate the poses again."
+        raise refuse("bad-intrinsics", message, cure, path.name)
     return Lens(width=int(width), height=int(height), fx=float(focal), is_scalable=True)

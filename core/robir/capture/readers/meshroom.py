@@ -105,9 +105,6 @@ def read(path: Path) -> FrameSet:
 
     Returns:
         Frames in the frame of the file.
-
-    Raises:
-        CaptureError: If the file is damaged, holds no poses or a camera is no pinhole.
     """
     plain = load_json(path)
     content: _File = checked(path, plain, _File, _CURE, code="bad-sfm", is_text=True)
@@ -149,12 +146,9 @@ def _pose(path: Path, content: _File, view: _View, transform: _Transform) -> Arr
         return opencv_pose(turn, centre)
     rig = next((rig.sub_poses for rig in content.rigs if rig.rig_id == view.rig_id), [])
     if not 0 <= view.sub_pose_id < len(rig):
-        raise refuse(
-            "rig",
-            f"{path}: {view.path} belongs to a rig of cameras that is not in the file",
-            "Reconstruct the photographs without rigs.",
-            path.name,
-        )
+        message = f"{path}: {view.path} belongs to a rig of cameras that is not in the file"
+        cure = "Reconstruct the photographs without rigs."
+        raise refuse("rig", message, cure, path.name)
     place = rig[view.sub_pose_id].pose
     with np.errstate(all="ignore"):
         inner = turn @ np.array(place.rotation).reshape(3, 3)
@@ -180,12 +174,9 @@ def _lens(path: Path, version: tuple[int, ...], entry: _Intrinsic) -> Lens:
     except ValueError as fault:
         raise _bad(path, str(fault)) from None
     if distortion is None:
-        raise refuse(
-            "camera-model",
-            f"{path}: the camera model {kind} is not supported",
-            "Export undistorted photographs (Meshroom's PrepareDenseScene or ExportImages).",
-            path.name,
-        )
+        message = f"{path}: the camera model {kind} is not supported"
+        cure = "Export undistorted photographs (Meshroom's PrepareDenseScene or ExportImages)."
+        raise refuse("camera-model", message, cure, path.name)
     lens = Lens(
         width=entry.width,
         height=entry.height,

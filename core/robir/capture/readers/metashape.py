@@ -72,20 +72,14 @@ def read(path: Path) -> FrameSet:
 
     Returns:
         Frames in the coordinate system of the chunks.
-
-    Raises:
-        CaptureError: If the file is damaged, no camera is aligned or a sensor is no pinhole.
     """
     document = load_xml(path, _CURE)
     chunks = [document] if document.tag == "chunk" else list(document.iter("chunk"))
     aligned = [camera for index, chunk in enumerate(chunks) for camera in _aligned(index, chunk)]
     if not aligned:
-        raise refuse(
-            "no-poses",
-            f"{path} holds no aligned camera",
-            "Align the photographs in Metashape and export the cameras again.",
-            path.name,
-        )
+        message = f"{path} holds no aligned camera"
+        cure = "Align the photographs in Metashape and export the cameras again."
+        raise refuse("no-poses", message, cure, path.name)
     places = _places(chunks)
     chosen, findings = _in_one_frame(path, aligned, places)
     shots = [
@@ -216,12 +210,9 @@ def _offset(path: Path, seen: _Aligned) -> Array:
     label = seen.camera.get("label", "")
     parts = [None if seen.sensor is None else seen.sensor.find(t) for t in ("rotation", "location")]
     if None in parts:
-        raise refuse(
-            "rig",
-            f"{path}: {label} is part of a rig of cameras whose offsets are not in the file",
-            "Export the cameras again, or align the photographs without a rig.",
-            path.name,
-        )
+        message = f"{path}: {label} is part of a rig of cameras whose offsets are not in the file"
+        cure = "Export the cameras again, or align the photographs without a rig."
+        raise refuse("rig", message, cure, path.name)
     offset = np.eye(4)
     offset[:3, :3] = _numbers(path, parts[0], 9, f"the rig's rotation of {label}").reshape(3, 3)
     offset[:3, 3] = _numbers(path, parts[1], 3, f"the rig's location of {label}")
@@ -235,12 +226,8 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
         (c for c in calibrations if c.get("class") == "adjusted"), next(iter(calibrations), None)
     )
     if sensor is None or calibration is None or calibration.find("f") is None:
-        raise refuse(
-            "bad-intrinsics",
-            f"{path}: the sensor of {label} has no calibration with a focal length f",
-            _CURE,
-            path.name,
-        )
+        message = f"{path}: the sensor of {label} has no calibration with a focal length f"
+        raise refuse("bad-intrinsics", message, _CURE, path.name)
     kind = calibration.get("type", sensor.get("type", "frame"))
     if kind not in ("frame", "fisheye", "equidistant_fisheye"):
         raise _unsupported(path, label, f"of type {kind}")
@@ -283,10 +270,7 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
 
 
 def _unsupported(path: Path, label: str, what: str) -> CaptureRefusedError:
-    return refuse(
-        "camera-model",
-        f"{path}: {label} was taken with a sensor {what}, which is not supported",
-        "Undistort the photographs in Metashape (Export > Undistort Photos) "
-        "and export them with their cameras.",
-        path.name,
-    )
+    message = f"{path}: {label} was taken with a sensor {what}, which is not supported"
+    cure = "Undistort the photographs in Metashape (Export > Undistort Photos) and export them "
+    cure += "with their cameras."
+    return refuse("camera-model", message, cure, path.name)

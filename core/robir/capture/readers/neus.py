@@ -56,9 +56,6 @@ def read(path: Path) -> FrameSet:
 
     Returns:
         Frames in the world frame of `world_mat`.
-
-    Raises:
-        CaptureError: If the archive is damaged or does not fit the photographs.
     """
     root = path.parent
     matrices = _matrices(path)
@@ -85,12 +82,9 @@ def _matrices(path: Path) -> dict[str, Array]:
                     with archive.open(member) as stored:
                         found[key] = read_matrix(stored, 16)
     except DAMAGED_ARRAYS as fault:
-        raise refuse(
-            "bad-cameras",
-            f"{path} is no readable archive of camera matrices ({fault})",
-            "Copy it again.",
-            path.name,
-        ) from None
+        message = f"{path} is no readable archive of camera matrices ({fault})"
+        cure = "Copy it again."
+        raise refuse("bad-cameras", message, cure, path.name) from None
     odd = [key for key, matrix in found.items() if matrix.shape not in ((4, 4), (3, 4))]
     if odd or not any(key.startswith(_MATRIX) for key in found):
         what = f"{odd[0]} is no 4x4 matrix" if odd else 'the key "world_mat_0" is missing'
@@ -106,13 +100,10 @@ def _numbers(path: Path, photographs: list[str], matrices: dict[str, Array]) -> 
     by_name = [str(int(s)) if _is_number(s) else "" for s in (Path(p).stem for p in photographs)]
     if photographs and set(by_name) <= set(numbers):
         return by_name
-    raise refuse(
-        "missing-images",
-        f"{path} has {len(numbers)} cameras, but {path.parent / 'image'} has "
-        f"{len(photographs)} photographs",
-        "Bring all photographs, or number them like the matrices.",
-        *photographs,
-    )
+    message = f"{path} has {len(numbers)} cameras, but {path.parent / 'image'} has "
+    message += f"{len(photographs)} photographs"
+    cure = "Bring all photographs, or number them like the matrices."
+    raise refuse("missing-images", message, cure, *photographs)
 
 
 def _order(number: str) -> tuple[int, str]:
@@ -143,12 +134,9 @@ def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:
     pose[:3, 3] = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
     # Skew moves a pixel in proportion to its row; the principal row is near the middle.
     if abs(k[0, 1]) * abs(k[1, 2]) / k[1, 1] > _MAX_SKEW:
-        raise refuse(
-            "camera-model",
-            f"{path}: the camera of {relative} has skewed pixel axes ({k[0, 1]:.3g} pixels)",
-            "Resample the photograph to rectangular pixels.",
-            relative,
-        )
+        message = f"{path}: the camera of {relative} has skewed pixel axes ({k[0, 1]:.3g} pixels)"
+        cure = "Resample the photograph to rectangular pixels."
+        raise refuse("camera-model", message, cure, relative)
     lens = Lens(
         fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]) + 0.5, cy=float(k[1, 2]) + 0.5
     )

@@ -55,9 +55,6 @@ def read(path: Path) -> FrameSet:
 
     Returns:
         Frames in the coordinate system of the export.
-
-    Raises:
-        CaptureError: If a column is missing or a value is no number.
     """
     rows = _rows(path)
     root, relatives = locate_photographs(path, [row["name"] for row in rows])

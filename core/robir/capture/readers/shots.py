@@ -72,17 +72,11 @@ def frame_set(
             of these is there, as for a file from another machine.
         points: Sparse points, (N, 3), capture frame, or None.
         findings: What the reader noticed.
-
-    Raises:
-        CaptureError: If there is no camera, or a lens makes no sense.
     """
     if not shots:
-        raise refuse(
-            "no-poses",
-            f"{path} holds no camera with a pose",
-            "Let the program that wrote it find the cameras, and export them again.",
-            path.name,
-        )
+        message = f"{path} holds no camera with a pose"
+        cure = "Let the program that wrote it find the cameras, and export them again."
+        raise refuse("no-poses", message, cure, path.name)
     found = list(findings)
     stated = [shot.name for shot in shots]
     root, relatives = path.parent, stated
@@ -138,11 +132,9 @@ def _mask(root: Path, stated: str) -> Path:
 
 def rolling_shutter(path: Path) -> Finding:
     """The warning that a file states a rolling shutter."""
-    return warning(
-        "rolling-shutter",
-        f"{path.name} states a rolling shutter, which is not modelled",
-        "Expect blurred detail, or photograph with the camera at rest.",
-    )
+    message = f"{path.name} states a rolling shutter, which is not modelled"
+    cure = "Expect blurred detail, or photograph with the camera at rest."
+    return warning("rolling-shutter", message, cure)
 
 
 def opencv_pose(rotation: Any, position: Any) -> Array:

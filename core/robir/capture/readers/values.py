@@ -51,9 +51,6 @@ def checked(
         where: Place in the file; empty for the whole of it.
         code: Code of the refusal.
         is_text: Whether the file writes numbers as text.
-
-    Raises:
-        CaptureError: If anything in it is of another kind.
     """
     try:
         return msgspec.convert(plain, kind, strict=not is_text)

@@ -43,13 +43,9 @@ def read(path: Path) -> FrameSet:
     first = lines[0].split() if lines else []
     cameras, points = checked(path, first, _Counts, _CURE, where="the counts", is_text=True)
     if cameras > len(names) or len(lines) < 1 + 5 * cameras:
-        raise refuse(
-            "bad-bundle",
-            f"{path} states {cameras} cameras, but holds {len(lines) - 1} lines and "
-            f"{len(names)} photographs are listed",
-            _CURE,
-            path.name,
-        )
+        message = f"{path} states {cameras} cameras, but holds {len(lines) - 1} lines and "
+        message += f"{len(names)} photographs are listed"
+        raise refuse("bad-bundle", message, _CURE, path.name)
     shots, lost = [], []
     for index, name in enumerate(names[:cameras]):
         words = " ".join(lines[1 + 5 * index : 6 + 5 * index]).split()
@@ -79,12 +75,9 @@ def _names(path: Path) -> list[str]:
     places = [own, path.with_name("list.txt"), path.parent.parent / "list.txt"]
     listed = next((place for place in places if place != path and place.is_file()), None)
     if listed is None:
-        raise refuse(
-            "missing-list",
-            f"{path} names no photographs, and there is no list.txt beside it",
-            "Put the list of photographs that it was made from beside it, as list.txt.",
-            path.name,
-        )
+        message = f"{path} names no photographs, and there is no list.txt beside it"
+        cure = "Put the list of photographs that it was made from beside it, as list.txt."
+        raise refuse("missing-list", message, cure, path.name)
     try:
         lines = read_text(listed).splitlines()
     except (OSError, ValueError) as fault:

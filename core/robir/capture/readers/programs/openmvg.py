@@ -107,12 +107,9 @@ def _at(table: Any, key: str) -> Any:
 def _lens(path: Path, value: Any) -> Lens:
     kind, plain = str(_at(value, "polymorphic_name")), _pointed(value)
     if kind.startswith("spherical"):
-        raise refuse(
-            "camera-model",
-            f"{path}: the camera model {kind} is not supported",
-            "Undistort the photographs with openMVG_main_ExportUndistortedImages.",
-            path.name,
-        )
+        message = f"{path}: the camera model {kind} is not supported"
+        cure = "Undistort the photographs with openMVG_main_ExportUndistortedImages."
+        raise refuse("camera-model", message, cure, path.name)
     base = _at(plain, "value0")  # some lenses hold their pinhole in it
     plain = {**base, **plain} if isinstance(base, dict) else plain
     camera: _Intrinsic = checked(path, plain, _Intrinsic, _CURE)

@@ -100,12 +100,10 @@ def _lens(path: Path, camera: _Camera) -> Lens:
     fx = camera.focal if camera.focal_x is None else camera.focal_x
     kind = camera.projection_type
     if kind not in _TERMS:
-        raise refuse(
-            "camera-model",
-            f"{path}: the camera model {kind} is not supported",
-            "Undistort the photographs with `opensfm undistort` and take the reconstruction there.",
-            path.name,
-        )
+        message = f"{path}: the camera model {kind} is not supported"
+        cure = "Undistort the photographs with `opensfm undistort` and take the reconstruction "
+        cure += "there."
+        raise refuse("camera-model", message, cure, path.name)
     if fx is None:
         raise refuse("bad-intrinsics", f"{path}: a camera has no focal length", _CURE, path.name)
     longer = max(camera.width, camera.height)
