@@ -26,7 +26,6 @@ from robir.capture.readers.programs import (
     nerfactor,
     openmvg,
     opensfm,
-    reality_xmp,
     record3d,
     sdfstudio,
     splats,
@@ -122,9 +121,9 @@ def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
         reader = None if path in (own, archive) or is_split else file_reader(path)
         if reader is not None:
             yield path.relative_to(source).as_posix(), reader
-    sidecars = reality_xmp.find(source)
+    sidecars = reality_scan.find_sidecars(source)
     if sidecars is not None:
-        yield f"{sidecars.name}/*.xmp", partial(reality_xmp.read, sidecars)
+        yield f"{sidecars.name}/*.xmp", partial(reality_scan.read_sidecars, sidecars)
     if (source / llff.NAME).is_file():
         yield llff.NAME, partial(llff.read, source / llff.NAME)
 

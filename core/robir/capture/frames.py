@@ -339,8 +339,7 @@ def unique_names(relatives: list[str]) -> list[str]:
     if len(set(names)) < len(names):
         twice = sorted(relative for relative, n in Counter(relatives).items() if n > 1)
         message = f"{len(twice)} photographs are named more than once, with one pose each"
-        cure = "Keep one entry a photograph."
-        raise refuse("duplicate-images", message, cure, *twice)
+        raise refuse("duplicate-images", message, "Keep one entry a photograph.", *twice)
     return names
 
 

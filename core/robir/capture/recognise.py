@@ -26,10 +26,9 @@ from robir.capture.poses import sfm
 from robir.capture.poses.register import register
 from robir.capture.poses.sources import find_photographs, is_video
 from robir.capture.readers.files import children
-from robir.capture.readers.left_out import without_left_out
 from robir.capture.readers.transforms import SYNTHETIC
 from robir.capture.refusal import CaptureRefusedError, error, note, refuse
-from robir.capture.views import Loaded, Progress, load_views, splits, unheard
+from robir.capture.views import Loaded, Progress, load_views, splits, unheard, without_left_out
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
 _READING = 0.8  # share of the progress that reading the photographs takes
@@ -123,13 +122,11 @@ def _not_recognised(source: Path) -> CaptureRefusedError:
     captures = [child.name for child in _folders(source) if reader_of(child) is not None]
     if captures:
         message = f"{source} is no capture itself but holds {len(captures)}"
-        cure = "Give one of them."
-        return refuse("no-capture", message, cure, *captures)
+        return refuse("no-capture", message, "Give one of them.", *captures)
     photographs = [path.relative_to(source).as_posix() for path in find_photographs(source)]
     if not photographs:
         message = f"{source} holds no capture: there are neither photographs nor camera poses"
-        cure = f"Give the folder that holds photographs, or {KNOWN}."
-        return refuse("no-capture", message, cure)
+        return refuse("no-capture", message, f"Give the folder that holds photographs, or {KNOWN}.")
     refusal = _no_poses(f"{source} holds {len(photographs)} photographs", *photographs)
     return CaptureRefusedError([*unread_poses(source), *refusal.findings])
 

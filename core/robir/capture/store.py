@@ -23,6 +23,7 @@ from robir.maths.similarity import Similarity
 
 # what reading a damaged file of the stage raises
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
+_LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
 
 _CAPTURE = {
@@ -39,39 +40,27 @@ _FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS, "bounds": _BOUNDS}
 
 
 def save_capture(folder: Path, capture: Capture) -> None:
-    """Write a capture; capture.json last, every file as a whole.
-
-    Args:
-        folder: Folder of the capture stage.
-        capture: In the capture's own frame.
-    """
+    """Write a capture in its own frame; capture.json last, every file as a whole."""
     for view in capture.views:
         # Separate layers keep the colour under a transparent mask.
         picture = Image.fromarray(np.dstack([view.image_display, view.mask]), "RGBA")
         with replacing(view_path(folder, view.name)) as temporary:
             picture.save(temporary, format="PNG", compress_level=1)
-    write_json(
-        folder / "capture.json",
-        {
-            "format": capture.format,
-            "source": str(capture.source),
-            "bounds": _plain_bounds(capture.bounds),
-            "views": [plain_view(view) for view in capture.views],
-            "findings": [asdict(finding) for finding in capture.findings],
-            "table": [] if capture.table is None else [_plain_plane(capture.table)],
-            "is_linear": capture.is_linear,
-        },
-    )
+    table = {} if capture.table is None else asdict(capture.table)
+    plain = {
+        "format": capture.format,
+        "source": str(capture.source),
+        "bounds": _plain_bounds(capture.bounds),
+        "views": [plain_view(view) for view in capture.views],
+        "findings": [asdict(finding) for finding in capture.findings],
+        "table": [table | {"normal": table["normal"].tolist()}] if table else [],
+        "is_linear": capture.is_linear,
+    }
+    write_json(folder / "capture.json", plain)
 
 
 def load_capture(folder: Path) -> Capture:
-    """Read what `save_capture` wrote.
-
-    Args:
-        folder: Folder of the capture stage.
-
-    Returns:
-        The capture in its own frame.
+    """Read what `save_capture` wrote: the capture in its own frame.
 
     Raises:
         StorageError: If a file is missing or damaged.
@@ -93,11 +82,7 @@ def load_capture(folder: Path) -> Capture:
 
 
 def load_bounds(paths: JobPaths) -> Bounds:
-    """The object's sphere alone, without the photographs, in the frame of `load_settled`.
-
-    Args:
-        paths: The result folder.
-    """
+    """The object's sphere alone, without the photographs, in the frame of `load_settled`."""
     folder = paths.stage("capture")
     try:
         bounds = _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
@@ -126,24 +111,18 @@ def _bounds(plain: dict[str, Any]) -> Bounds:
 
 
 def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
-    """Write the poses that later stages shall take instead of the given ones.
+    """Write the poses, by views' names, that later stages shall take instead of the given ones.
 
-    Args:
-        paths: The result folder.
-        cameras: Every view's camera by its name; turned about its own centre, so that orientation
-            is all that counts.
+    Cameras are turned about their own centres, so that orientation is all that counts.
     """
     turned = {name: camera.camera_to_world[:3, :3].tolist() for name, camera in cameras.items()}
     write_json(paths.turned_cameras, turned)
 
 
 def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
-    """Write where later stages shall have the stored capture.
+    """Write where later stages shall have the stored capture, and its bounds there.
 
-    Args:
-        paths: The result folder.
-        frame: Brings the frame of the stored capture to theirs, and does not mirror.
-        bounds: Of the object, in their frame.
+    `frame` brings the frame of the stored capture to theirs, and does not mirror.
     """
     plain = {"turn": frame.turn.tolist(), "scale": frame.scale, "shift": frame.shift.tolist()}
     write_json(paths.frame, plain | {"bounds": _plain_bounds(bounds)})
@@ -170,10 +149,6 @@ def _unsettled(path: Path, fault: Exception) -> StorageError:
     return StorageError(f"{path} cannot be read ({fault}). Run the geometry stage again.")
 
 
-def _plain_plane(plane: Plane) -> dict[str, Any]:
-    return {"normal": plane.normal.tolist(), "offset": plane.offset, "tolerance": plane.tolerance}
-
-
 def _plane(plain: dict[str, Any]) -> Plane:
     normal = np.array(plain["normal"], dtype=np.float64)
     if normal.shape != (3,):
@@ -182,12 +157,7 @@ def _plane(plain: dict[str, Any]) -> Plane:
 
 
 def save_masks(paths: JobPaths, views: Iterable[View]) -> None:
-    """Write masks that later stages shall take instead of the stored ones.
-
-    Args:
-        paths: The result folder.
-        views: All of the capture, with these masks.
-    """
+    """Write masks of all views that later stages shall take instead of the stored ones."""
     for view in views:
         with replacing(file_in(paths.cut_masks, f"{view.name}.png")) as temporary:
             Image.fromarray(view.mask).save(temporary, format="PNG", compress_level=1)
@@ -196,11 +166,7 @@ def save_masks(paths: JobPaths, views: Iterable[View]) -> None:
 def load_settled(paths: JobPaths) -> Capture:
     """The stored capture with what the geometry stage found better: cameras turned, masks cut.
 
-    Args:
-        paths: The result folder.
-
-    Returns:
-        The capture in its own frame, or in the one that the geometry stage brought it to.
+    It is in its own frame, or in the one that the geometry stage brought it to.
     """
     capture = load_capture(paths.stage("capture"))
     if paths.cut_masks.exists():
@@ -249,15 +215,8 @@ def plain_view(view: View) -> dict[str, Any]:
 
 def plain_camera(camera: Camera) -> dict[str, Any]:
     """A camera as plain values for JSON; "whole" only where its picture is a part."""
-    plain = {
-        "width": camera.width,
-        "height": camera.height,
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "camera_to_world": camera.camera_to_world.tolist(),
-    }
+    plain: dict[str, Any] = {key: getattr(camera, key) for key in _LENS}
+    plain["camera_to_world"] = camera.camera_to_world.tolist()
     return plain if camera.whole is None else plain | {"whole": list(camera.whole)}
 
 
@@ -266,24 +225,13 @@ def _view(folder: Path, entry: dict[str, Any]) -> View:
         if picture.mode != "RGBA" or picture.size != (entry["width"], entry["height"]):
             raise ValueError(f"{entry['name']}.png is {picture.mode} of size {picture.size}")
         pixels = np.array(picture)
+    pose = np.array(entry["camera_to_world"], dtype=np.float64)
+    left, top, right, bottom = map(float, entry.get("whole", [0.0] * 4))
+    whole = (left, top, right, bottom) if "whole" in entry else None
     return View(
         name=entry["name"],
         image_display=np.ascontiguousarray(pixels[:, :, :3]),
         mask=np.ascontiguousarray(pixels[:, :, 3]),
-        camera=Camera(
-            width=entry["width"],
-            height=entry["height"],
-            fx=entry["fx"],
-            fy=entry["fy"],
-            cx=entry["cx"],
-            cy=entry["cy"],
-            camera_to_world=np.array(entry["camera_to_world"], dtype=np.float64),
-            whole=_edges(entry["whole"]) if "whole" in entry else None,
-        ),
+        camera=Camera(**{key: entry[key] for key in _LENS}, camera_to_world=pose, whole=whole),
         split=entry["split"],
     )
-
-
-def _edges(plain: list[float]) -> tuple[float, float, float, float]:
-    left, top, right, bottom = (float(edge) for edge in plain)
-    return left, top, right, bottom

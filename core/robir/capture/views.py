@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from PIL import Image
 
 from robir.capture.capture import Finding, Split, View
 from robir.capture.config import CaptureConfig
-from robir.capture.frames import Frame
+from robir.capture.frames import Frame, FrameSet
 from robir.capture.images.decode import header, stored_size
 from robir.capture.images.linear import LINEAR, common_exposure
 from robir.capture.images.reading import MaskSource, Reading, read_view
@@ -52,6 +52,39 @@ class Loaded:
     findings: tuple[Finding, ...]
     table: Plane | None = None
     is_linear: bool = False
+
+
+def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
+    """The photographs to work with, and findings about those left out.
+
+    `leave_out` of the settings names them as findings do, by path or by view; `missing` says
+    whether photographs without a file go too.
+    """
+    unwanted = set(config.leave_out)
+    chosen = [frame for frame in frames.frames if unwanted & {frame.name, frame.relative}]
+    known = {name for frame in chosen for name in (frame.name, frame.relative)}
+    skips = config.missing == "skip"
+    missing = [f for f in frames.frames if skips and f.name not in known and not f.image.is_file()]
+    found = []
+    if chosen:
+        names = [frame.name for frame in chosen]
+        found.append(note("left-out", f"{len(chosen)} photographs are left out as asked", *names))
+    if unwanted - known:
+        message = "Photographs that were to be left out are not in the capture"
+        cure = "Name them as the findings do."
+        found.append(warning("unknown-photographs", message, cure, *sorted(unwanted - known)))
+    if missing:
+        of = f"{len(missing)} of {len(frames.frames)} posed photographs"
+        cure = "Put them below the capture's folder to have them used."
+        names = [frame.relative for frame in missing]
+        found.append(warning("missing-skipped", f"{of} are missing and left out", cure, *names))
+    gone = {frame.name for frame in (*chosen, *missing)}
+    return replace(
+        frames,
+        frames=tuple(f for f in frames.frames if f.name not in gone),
+        other_order=tuple(f for f in frames.other_order if f.name not in gone),
+        findings=(*frames.findings, *found),
+    )
 
 
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:

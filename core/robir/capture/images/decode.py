@@ -28,7 +28,6 @@ from robir.capture.images.colour import code_points
 from robir.capture.images.linear import read_linear
 from robir.capture.images.opencv import cv2
 from robir.capture.images.regular import regular
-from robir.capture.images.tiff import check_directories
 from robir.capture.refusal import CaptureRefusedError, refuse
 
 # the cure for a missing optional package, in one place
@@ -44,6 +43,11 @@ MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a
 DEVELOPED = "developed"
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
+# numbers that an entry of a TIFF may have: a picture of 65,535 rows has as many strips
+_MAX_VALUES = 1 << 17
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+_TEXTS = (1, 2, 7)  # kinds of entries that stay bytes
+_EXIF, _SAMPLE_FORMAT, _FLOATING = 34665, 339, 3
 
 # what Pillow raises for broken files
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
@@ -63,13 +67,7 @@ _TURNS = {
 
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
-    """A picture file, opened and decoded, or a refusal that names it.
-
-    Args:
-        path: Any kind of `IMAGE_SUFFIXES`.
-
-    Yields:
-        The picture as stored; RAW files come developed and upright.
+    """A picture file of any kind of `IMAGE_SUFFIXES`, decoded, as stored; RAW comes upright.
 
     Raises:
         CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
@@ -92,14 +90,9 @@ def load(picture: Image.Image, path: Path) -> None:
 
 
 def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
-    """Pixels of a picture with 16 bits a channel, of which Pillow would keep eight.
+    """Pixels (H, W, 3 or 4) of a picture with 16 bits a channel, of which Pillow would keep eight.
 
-    Args:
-        picture: Not yet decoded.
-        path: Its file.
-
-    Returns:
-        (H, W, 3 or 4), or None for other pictures and for what OpenCV would turn.
+    None for other pictures and for what OpenCV would turn.
     """
     tiles = getattr(picture, "tile", ())
     is_deep = picture.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in tiles)
@@ -115,13 +108,8 @@ def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
 def reduce(picture: Image.Image, factor: int) -> int:
     """Let an open picture be decoded at a fraction of its size, where its format allows it.
 
-    Args:
-        picture: Not yet decoded.
-        factor: 1, 2, 4 or 8, the reduction wanted.
-
-    Returns:
-        The reduction that decoding will apply, at most `factor`. Pixels past the right and lower
-        border fill the last ones where the size is no multiple of it.
+    Returns the reduction that decoding will apply, at most the 1, 2, 4 or 8 wanted. Pixels past the
+    right and lower border fill the last ones where the size is no multiple of it.
     """
     before = picture.size
     if factor > 1 and picture.format == "JPEG":
@@ -130,14 +118,7 @@ def reduce(picture: Image.Image, factor: int) -> int:
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
-    """Width and height of a picture as `opened` yields it, without decoding what has a header.
-
-    Args:
-        path: Any kind of `IMAGE_SUFFIXES`.
-
-    Returns:
-        Pixels, or None if it cannot be opened.
-    """
+    """Width and height of a picture as `opened` yields it, or None if it cannot be opened."""
     try:
         with header(path) as picture:
             return picture.size
@@ -158,13 +139,7 @@ def may_hold_alpha(path: Path) -> bool:
 
 @contextmanager
 def header(path: Path) -> Iterator[Image.Image]:
-    """A picture file whose pixels are read when they are asked for.
-
-    Args:
-        path: Any kind of `IMAGE_SUFFIXES`.
-
-    Yields:
-        The picture as stored, of a size that can be decoded.
+    """A picture file whose pixels are read when they are asked for, of a size that can be decoded.
 
     Raises:
         CaptureError: As `opened`, but for damage to the pixels.
@@ -182,7 +157,7 @@ def header(path: Path) -> Iterator[Image.Image]:
             file = stack.enter_context(regular(path, MAX_FILE_BYTES))
             if suffix in RAW_SUFFIXES:
                 picture = _developed(path, file)
-            elif check_directories(file) or suffix in LINEAR_SUFFIXES:
+            elif _is_floating_tiff(file) or suffix in LINEAR_SUFFIXES:
                 picture = read_linear(path, file, MAX_PIXELS // 4)
             else:
                 picture = Image.open(file, formats=formats)
@@ -190,9 +165,8 @@ def header(path: Path) -> Iterator[Image.Image]:
                     picture.info |= code_points(file)
             _check_size(path, *picture.size)
         except FileNotFoundError:
-            raise refuse(
-                "missing-images", f"{path} does not exist", "Put it there.", path.name
-            ) from None
+            message = f"{path} does not exist"
+            raise refuse("missing-images", message, "Put it there.", path.name) from None
         except UnidentifiedImageError:
             message = f"{path} is not a photograph that can be read"
             cure = "Save it as PNG, JPEG or TIFF."
@@ -206,8 +180,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
     if width * height > MAX_PIXELS or max(width, height) > MAX_SIDE:
         message = f"{path} is {width}x{height} pixels; photographs of up to "
         message += f"{MAX_PIXELS // 1_000_000} megapixels are read"
-        cure = "Save it smaller."
-        raise refuse("too-large", message, cure, path.name)
+        raise refuse("too-large", message, "Save it smaller.", path.name)
 
 
 def _check_scans(path: Path, pixels: int) -> None:
@@ -219,16 +192,11 @@ def _check_scans(path: Path, pixels: int) -> None:
             last = block[-1:]
     if scans > 1 and scans * pixels > MAX_DECODED:
         message = f"{path} stores its picture in {scans} passes, which takes too long to decode"
-        cure = "Save it again."
-        raise refuse("too-large", message, cure, path.name)
+        raise refuse("too-large", message, "Save it again.", path.name)
 
 
 def exif_values(picture: Image.Image) -> dict[int, object] | None:
-    """EXIF tags of a picture, those of its sub-directory included.
-
-    Returns:
-        What can be read; None if there is EXIF data but nothing of it can be read.
-    """
+    """EXIF tags of a picture, its sub-directory's too; None if nothing of its EXIF can be read."""
     if len(picture.info.get("exif") or b"") > MAX_EXIF_BYTES:
         return None
     with warnings.catch_warnings():
@@ -271,7 +239,6 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
 
     No tone curve but sRGB's own is applied, so that its values are linear once that is undone.
-
     Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
     """
     try:
@@ -308,3 +275,38 @@ def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
     message = f"{path} is truncated or damaged ({fault})"
     cure = "Copy it again from the camera, or remove it and its pose."
     return refuse("unreadable-images", message, cure, path.name)
+
+
+def _is_floating_tiff(file: BinaryIO) -> bool:
+    """Whether a file, left at its beginning, is a TIFF file of floating-point numbers.
+
+    One with endless entries is refused before a decoder makes millions of numbers of them.
+    """
+    order = _ORDERS.get(file.read(4))
+    try:
+        if order is not None:
+            return _is_floating(file, order, *struct.unpack(f"{order}I", file.read(4)))
+    except struct.error:
+        pass  # it ends too early, which the decoder says
+    finally:
+        file.seek(0)
+    return False
+
+
+def _is_floating(file: BinaryIO, order: str, start: int, is_exif: bool = False) -> bool:
+    file.seek(start)
+    is_floating = False
+    (count,) = struct.unpack(f"{order}H", file.read(2))
+    for _ in range(count):
+        tag, kind, values, content = struct.unpack(f"{order}HHII", file.read(12))
+        if kind not in _TEXTS and values > _MAX_VALUES:
+            raise ValueError(f"its entry {tag} has {values} numbers")
+        after = file.tell()
+        if tag == _SAMPLE_FORMAT:
+            file.seek(content if values > 2 else after - 4)
+            is_floating = struct.unpack(f"{order}H", file.read(2))[0] == _FLOATING
+            file.seek(after)
+        if tag == _EXIF and not is_exif:
+            _is_floating(file, order, content, is_exif=True)
+            file.seek(after)
+    return is_floating

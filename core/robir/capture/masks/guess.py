@@ -111,13 +111,15 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
     cells, half = region.cells(CELLS)
     priors = [shown(p.camera, cells[region.is_core(cells)], half) for p in pictures]
     rooms = [shown(p.camera, cells, half) for p in pictures]
+    alike = _like_points(pictures, region.points, priors)
     points, masks = region.points, priors
     for number, dissent in enumerate(DISSENT):
         masks = []
-        for picture, prior, room in zip(pictures, priors, rooms, strict=True):
+        for picture, prior, room, own in zip(pictures, priors, rooms, alike, strict=True):
             labels = np.where(prior, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
             labels[~room] = cv2.GC_BGD
-            labels[_near_points(picture.camera, points) & room] = cv2.GC_FGD
+            is_sure = _near_points(picture.camera, points) | (own & prior)
+            labels[is_sure & room] = cv2.GC_FGD
             masks.append(_grabbed(picture.lab, labels))
             progress((number + len(masks) / len(pictures)) / len(DISSENT))
         outlines = [
@@ -184,6 +186,8 @@ def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
     height, width = image_display.shape[:2]
     small = _without_crumbs(belief > 0.5)
     mask = np.zeros((height, width), np.uint8)
+    if small.shape == mask.shape:
+        return np.where(small, np.uint8(255), mask)
     if not small.any():
         return mask
     # only the part of the photograph about the object
@@ -231,6 +235,29 @@ def _near_points(camera: Camera, points: Array) -> Mask:
     return (near > 1.5) & (count > 0)
 
 
+def _like_points(pictures: Sequence[Picture], points: Array, priors: Sequence[Mask]) -> list[Mask]:
+    """Pixels of colours that points of the object have in all photographs together.
+
+    What lies beyond the volume in the same photograph must have them half as often.
+    """
+    cells = [_colours(picture.lab) for picture in pictures]
+    counts = np.zeros(4096)
+    for picture, own in zip(pictures, cells, strict=True):
+        near = _near_points(picture.camera, points).astype(np.uint8)
+        counts += np.bincount(own[cv2.dilate(near, _disc(1)) == 1], minlength=4096)
+    alike = []
+    for own, prior in zip(cells, priors, strict=True):
+        beyond = np.bincount(own[~prior], minlength=4096)
+        is_own = counts / max(counts.sum(), 1) > 2 * beyond / max(beyond.sum(), 1)
+        alike.append(cv2.medianBlur(is_own[own].astype(np.uint8), 5) == 1)
+    return alike
+
+
+def _colours(lab: Bytes) -> NDArray[np.int64]:
+    """Number of each pixel's cell of a histogram of 4096."""
+    return (lab // 16).astype(np.int64) @ np.array([256, 16, 1])
+
+
 def _within(points: Array, pictures: Sequence[Picture], masks: Sequence[Mask]) -> Array:
     """Points that nearly all masks contain."""
     inside, seen = np.zeros(len(points)), np.zeros(len(points))
@@ -253,7 +280,7 @@ def _contrasts(labs: Sequence[Bytes], masks: Sequence[Mask]) -> Array:
     """Shares of the pixels along outlines whose colour is on the right side, by the others (V,)."""
     sides = []
     for lab, mask in zip(labs, masks, strict=True):
-        cells = (lab // 16).astype(np.int64) @ np.array([256, 16, 1])
+        cells = _colours(lab)
         inside = mask.astype(np.uint8)
         within = mask & (cv2.erode(inside, _disc(_RING), borderValue=1) == 0)
         beyond = ~mask & (cv2.dilate(inside, _disc(_RING)) == 1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.util
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -22,7 +22,6 @@ from msgspec import Meta
 from robir.capture.frames import MAX_NUMBER, Array, Distortion, FrameSet, Lens, checked_lens
 from robir.capture.images.regular import regular
 from robir.capture.readers.files import IMAGE_FOLDERS, children
-from robir.capture.readers.programs import colmap_rigs
 from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
@@ -58,6 +57,9 @@ _LONG = 8192  # letters of a line beyond which it holds no photograph's pose and
 _CURE = "Export the model again."
 _Parameters = Annotated[list[float], Meta(max_length=16)]
 _Sides = tuple[Side, Side]
+_Take = Callable[[str], tuple]  # next values of a file of rigs, by their codes in `struct`
+_CAMERA, _RIG_POSE = 0, "7d"
+_SENSORS = {"INVALID": "-1", "CAMERA": "0", "IMU": "1"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +87,7 @@ def find_models(source: Path) -> list[Path]:
 def read(source: Path, images: Path | None = None) -> FrameSet:
     """Read the largest sparse model.
 
-    Args:
-        source: Folder of the capture, or of the model itself.
-        images: Folder that the names of the photographs start from; None looks for it.
-
-    Returns:
-        Frames and sparse points in the model's own frame.
+    Frames and sparse points in the model's own frame.
     """
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
@@ -147,7 +144,7 @@ def _read_model(folder: Path) -> _Model:
         rigs = [folder / f"{name}{suffix}" for name in ("rigs", "frames")]
         own = {}
         if all(path.is_file() for path in rigs):
-            own = colmap_rigs.poses(*map(_bytes, rigs), is_text=suffix == ".txt")
+            own = _rig_poses(*map(_bytes, rigs), is_text=suffix == ".txt")
     except CaptureRefusedError:
         raise
     except (OSError, ValueError, OverflowError, struct.error) as fault:
@@ -284,3 +281,65 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
             raise refuse("camera-model", message, cure, path.name)
     lens = Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
     return checked_lens(lens, path, f"a {name} camera")
+
+
+def _rig_poses(rigs: bytes, frames: bytes, is_text: bool) -> dict[int, Array]:
+    """Camera-to-world of images by number, OpenGL axes, where a camera's place in its rig is known.
+
+    COLMAP itself reads these; the poses in its images file are only written beside them
+    (src/colmap/scene/reconstruction_io_binary.cc and _text.cc).
+    """
+    places: dict[tuple[int, int, int], Array] = {}
+    for take in _entries(rigs, is_text):
+        rig, count = take("II")
+        if count:
+            places[(rig, *take("iI"))] = np.eye(4)
+        for _ in range(count - 1):
+            sensor, (has_pose,) = take("iI"), take("B")
+            if has_pose:
+                places[(rig, *sensor)] = _rig_matrix(take(_RIG_POSE))
+    found = {}
+    for take in _entries(frames, is_text):
+        (_, rig), world = take("II"), _rig_matrix(take(_RIG_POSE))
+        for _ in range(take("I")[0]):
+            kind, sensor, image = take("iIQ")
+            if kind == _CAMERA and (rig, kind, sensor) in places:
+                with np.errstate(all="ignore"):
+                    view = places[rig, kind, sensor] @ world
+                found[image] = opencv_view(view[:3, :3], view[:3, 3])
+    return found
+
+
+def _rig_matrix(numbers: tuple[float, ...]) -> Array:
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = turned_by(numbers[:4]), numbers[4:]
+    return result
+
+
+def _entries(content: bytes, is_text: bool) -> Iterator[_Take]:
+    """What takes the values of each entry, one after the other."""
+    if is_text:
+        for line in content.decode("utf-8").splitlines():
+            words = iter(line.split())
+            if line.strip() and not line.startswith("#"):
+                yield lambda codes, words=words: tuple(_word(words, c) for c in _codes(codes))
+        return
+    at = 8
+
+    def take(codes: str) -> tuple:
+        nonlocal at
+        values = struct.unpack_from(f"<{codes}", content, at)
+        at += struct.calcsize(f"<{codes}")
+        return values
+
+    for _ in range(struct.unpack_from("<Q", content)[0]):
+        yield take
+
+
+def _codes(codes: str) -> str:
+    return "d" * 7 if codes == _RIG_POSE else codes
+
+
+def _word(words: Iterator[str], code: str) -> float | int:
+    word = next(words, "")
+    return float(word) if code == "d" else int(_SENSORS.get(word, word))

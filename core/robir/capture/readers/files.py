@@ -48,8 +48,7 @@ def load_json(path: Path) -> Any:
         return json.loads(_bounded(read_text(path)), parse_int=_whole)
     except (OSError, ValueError, RecursionError) as fault:
         message = f"{path} is not readable as JSON ({fault})"
-        cure = "Write the file again."
-        raise refuse("bad-json", message, cure, path.name) from None
+        raise refuse("bad-json", message, "Write the file again.", path.name) from None
 
 
 def load_xml(path: Path, cure: str) -> Element:

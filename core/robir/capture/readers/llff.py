@@ -32,12 +32,8 @@ _MAX_NUMBERS = 17 * 1_000_000
 def read(path: Path) -> FrameSet:
     """Read poses and intrinsics.
 
-    Args:
-        path: The file of poses.
-
-    Returns:
-        Frames in the file's own frame, rows in order of the names as text; the numeric order is
-        in `other_order` where it differs.
+    Frames in the file's own frame, rows in order of the names as text; the numeric order is in
+    `other_order` where it differs.
     """
     root = path.parent
     rows = _rows(path)
@@ -76,8 +72,7 @@ def _rows(path: Path) -> Array:
     if rows.shape[1] != 17:
         message = f"{path} has shape {rows.shape}; a row of 17 numbers for each photograph is "
         message += "needed"
-        cure = "Write it as LLFF's imgs2poses does."
-        raise refuse("bad-poses", message, cure, path.name)
+        raise refuse("bad-poses", message, "Write it as LLFF's imgs2poses does.", path.name)
     return rows
 
 
@@ -92,6 +87,5 @@ def _lens(path: Path, row: Array) -> Lens:
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
     if not (1 <= height < MAX_NUMBER and 1 <= width < MAX_NUMBER and 0 < focal < MAX_NUMBER):
         message = f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}"
-        cure = "Estimate the poses again."
-        raise refuse("bad-intrinsics", message, cure, path.name)
+        raise refuse("bad-intrinsics", message, "Estimate the poses again.", path.name)
     return Lens(width=int(width), height=int(height), fx=float(focal), is_scalable=True)

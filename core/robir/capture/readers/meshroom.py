@@ -100,11 +100,7 @@ def looks_like(path: Path) -> bool:
 def read(path: Path) -> FrameSet:
     """Read views that have a pose, and the sparse points.
 
-    Args:
-        path: The JSON file.
-
-    Returns:
-        Frames in the frame of the file.
+    Frames in the frame of the file.
     """
     plain = load_json(path)
     content: _File = checked(path, plain, _File, _CURE, code="bad-sfm", is_text=True)
@@ -147,8 +143,7 @@ def _pose(path: Path, content: _File, view: _View, transform: _Transform) -> Arr
     rig = next((rig.sub_poses for rig in content.rigs if rig.rig_id == view.rig_id), [])
     if not 0 <= view.sub_pose_id < len(rig):
         message = f"{path}: {view.path} belongs to a rig of cameras that is not in the file"
-        cure = "Reconstruct the photographs without rigs."
-        raise refuse("rig", message, cure, path.name)
+        raise refuse("rig", message, "Reconstruct the photographs without rigs.", path.name)
     place = rig[view.sub_pose_id].pose
     with np.errstate(all="ignore"):
         inner = turn @ np.array(place.rotation).reshape(3, 3)

@@ -67,11 +67,7 @@ class _Aligned:
 def read(path: Path) -> FrameSet:
     """Read the aligned cameras that have a frame in common.
 
-    Args:
-        path: The XML file.
-
-    Returns:
-        Frames in the coordinate system of the chunks.
+    Frames in the coordinate system of the chunks.
     """
     document = load_xml(path, _CURE)
     chunks = [document] if document.tag == "chunk" else list(document.iter("chunk"))

@@ -51,11 +51,7 @@ def is_camera_file(path: Path) -> bool:
 def read(path: Path) -> FrameSet:
     """Read cameras, the object's sphere and masks.
 
-    Args:
-        path: The archive of matrices.
-
-    Returns:
-        Frames in the world frame of `world_mat`.
+    Frames in the world frame of `world_mat`.
     """
     root = path.parent
     matrices = _matrices(path)
@@ -83,8 +79,7 @@ def _matrices(path: Path) -> dict[str, Array]:
                         found[key] = read_matrix(stored, 16)
     except DAMAGED_ARRAYS as fault:
         message = f"{path} is no readable archive of camera matrices ({fault})"
-        cure = "Copy it again."
-        raise refuse("bad-cameras", message, cure, path.name) from None
+        raise refuse("bad-cameras", message, "Copy it again.", path.name) from None
     odd = [key for key, matrix in found.items() if matrix.shape not in ((4, 4), (3, 4))]
     if odd or not any(key.startswith(_MATRIX) for key in found):
         what = f"{odd[0]} is no 4x4 matrix" if odd else 'the key "world_mat_0" is missing'

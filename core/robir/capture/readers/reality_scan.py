@@ -15,7 +15,11 @@ are always in range -0.5, 0.5", FocalLength35mm, PrincipalPointU). k and t are B
 and tangential part at focal length one, t1 being OpenCV's p2 and t2 its p1 (AliceVision,
 main_importKnownPoses.cpp, swaps them).
 
-The file names neither the image size, which is taken from the photographs as stored, nor the
+Beside each photograph there may be an XMP file instead: Rotation is that from world to camera with
+OpenCV axes, row by row, Position the centre, FocalLength35mm and the rest as above; coefficients
+are k1 to k4, t1 and t2.
+
+The CSV file names neither the image size, which is taken from the photographs as stored, nor the
 distortion model: the export must have been made with a Brown model, as it is by default.
 """
 
@@ -26,20 +30,29 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from robir.capture.frames import Array, Distortion, FrameSet, Lens
+from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
-from robir.capture.readers.files import head, load_table, locate_photographs
-from robir.capture.readers.shots import Shot, frame_set
-from robir.capture.readers.values import checked
-from robir.capture.refusal import refuse
+from robir.capture.readers.files import (
+    IMAGE_FOLDERS,
+    children,
+    head,
+    load_table,
+    load_xml,
+    locate_photographs,
+)
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose
+from robir.capture.readers.values import Number, checked
+from robir.capture.refusal import note, refuse
 
-FORMAT = "realityscan"
+FORMAT, FORMAT_XMP = "realityscan", "realityscan-xmp"
 
 _SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})
 _MAX_COLUMNS = 1000
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll", "f")
 _FILM = 36.0
 _CURE = 'Export "Internal/External camera parameters" (CSV) again.'
+_XMP_CURE = "Export the metadata (XMP) from RealityScan again, camera poses included."
+_MODELS = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 
 
 def looks_like(path: Path) -> bool:
@@ -50,11 +63,7 @@ def looks_like(path: Path) -> bool:
 def read(path: Path) -> FrameSet:
     """Read poses and intrinsics.
 
-    Args:
-        path: The CSV file.
-
-    Returns:
-        Frames in the coordinate system of the export.
+    Frames in the coordinate system of the export.
     """
     rows = _rows(path)
     root, relatives = locate_photographs(path, [row["name"] for row in rows])
@@ -83,8 +92,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
     short = next((i for i, row in enumerate(rows, start=1) if len(row) < len(columns)), None)
     if short is not None or len(columns) > _MAX_COLUMNS:
         fault = f"row {short} has {len(rows[short - 1])} of " if short else "its header has "
-        message = f"{path}: {fault}{len(columns)} values"
-        raise refuse("bad-table", message, _CURE, path.name)
+        raise refuse("bad-table", f"{path}: {fault}{len(columns)} values", _CURE, path.name)
     return [dict(zip(columns, row, strict=False)) for row in rows]
 
 
@@ -152,4 +160,78 @@ def film_lens(
         cx=0.5 * size[0] + middle[0] * longer,
         cy=0.5 * size[1] + middle[1] * longer,
         distortion=distortion,
+    )
+
+
+def is_sidecar(path: Path) -> bool:
+    """Whether a file is a camera with a pose."""
+    start = head(path)
+    return "capturingreality.com" in start and "Rotation" in start and "Position" in start
+
+
+def find_sidecars(source: Path) -> Path | None:
+    """The folder of photographs with such files, the source itself or in it."""
+    for folder in (source, *(source / name for name in IMAGE_FOLDERS[:-1])):
+        files = [path for path in children(folder) if path.suffix.lower() == ".xmp"]
+        if any(is_sidecar(path) for path in files[:5]):
+            return folder
+    return None
+
+
+def read_sidecars(folder: Path) -> FrameSet:
+    """Read poses and intrinsics."""
+    files = [path for path in children(folder) if path.suffix.lower() == ".xmp"]
+    pictures = {
+        path.stem: path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES
+    }
+    posed = [path for path in files if path.stem in pictures and is_sidecar(path)]
+    shots = [_sidecar_shot(path, pictures[path.stem]) for path in posed]
+    images = [pictures[path.stem] for path in posed]
+    unused = [path.name for path in files if path not in posed]
+    findings = []
+    if unused and shots:
+        message = f"{len(unused)} XMP files have no pose or no photograph"
+        findings.append(note("unused-cameras", message, *unused))
+    return frame_set(folder.with_name("*.xmp"), FORMAT_XMP, shots, images=images, findings=findings)
+
+
+def _sidecar_shot(path: Path, photograph: Path) -> Shot:
+    entries: dict[str, str] = {}
+    for element in load_xml(path, _XMP_CURE).iter():
+        entries |= {key.rpartition("}")[2]: value for key, value in element.attrib.items()}
+        entries[element.tag.rpartition("}")[2]] = element.text or ""
+
+    def numbers(key: str, count: int, default: str = "") -> list[float]:
+        values = checked(
+            path,
+            entries.get(key, default).split(),
+            list[Number],
+            _XMP_CURE,
+            where=key,
+            is_text=True,
+        )
+        if len(values) < count:
+            fault = f"{path}: {key} holds {len(values)} of {count} numbers"
+            raise refuse("bad-xml", fault, _XMP_CURE, path.name)
+        return values
+
+    model = entries.get("DistortionModel", "perspective")
+    is_square = numbers("Skew", 1, "0")[0] == 0 and numbers("AspectRatio", 1, "1")[0] == 1
+    if model not in _MODELS or not is_square:
+        raise refuse(
+            "camera-model",
+            f"{path}: the camera model {model} is not supported, or its pixels are not square",
+            'Set the distortion model to "Brown3" in RealityScan, align and export again.',
+            path.name,
+        )
+    k1, k2, k3, k4, t1, t2 = (*numbers("DistortionCoeficients", 0), *[0.0] * 6)[:6]
+    if not model.endswith("t2"):
+        t1 = t2 = 0.0
+    middle = (numbers("PrincipalPointU", 1, "0")[0], numbers("PrincipalPointV", 1, "0")[0])
+    bent = Distortion(radial=(k1, k2, k3, k4), tangential=(t2, t1))
+    turn = np.array(numbers("Rotation", 9)[:9]).reshape(3, 3)
+    return Shot(
+        name=f"{photograph.parent.name}/{photograph.name}",
+        lens=film_lens(photograph, numbers("FocalLength35mm", 1)[0], middle, bent),
+        pose=opencv_pose(turn.T, np.array(numbers("Position", 3)[:3])),
     )
