@@ -24,14 +24,9 @@ _HEADERS = {(1, 0): numpy_format.read_array_header_1_0, (2, 0): numpy_format.rea
 
 
 def read_matrix(file: IO[bytes], most: int) -> Array:
-    """A two-dimensional array of plain numbers.
+    """A two-dimensional array of at most so many plain numbers, as float64.
 
-    Args:
-        file: At the beginning of what `numpy.save` wrote.
-        most: Numbers it may have.
-
-    Returns:
-        The array as 64-bit floating-point numbers.
+    The file is at the beginning of what `numpy.save` wrote. ValueError if it is no such array.
     """
     shape, is_fortran, dtype = _head(file)
     if dtype.kind not in "fiu" or dtype.itemsize > 8:

@@ -60,14 +60,10 @@ class Silhouette:
 
 
 def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | None:
-    """Bounding sphere of the visual hull.
+    """Bounding sphere of the visual hull of views whose masks are not empty.
 
-    Args:
-        views: Photographs with masks; those with empty masks are left out.
-        start: Where to look first, or None to start from the directions of the masks' centres.
-
-    Returns:
-        The hull, or None if the masks have nothing in common.
+    `start` says where to look first, or None to start from the directions of the masks' centres.
+    None if the masks have nothing in common.
     """
     masks = [(view.camera, view.mask >= INSIDE) for view in views]
     silhouettes = [silhouette(camera, mask) for camera, mask in masks if mask.any()]
@@ -101,16 +97,9 @@ def bounds_of(sphere: Sphere) -> Bounds:
 
 
 def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
-    """Bounding sphere of the sparse points that lie inside the masks.
+    """Sphere about the central 98 % of the sparse points (N, 3) that lie inside the masks.
 
-    A point counts if nine in ten of the masks that have it in frame contain it.
-
-    Args:
-        points: (N, 3), capture frame.
-        views: Photographs with masks.
-
-    Returns:
-        Sphere about the central 98 % of the points, or None if fewer than 20 count.
+    A point counts if nine in ten of the masks that have it in frame contain it; None below 20.
     """
     inside, seen = np.zeros(len(points)), np.zeros(len(points))
     for view in views:
@@ -133,13 +122,9 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
 
 
 def enclosing_sphere(points: Array) -> tuple[Array, float]:
-    """Smallest enclosing sphere to about a thousandth (Badoiu and Clarkson 2003).
+    """Centre (3,) and radius of the smallest sphere about points (N, 3), to a thousandth; N >= 1.
 
-    Args:
-        points: (N, 3), N >= 1.
-
-    Returns:
-        Centre (3,) and radius.
+    Badoiu and Clarkson 2003.
     """
     if len(points) > 16:
         # Flat sets have no hull; all their points will do.

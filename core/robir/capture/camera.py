@@ -69,14 +69,7 @@ class Camera:
         return right - left, bottom - top
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
-        """Rays through image points.
-
-        Args:
-            pixels: (N, 2) image points (x right, y down), pixel centres at half integers.
-
-        Returns:
-            Origins (N, 3) and unit directions (N, 3), world.
-        """
+        """Origins and unit directions (N, 3), world, of rays through image points (N, 2)."""
         local = np.stack(
             [
                 (pixels[:, 0] - self.cx) / self.fx,
@@ -95,14 +88,9 @@ class Camera:
         return np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Image points of world points.
+        """Image points (N, 2) of world points (N, 3), and depths (N,) along the viewing direction.
 
-        Args:
-            points: (N, 3), world.
-
-        Returns:
-            Image points (N, 2) and depths (N,) along the viewing direction; points behind the
-            camera have a negative depth and a meaningless image point.
+        Points behind the camera have a negative depth and a meaningless image point.
         """
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
@@ -153,11 +141,7 @@ class Camera:
         return replace(here, width=width, height=height)
 
     def cut_like(self, other: Camera) -> Camera:
-        """This camera of a whole photograph, cut and reduced as another was.
-
-        Args:
-            other: Camera of a part of the same photograph, at any resolution.
-        """
+        """This camera of a whole photograph, cut and reduced as another, of a part of it, was."""
         left, top, _, _ = other.edges
         wide, high = other.whole_size
         sx, sy = wide / self.width, high / self.height

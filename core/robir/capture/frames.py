@@ -243,16 +243,7 @@ class FrameSet:
 
 
 def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
-    """A lens whose numbers are finite and whose sizes and focal lengths are positive.
-
-    Args:
-        lens: Intrinsics as read.
-        path: File they come from.
-        whose: The photograph or camera they belong to.
-
-    Returns:
-        The lens itself.
-    """
+    """The lens, if its numbers are finite and sizes and focal lengths positive; or a refusal."""
     sizes = [value for value in (lens.width, lens.height) if value is not None]
     focals = [value for value in (lens.fx, lens.fy, lens.angle_x) if value is not None]
     others = [value for value in (lens.cx, lens.cy) if value is not None]
@@ -318,14 +309,7 @@ def posed_otherwise(camera: Camera, frame: Frame) -> Camera:
 
 
 def unique_names(relatives: list[str]) -> list[str]:
-    """Short names for photographs: paths without suffix and without folders shared by all.
-
-    Args:
-        relatives: Paths as the format names them, "/" between folders.
-
-    Returns:
-        One name each, fit for a file name.
-    """
+    """Short names for photographs, fit for file names: paths without suffix and shared folders."""
     parts = [
         [p for p in r.replace("\\", "/").split("/") if p not in ("", ".", "..")] for r in relatives
     ]

@@ -50,10 +50,7 @@ def read_parts(
 ) -> list[tuple[NDArray[np.float64], Part]]:
     """All triangles that the file's scene shows, each part with its (4, 4) place.
 
-    Args:
-        document: As `opened` gives it.
-        binary: Likewise.
-        files: Contents of files beside it by the names that it uses.
+    `files` holds the contents of files beside it by the names that it uses.
     """
     reader = _Reader(document, binary, files)
     shown = list(_shown(document))

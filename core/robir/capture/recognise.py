@@ -54,14 +54,9 @@ class Workshop:
 
 
 def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> FrameSet:
-    """Recognise a capture and read everything but the photographs.
+    """Recognise a capture, a folder or a file of poses, and read everything but the photographs.
 
-    Args:
-        source: Folder of the capture, or its file of poses.
-        outside: What becomes of photographs that lie elsewhere, as the setting of the stage.
-
-    Returns:
-        Posed files.
+    `outside` is the setting of the stage.
     """
     if is_video(source):
         raise _no_poses(f"{source} is a video")

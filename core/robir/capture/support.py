@@ -63,15 +63,9 @@ def across(normal: Array) -> Array:
 
 
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
-    """The plane with most points on it and next to none below it (Fischler and Bolles 1981).
+    """The plane with most points (N, 3) on it and next to none below it (Fischler and Bolles 1981).
 
-    Args:
-        points: (N, 3) points about the object.
-        cameras: All but few of them are above the plane.
-        distance: Of the cameras from the object.
-
-    Returns:
-        The plane, or None where the points show none.
+    All but few cameras are above it, at about that distance; None where the points show none.
     """
     if len(points) < 2 * LEAST_PATCHES:
         return None

@@ -88,18 +88,11 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
 
 
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:
-    """Which frames are read, and which of them only judge.
+    """Which frames are read, in the order given, and which of them only judge.
 
     Test views of the format are thinned evenly to `max_held_out`; without any, every
     `held_out_every`-th view is held out, at least one of four. With a `held_out_sector` all
     training views in that sector are left out of the training instead, and judge alone.
-
-    Args:
-        frames: All frames of the capture.
-        config: Settings of the stage.
-
-    Returns:
-        Frames to read with their split, in the order given.
     """
     tests = [i for i, frame in enumerate(frames) if frame.split == "test"]
     trains = [i for i, frame in enumerate(frames) if frame.split == "train"]
@@ -121,15 +114,11 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
 
 
 def _in_sector(poses: Sequence[Array], width: float) -> NDArray[np.bool_]:
-    """Which cameras stand in a sector about the object, seen from above.
+    """Which cameras (4, 4) stand in a sector of some degrees about the object, seen from above.
 
     The sector is the one of its width that holds the camera in the middle of the sequence in its
     own middle. Above is where cameras' upper sides point on average; the object is where their
     optical axes meet (least squares).
-
-    Args:
-        poses: (4, 4) camera_to_world of each, OpenGL axes.
-        width: Of the sector, degrees.
     """
     matrices = np.asarray(poses, np.float64)
     centres, axes = matrices[:, :3, 3], -matrices[:, :3, 2]

@@ -57,12 +57,9 @@ class _Turn:
 def prepared(
     frames: FrameSet, chosen: Chosen, drawn: Mapping[str, Path]
 ) -> tuple[Chosen, dict[str, Path], list[Finding]]:
-    """Frames and masks that outline the object, frames knowing what pose and mask are for.
+    """Frames, masks that outline the object by name, and findings; frames know what they are for.
 
-    Args:
-        frames: What the format says.
-        chosen: Frames to read, with their split.
-        drawn: Masks by frame name that win over the format's own.
+    `drawn` masks win over the format's own.
     """
     chosen, masks, findings = without_ignoring(chosen, drawn)
     exif = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from robir.capture.bounds import INSIDE, kept, silhouette
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.checks.coverage import directions_to
 from robir.capture.frames import Array
@@ -184,30 +185,21 @@ def sight(views: Sequence[View], bounds: Bounds) -> Array:
             along = np.rint(cells + step * towards).astype(np.int64)
             within = ((along >= 0) & (along < _GRID)).all(axis=1)
             seen &= ~(within & inside[tuple(np.clip(along, 0, _GRID - 1).T)])
-        row, column, framed, _ = _pixels(view, points)
-        seen &= framed & (view.mask[row, column] >= 250)
+        pixels, depth = view.camera.project(points)
+        limits = (view.camera.width - 1, view.camera.height - 1)
+        column, row = np.clip(pixels, 0, limits).astype(np.int64).T
+        seen &= view.camera.in_picture(pixels, depth) & (view.mask[row, column] >= 250)
         grey = ((view.image_display / 255.0) ** POWER).mean(axis=2)
         grey = ndimage.gaussian_filter(grey, 0.7 * max(1.0, view.camera.width / 120))
         brightness[seen, number] = np.log2(grey[row, column][seen] + _DARKEST)
     return brightness
 
 
-def _pixels(view: View, points: Array) -> tuple[NDArray[Any], ...]:
-    """Row and column of points, and whether they are in the picture and in the photograph."""
-    camera = view.camera
-    pixels, depth = camera.project(points)
-    column, row = np.clip(pixels, 0, (camera.width - 1, camera.height - 1)).astype(np.int64).T
-    return row, column, camera.in_picture(pixels, depth), camera.in_photograph(pixels, depth)
-
-
 def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
     """Cells of a cube about the sphere that at most a twentieth of the masks call background."""
     ticks = np.linspace(-1 + 1 / _GRID, 1 - 1 / _GRID, _GRID) * bounds.radius
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen, against = np.zeros(len(grid)), np.zeros(len(grid))
-    for view in views:
-        row, column, framed, known = _pixels(view, grid + bounds.centre)
-        seen += known
-        against += known & ~(framed & (view.mask[row, column] >= 64))
-    kept = (seen >= 0.25 * len(views)) & (against <= 0.05 * seen)
-    return kept.reshape(_GRID, _GRID, _GRID)
+    masks = [(view.camera, view.mask >= INSIDE) for view in views]
+    outlines = [silhouette(camera, mask) for camera, mask in masks if mask.any()]
+    inside = kept(outlines, grid + bounds.centre, 0.0, int(0.05 * len(outlines)))
+    return inside.reshape(_GRID, _GRID, _GRID)

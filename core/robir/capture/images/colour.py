@@ -119,12 +119,7 @@ def name_of(picture: Image.Image) -> str:
 
 
 def converted(codes: NDArray[Any], space: Space) -> NDArray[np.uint8]:
-    """8-bit sRGB codes.
-
-    Args:
-        codes: (H, W, 3) uint8 or uint16, of the space.
-        space: Its colours; with a matrix.
-    """
+    """8-bit sRGB codes of codes (H, W, 3), uint8 or uint16, of a space with a matrix."""
     most = np.iinfo(codes.dtype).max
     ramp = np.linspace(0.0, 1.0, most + 1)
     tables = [np.asarray(curve(ramp), np.float32) for curve in space.curves]

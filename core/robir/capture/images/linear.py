@@ -30,13 +30,7 @@ _STEP = 7  # every how many-th pixel is looked at for that
 
 
 def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
-    """A picture with linear values.
-
-    Args:
-        path: EXR or TIFF.
-        file: The same, open.
-        most: Pixels it may have.
-    """
+    """A picture with linear values from an EXR or TIFF of so many pixels at most, or ValueError."""
     try:
         values = _exr(path, most) if path.suffix.lower() == ".exr" else _tiff(file, most)
     except (RuntimeError, KeyError, TypeError, AssertionError) as fault:

@@ -23,11 +23,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP")
 
 
 def normal_images(document: Document) -> list[Document]:
-    """Entries of the images that hold a mesh's normal maps; none if its materials name none.
-
-    Args:
-        document: JSON of a glTF file.
-    """
+    """Entries of the images that hold a glTF's normal maps; none if its materials name none."""
     return [_image(document, named) for named in _named(document)[0]]
 
 
@@ -36,14 +32,8 @@ def normal_maps(
 ) -> tuple[tuple[Codes, ...], dict[int, int]]:
     """The maps themselves, (H, W, 3) each, green towards larger v, their strength applied.
 
-    Args:
-        document: JSON of a glTF file.
-        binary: Binary chunk of a GLB file, or nothing.
-        parts: Contents of files beside it by the names that it uses.
-
-    Returns:
-        The maps, no two of the same texture and strength, and which of them each material has, by
-        its number; materials without one are missing.
+    No two are of the same texture and strength. Also which of them each material has, by its
+    number; materials without one are missing. `binary` and `parts` are as for `read_parts`.
     """
     distinct, of_material = _named(document)
     maps, pixels = [], 0

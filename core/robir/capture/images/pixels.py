@@ -51,12 +51,7 @@ def _array_of(picture: Image.Image, mode: str) -> Bytes:
 
 
 def pixels_of(picture: Image.Image, turn: int = 1) -> Photo:
-    """Pixels of a decoded picture as 8-bit RGB and alpha.
-
-    Args:
-        picture: As `robir.capture.images.decode.opened` yields it, turned where it has to be.
-        turn: EXIF orientation that was applied.
-    """
+    """Pixels of a decoded picture, turned as EXIF said, as 8-bit RGB and alpha."""
     if picture.mode.startswith("I"):
         # 16-bit grey; 65535 / 255 = 257.
         grey = _eight_bits(np.clip(np.asarray(picture), 0, 65535))
@@ -80,10 +75,7 @@ def in_srgb(
 ) -> tuple[Image.Image, tuple[str, ...]]:
     """A decoded picture in 8-bit sRGB with straight alpha, and what was found of its colours.
 
-    Args:
-        picture: As stored.
-        deep: Its pixels, where they have 16 bits, as `deep_codes` has them.
-        path: Its file, for messages.
+    `deep` holds its pixels where they have 16 bits, as `deep_codes` has them.
     """
     space = space_of(picture)
     if space is not None and space.name in HDR.values():
@@ -125,12 +117,9 @@ def _eight_bits(codes: NDArray[Any]) -> Bytes:
 
 
 def is_premultiplied(codes: NDArray[Any]) -> bool:
-    """Whether no pixel has a channel above its alpha, and soft pixels are as much darker.
+    """Whether no pixel (H, W, 4) has a channel above its alpha, and soft pixels are as much darker.
 
     The second is for dark objects, whose straight colours are below nearly any alpha.
-
-    Args:
-        codes: (H, W, 4) uint8 or uint16.
     """
     most = np.iinfo(codes.dtype).max
     brightest, alpha = codes[:, :, :3].max(axis=2), codes[:, :, 3]
@@ -143,11 +132,7 @@ def is_premultiplied(codes: NDArray[Any]) -> bool:
 
 
 def straight_codes(codes: NDArray[Any]) -> NDArray[Any]:
-    """Codes with colours divided by alpha.
-
-    Args:
-        codes: (H, W, 4) uint8 or uint16, no channel above its alpha.
-    """
+    """Codes (H, W, 4) with colours, none above its alpha, divided by alpha."""
     most = np.iinfo(codes.dtype).max
     alpha = np.maximum(codes[:, :, 3:], 1).astype(np.float32)
     colour = np.rint(codes[:, :, :3] * (np.float32(most) / alpha)).astype(codes.dtype)

@@ -17,12 +17,9 @@ BACKGROUND = 48  # grey behind the object, display value
 
 
 def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uint8]) -> None:
-    """Write a photograph and, to its right, the same view as reconstructed.
+    """Write a photograph and, to its right, the same view as reconstructed, as PNG.
 
-    Args:
-        path: File to replace, PNG.
-        photo: (H, W, 4) display RGB, straight alpha = coverage of the object.
-        rendering: (H, W, 4), the same size.
+    Both are (H, W, 4) display RGB, straight alpha = coverage of the object.
     """
     size = size_within((photo.shape[1], photo.shape[0]), MAX_SIDE)
     sheet = Image.new("RGB", (2 * size[0], size[1]), (BACKGROUND,) * 3)

@@ -37,15 +37,10 @@ NEAR_RIM = 3.0  # pixels from a rim within which the object's own colour is read
 
 
 def backdrop_masks(views: Sequence[Posed], *, is_lossy: bool) -> tuple[Layer, ...] | None:
-    """Belief in the object at each pixel, where all photographs have one backdrop of one colour.
+    """Share (H, W) of each pixel that the object covers, where all photographs have one backdrop.
 
-    Args:
-        views: Photographs with cameras.
-        is_lossy: Whether they were compressed with loss, which leaves ringing about the object.
-
-    Returns:
-        (H, W) float32 in [0, 1] each, the share of a pixel that the object covers; None where
-        there is no such backdrop, or nothing before it.
+    None where there is none of one colour, or nothing before it. `is_lossy` compression leaves
+    ringing about the object.
     """
     colour = _common_colour(views)
     if colour is None:

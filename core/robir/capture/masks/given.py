@@ -36,18 +36,11 @@ HOW_TO_SUPPLY = (
 
 
 def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
-    """Match the masks of a folder to photographs by name.
+    """Match the masks of a folder and its subfolders to photographs; by frame name.
 
     A mask fits by its path below the folder, by its stem, by its stem without the usual
     additions ("_mask", "mask_", "-removebg-preview", a doubled suffix as in "a.jpg.png"), and
     last by its number ("000.png" for "000000.png"); a fit that is not unique does not count.
-
-    Args:
-        folder: Folder of masks, searched with its subfolders.
-        frames: Photographs.
-
-    Returns:
-        Mask of each frame, by frame name.
     """
     frames = tuple(frames)
     own = {os.path.normpath(f.image) for f in frames if not may_hold_alpha(f.image)}
@@ -90,11 +83,8 @@ def without_ignoring(
     """Frames and masks without those masks that say what to ignore, and findings.
 
     Such a mask is the same for every photograph and leaves most of the border in; or it is called
-    `dynamic_mask_*` and lies beside its photograph, white where it is to be ignored.
-
-    Args:
-        chosen: Frames with their split.
-        drawn: Masks by frame name that win over the format's own.
+    `dynamic_mask_*` and lies beside its photograph, white where it is ignored. `drawn` ones win
+    over the format's own.
     """
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
     beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]

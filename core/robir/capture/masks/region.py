@@ -103,12 +103,7 @@ def focus(cameras: Sequence[Camera]) -> tuple[Array, float] | None:
 
 
 def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
-    """Region of the object the cameras aim at; None where they have no common focus.
-
-    Args:
-        cameras: Cameras.
-        points: (N, 3) sparse surface points, possibly none.
-    """
+    """Region of the object the cameras aim at, by sparse points (N, 3), or None without a focus."""
     aim = focus(cameras)
     if aim is None:
         return None
@@ -138,12 +133,9 @@ def _region(
 
 
 def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
-    """Region a user has given: an upright box.
+    """Region a user has given: centre x, y, z and sides x, y, z of an upright box.
 
-    Args:
-        box: Centre x, y, z and sides x, y, z, capture frame and unit.
-        cameras: Cameras.
-        points: (N, 3) sparse surface points, possibly none.
+    Sparse points (N, 3) may be none.
     """
     centre, half = np.array(box[:3]), 0.5 * np.array(box[3:])
     distance = float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))

@@ -115,12 +115,9 @@ def _cuts(
 
 
 def about_mesh(vertices: Array, chosen: Chosen, views: Sequence[View]) -> dict[str, GuessedMask]:
-    """Rough masks by name: the convex hull of what shows a mesh, in photographs that show it whole.
+    """Rough masks by name: the convex hull of what shows a mesh (N, 3), where it is shown whole.
 
-    Args:
-        vertices: (N, 3) of the mesh, capture frame.
-        chosen: Frames with their split.
-        views: The photographs, uncut.
+    Views are uncut.
     """
     cuts = {}
     for (frame, _), view in zip(chosen, views, strict=True):

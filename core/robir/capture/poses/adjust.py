@@ -78,14 +78,7 @@ def with_adjusted_cameras(capture: Capture) -> Capture:
 
 
 def adjust(views: Sequence[View]) -> Adjustment | None:
-    """Look for cameras that meet the photographs better.
-
-    Args:
-        views: Photographs with masks and given cameras, any frame.
-
-    Returns:
-        The cameras, or None where the given ones are as good or too little stands out to tell.
-    """
+    """Cameras that meet the photographs better, or None where the given ones are as good."""
     found = matching.features(views, _FEATURES)
     tracks = matching.followed(found, _SHORTEST, _NEIGHBOURS)
     if tracks.count < _FEWEST:

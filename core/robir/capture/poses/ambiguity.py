@@ -55,13 +55,7 @@ class Verdict:
 def hold_against_links(
     place: Workplace, photographs: Sequence[Prepared], model: pycolmap.Reconstruction
 ) -> Verdict:
-    """Find the surest links that a model contradicts.
-
-    Args:
-        place: Work folder whose database holds the matches.
-        photographs: All that were tried.
-        model: To be judged; photographs that are not in it are left aside.
-    """
+    """Find the surest links of all that were tried that a model contradicts."""
     names = [photograph.copy for photograph in photographs]
     rows, covered, off = _misses(place, names, model)
     if not len(rows):

@@ -36,14 +36,7 @@ def read_text(path: Path) -> str:
 
 
 def load_json(path: Path) -> Any:
-    """Content of a JSON file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Whatever it holds; whole numbers of absurd size as floating-point ones.
-    """
+    """Content of a JSON file; whole numbers of absurd size as floating-point ones."""
     try:
         return json.loads(_bounded(read_text(path)), parse_int=_whole)
     except (OSError, ValueError, RecursionError) as fault:
@@ -137,19 +130,12 @@ def photographs_in(folder: Path, root: Path) -> list[str]:
 
 
 def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
-    """Photographs that a file of poses names without saying where they are.
+    """Folder of the capture, and a path below it for each name that a file of poses gives.
 
-    They are searched below the file's folder, then beside and directly below that folder. Among
-    several of a name, the one whose folders agree best with the name counts, then the one in the
-    folder that has most of the names.
-
-    Args:
-        poses: File of poses.
-        names: Names or paths as the file gives them, with or without suffix.
-
-    Returns:
-        Folder of the capture, and a path below it for each name; names that were not found stay
-        as they are, in the folder `images`.
+    Names may lack folders and suffix. Photographs are searched below the file's folder, then beside
+    and directly below that folder. Among several of a name, the one whose folders agree best with
+    the name counts, then the one in the folder that has most of the names. What was not found
+    stays as it is, in the folder `images`.
     """
     tails = [_parts(name) for name in names]
     best: tuple[int, Path, list[str | None]] | None = None

@@ -141,13 +141,9 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
 def film_lens(
     photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
 ) -> Lens:
-    """Intrinsics in pixels; of a photograph that cannot be opened, any will do.
+    """Intrinsics in pixels of a photograph as stored; any will do if it cannot be opened.
 
-    Args:
-        photograph: As stored.
-        focal: Focal length for a frame 36 wide.
-        middle: Offset of the principal point in lengths of the longer side.
-        distortion: Lens distortion.
+    The focal length is for a frame 36 wide, the principal point's offset in longer sides.
     """
     size = stored_size(photograph) if photograph.is_file() else None
     if size is None:

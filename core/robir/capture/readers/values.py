@@ -41,7 +41,7 @@ def checked(
     code: str = "bad-value",
     is_text: bool = False,
 ) -> T:
-    """A value of a file, if it is of the expected kind.
+    """A value of a file, if it is of the expected kind, or a refusal.
 
     Args:
         path: File it comes from.
