@@ -19,9 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture.gltf_file import MOST_CORNERS, MOST_FACES, Part, read_parts
+from robir.capture.gltf_file import (
+    MOST_CORNERS,
+    MOST_FACES,
+    Part,
+    normal_images,
+    normal_maps,
+    read_parts,
+)
 from robir.capture.gltf_json import MeshFaultError, opened
-from robir.capture.images.normal_map import normal_images, normal_maps
 from robir.capture.images.regular import regular
 from robir.errors import CaptureError
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
