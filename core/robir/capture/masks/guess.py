@@ -46,14 +46,22 @@ _FINE_SIDE = 640  # longer side of what is looked at then, pixels
 
 
 class Posed(Protocol):
-    """A photograph, (H, W, 3) uint8 display values, with its camera."""
+    """A photograph with its camera."""
 
     @property
-    def name(self) -> str: ...  # noqa: D102
+    def name(self) -> str:
+        """Unique within the capture."""
+        ...
+
     @property
-    def image_display(self) -> Bytes: ...  # noqa: D102
+    def image_display(self) -> Bytes:
+        """(H, W, 3) uint8, display-referred."""
+        ...
+
     @property
-    def camera(self) -> Camera: ...  # noqa: D102
+    def camera(self) -> Camera:
+        """Camera of exactly this image size."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
