@@ -60,7 +60,8 @@ class StoredPhoto:
     @property
     def size(self) -> Size:
         """Width and height in pixels, turned upright, before it is decoded."""
-        return self.picture.size[:: -1 if self.orientation >= 5 else 1]
+        width, height = self.picture.size
+        return (height, width) if self.orientation >= 5 else (width, height)
 
     def read(self, reduction: int = 1, exposure: float = 1.0) -> Photo:
         """Decode it, once.

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from PIL import Image
 
@@ -227,7 +227,7 @@ def _fact(path: Path) -> list[Any]:
     if size > (MAX_BYTES if is_video(path) else MAX_FILE_BYTES):
         return [path.name, size]
     with regular(path, MAX_BYTES) as file:
-        return [path.name, hashlib.file_digest(file, "sha256").hexdigest()]
+        return [path.name, hashlib.file_digest(cast("Any", file), "sha256").hexdigest()]
 
 
 @dataclass(frozen=True, slots=True)

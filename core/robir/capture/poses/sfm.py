@@ -190,6 +190,7 @@ def map_cameras(
     place.models.mkdir(exist_ok=True)
     token = pycolmap.CancellationToken()
     placed, most, faults = 0, 0, list[BaseException]()
+    models: dict[int, Any] = {}
 
     def tell(number: int) -> None:
         nonlocal placed, most

@@ -155,6 +155,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
     try:
         # By its suffix alone: what FFmpeg tells from the content may be a list of other files.
         kind = _CONTAINERS[video.suffix.lower()]
+        container: Any
         with regular(video, MAX_BYTES) as file, av.open(file, format=kind) as container:
             if not container.streams.video:
                 raise bad("holds no pictures")
