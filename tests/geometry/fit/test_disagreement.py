@@ -13,8 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
-from robir.capture.checks.sightings import sight
-from robir.capture.checks.uneven_exposure import exposure_offsets
+from robir.capture.checks.uneven_exposure import exposure_offsets, sight
 from robir.geometry import pipeline
 from robir.geometry.config import GeometryConfig
 from robir.geometry.pipeline import evened
