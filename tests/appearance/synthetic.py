@@ -15,7 +15,6 @@ import torch
 import trimesh
 from transport.shapes import box, mesh_of, patch
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import Amplitudes, soft_lobes
 from robir.appearance.light.problem import Scene, make_scene
 from robir.appearance.light.solver import Light
@@ -157,9 +156,7 @@ def lit(
     seen = observed(np.repeat(radiance[:, None], 3, 1), curve, 3 * np.eye(3))
     transport = Transport(surfels=stage.surfels, visibility=stage.visibility, observations=seen)
     rng = np.random.default_rng(1)
-    return make_scene(
-        transport, stage.tracer, OFFSET, (num_rows, NUM_SOFT), AppearanceConfig(), rng
-    )
+    return make_scene(transport, stage.tracer, OFFSET, (num_rows, NUM_SOFT), rng)
 
 
 def true_light(sun: float, sky: float) -> Light:
@@ -223,8 +220,8 @@ def ball(
     cosine = np.einsum("svk,sk->sv", towards, surfels.normal)
     seen.weight[:] = np.where(cosine > 0.2, cosine, 0)
     transport = Transport(surfels=surfels, visibility=visibility, observations=seen)
-    config, rng = AppearanceConfig(), np.random.default_rng(0)
-    return make_scene(transport, tracer, 0.01, (2000, NUM_SOFT), config, rng), radiance
+    rng = np.random.default_rng(0)
+    return make_scene(transport, tracer, 0.01, (2000, NUM_SOFT), rng), radiance
 
 
 def ball_radiance(

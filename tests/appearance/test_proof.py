@@ -11,18 +11,15 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.config import HighlightsConfig
+from robir.appearance.material import highlights
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import looked_at
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import display_mean
-from robir.appearance.proof import Proof, fitted_views
-from robir.appearance.step_config import ProofConfig
+from robir.appearance.proof import EVERY, Proof, fitted_views
 from robir.maths.tone import curve_from_name
 
-CONFIG = ProofConfig()
-READING = HighlightsConfig()
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)
 GLOSS = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.4)
 
@@ -59,9 +56,9 @@ def test_one_view_and_one_place_prove_nothing():
 
 
 def test_one_view_in_so_many_is_kept():
-    is_fitted = fitted_views(40, CONFIG)
-    assert (~is_fitted).sum() == 40 // CONFIG.every
-    assert np.diff(np.flatnonzero(~is_fitted)).max() == CONFIG.every
+    is_fitted = fitted_views(40)
+    assert (~is_fitted).sum() == 40 // EVERY
+    assert np.diff(np.flatnonzero(~is_fitted)).max() == EVERY
 
 
 @pytest.mark.parametrize("family", ["standard", "filmic", "agx"])
@@ -93,7 +90,7 @@ def trials():
         problem = make_problem(scene, curve)
         rows = np.flatnonzero(problem.radiance.seen.numpy())
         reflections, rays, seen, _ = looked_at(problem, light, rows)
-        trial = Trial(reflections=reflections, rays=rays, seen=seen, config=CONFIG)
+        trial = Trial(reflections=reflections, rays=rays, seen=seen)
         found.append((trial, len(rows)))
     return found
 
@@ -112,7 +109,7 @@ def test_no_view_takes_part_in_its_own_prediction(trials):
     trial, count = trials[0]
     rays = trial.rays_of(np.arange(count) == 5)
     seen = trial.seen.of(rays)
-    fold = trial.rays.of(rays).view % CONFIG.every
+    fold = trial.rays.of(rays).view % EVERY
     before = trial.paint_errors(rays, None)
     linear = seen.linear.clone()
     linear[torch.from_numpy(fold == fold[0])] *= 1.5
@@ -131,8 +128,8 @@ def test_metal_that_predicts_worse_than_a_dielectric_goes(trials):
         roughness=np.array([0.2, 0.3], np.float32),
         read=np.zeros(2, np.float32),
     )
-    dielectric = np.zeros((count, len(READING.levels)), np.float32)
-    kept, choice = proven_parts(parts, trial, dielectric, READING)
+    dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
+    kept, choice = proven_parts(parts, trial, dielectric)
     assert len(kept.roughness) == len(kept.base) == 0
     assert (kept.part == -1).all()
     assert choice.chosen == "0% of the surface"
@@ -140,7 +137,7 @@ def test_metal_that_predicts_worse_than_a_dielectric_goes(trials):
 
 def test_parts_that_one_fold_of_views_alone_shows_are_not_disproven(trials):
     trial, count = trials[0]
-    own = torch.from_numpy(np.flatnonzero(trial.rays.view % CONFIG.every == 0))
+    own = torch.from_numpy(np.flatnonzero(trial.rays.view % EVERY == 0))
     few = replace(trial, rays=trial.rays.of(own), seen=trial.seen.of(own))
     parts = MetalParts(
         part=np.zeros(count, np.int64),
@@ -148,6 +145,6 @@ def test_parts_that_one_fold_of_views_alone_shows_are_not_disproven(trials):
         roughness=np.array([0.2], np.float32),
         read=np.zeros(1, np.float32),
     )
-    dielectric = np.zeros((count, len(READING.levels)), np.float32)
-    kept, _ = proven_parts(parts, few, dielectric, READING)
+    dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
+    kept, _ = proven_parts(parts, few, dielectric)
     assert len(kept.roughness) == 1

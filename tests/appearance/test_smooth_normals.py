@@ -10,13 +10,10 @@ import pytest
 import trimesh
 
 from robir.appearance.smooth_normals import SURFACE, Surface, smoothed
-from robir.appearance.step_config import SmoothNormalsConfig
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.steps import Course
 from robir.transport.baked import Transport
 from robir.transport.surfels import Surfels, sample_surfels
-
-CONFIG = SmoothNormalsConfig()
 
 
 def grainy(normal, degrees, seed=0):
@@ -43,7 +40,7 @@ def sphere():
 def test_grain_goes(sphere):
     _, surfels = sphere
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
-    found = smoothed(noisy.position, noisy.normal, noisy, CONFIG)
+    found = smoothed(noisy.position, noisy.normal, noisy)
     before, after = (angles(normal, surfels.normal).mean() for normal in (noisy.normal, found))
     assert before > 7 and after < 0.35 * before
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-5)
@@ -51,7 +48,7 @@ def test_grain_goes(sphere):
 
 def test_a_sphere_stays_one(sphere):
     _, surfels = sphere
-    found = smoothed(surfels.position, surfels.normal, surfels, CONFIG)
+    found = smoothed(surfels.position, surfels.normal, surfels)
     assert angles(found, surfels.normal).max() < 2
 
 
@@ -61,7 +58,7 @@ def test_edges_stay():
     position, face = trimesh.sample.sample_surface_even(solid, 6000, seed=1)
     true = solid.face_normals[face].astype(np.float32)
     noisy = Surfels(position=position.astype(np.float32), normal=grainy(true, 4), spacing=0.02)
-    found = smoothed(noisy.position, noisy.normal, noisy, CONFIG)
+    found = smoothed(noisy.position, noisy.normal, noisy)
     beside = np.sort(np.abs(position), axis=1)[:, 1] > 0.36
     assert beside.sum() > 200
     assert angles(found, true)[beside].mean() < 0.6 * angles(noisy.normal, true)[beside].mean()
@@ -73,7 +70,7 @@ def test_what_lies_alone_keeps_its_normal():
     alone = Surfels(position=far, normal=far, spacing=1)
     # by samples, and where there are none
     for place in (far, np.float32(0.5) * far):
-        np.testing.assert_allclose(smoothed(place, far, alone, CONFIG), far, atol=1e-6)
+        np.testing.assert_allclose(smoothed(place, far, alone), far, atol=1e-6)
 
 
 def test_surfaces_are_freed_of_their_grain(sphere):
@@ -81,7 +78,7 @@ def test_surfaces_are_freed_of_their_grain(sphere):
     mesh = replace(mesh, normals=grainy(mesh.normals, 6))
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
     transport = Transport(surfels=noisy, visibility=None, observations=None)
-    surface = Surface(mesh=mesh, transport=transport, config=CONFIG)
+    surface = Surface(mesh=mesh, transport=transport)
     found = Course().carry_out(SURFACE, surface)
     true = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     assert angles(found.mesh.normals, true).mean() < 0.5 * angles(mesh.normals, true).mean()

@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.step_config import BlocksConfig
-
 Floats = NDArray[np.floating[Any]]
 Table = tuple[Floats, Floats]
 """Of every block: sum of the weighted values, and sum of the weights."""
 
+# of a block. Samples in one share their materials and the errors of the mesh (unit frame)
+_SIDE = 0.2
 
-def block_numbers(position: NDArray[np.float32], config: BlocksConfig) -> NDArray[np.int64]:
+
+def block_numbers(position: NDArray[np.float32]) -> NDArray[np.int64]:
     """Block number of points (N, 3) in the unit frame, from 0 without gaps."""
-    cell = np.floor(position / config.side).astype(np.int64)
+    cell = np.floor(position / _SIDE).astype(np.int64)
     return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
 
 

@@ -3,22 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from robir.appearance.evidence.config import EvidenceConfig
-from robir.appearance.light.config import LightConfig
-from robir.appearance.material.config import MaterialConfig
-from robir.appearance.photometry.config import PhotometryConfig
-from robir.appearance.step_config import (
-    BlocksConfig,
-    ProofConfig,
-    ProvenSunsConfig,
-    RenderConfig,
-    SmoothNormalsConfig,
-)
-from robir.appearance.texture.config import TextureConfig, TexturingConfig
-from robir.appearance.tone.config import ToneConfig
 from robir.errors import ConfigError
 
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
@@ -51,18 +38,6 @@ class AppearanceConfig:
             then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
             which hue light and albedo are, which photographs leave open.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
-        photometry: How photographs of the same points are compared.
-        light: How suns are found and the sky is solved.
-        evidence: What highlights, known paint and reflections tell of the light.
-        blocks: What standard errors are taken over.
-        proof: By which photographs whatever enters the model is proven.
-        smooth_normals: How normals of a photographed surface are freed of its grain.
-        proven_suns: Whether photographs disprove the suns.
-        render: Our own re-renders of views.
-        material: How gloss and metal are found.
-        tone: How the tone curve is chosen.
-        texture: How every texel is read.
-        texturing: How many photographs textures are read from.
         without: Names of steps that are left out, to see what they are worth.
     """
 
@@ -78,18 +53,6 @@ class AppearanceConfig:
     texture_size: int = 2048
     white_point: tuple[float, ...] = ()
     sun: tuple[float, ...] = ()
-    photometry: PhotometryConfig = field(default_factory=PhotometryConfig)
-    light: LightConfig = field(default_factory=LightConfig)
-    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
-    blocks: BlocksConfig = field(default_factory=BlocksConfig)
-    proof: ProofConfig = field(default_factory=ProofConfig)
-    smooth_normals: SmoothNormalsConfig = field(default_factory=SmoothNormalsConfig)
-    proven_suns: ProvenSunsConfig = field(default_factory=ProvenSunsConfig)
-    render: RenderConfig = field(default_factory=RenderConfig)
-    material: MaterialConfig = field(default_factory=MaterialConfig)
-    tone: ToneConfig = field(default_factory=ToneConfig)
-    texture: TextureConfig = field(default_factory=TextureConfig)
-    texturing: TexturingConfig = field(default_factory=TexturingConfig)
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import difference_error, mean_of, table_of
-from robir.appearance.step_config import ProofConfig
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
+
+EVERY = 5  # one view in so many takes no part in a fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,10 +80,10 @@ class Proof:
         return cls(plain=roots[0], rich=roots[1], gain=means[0] - means[1], error=error)
 
 
-def fitted_views(count: int, config: ProofConfig) -> NDArray[np.bool_]:
+def fitted_views(count: int) -> NDArray[np.bool_]:
     """Which of the views (count,) are fitted to; the others are kept for proofs.
 
     Photographs are taken and rendered along paths or at random, so one in so many lies between
     those that are fitted, in all directions.
     """
-    return np.arange(count) % config.every != config.every // 2
+    return np.arange(count) % EVERY != EVERY // 2

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
-from robir.appearance.light.shade import of_one_material
+from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
 from robir.appearance.light.solver import fit, no_suns, refit
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.material.trial import Trial
@@ -28,6 +28,7 @@ from robir.appearance.photometry.statistics import Pairs
 from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
+from robir.appearance.tone.shoulder import CODE_ERROR
 from robir.jobs.choice import Choice
 from robir.steps import Course
 
@@ -35,6 +36,10 @@ Reals = NDArray[np.floating[Any]]
 
 _NUM_SAMPLES = 4000
 """Samples by which views are predicted from others."""
+
+# by which suns must lead. A convex thing without highlights has no shadow that could tell; its suns
+# stay (standard errors)
+_MARGIN = -0.5
 
 
 def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
@@ -52,10 +57,10 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
     sky = fit(problem, *no_suns(), config.iterations)
     by_all = refit(solution.matte, sky, solution.told, config)
     plain = replace(solution, light=replace(by_all, history=(sky.loss,)))
-    views = lead_in_errors(compared(plain, solution), config.tone.code_error)
+    views = lead_in_errors(compared(plain, solution), CODE_ERROR)
     shadows = lead_across_shadows(plain, solution)
     leads = (views + shadows) / np.sqrt(2)
-    is_proven, taken = leads > config.proven_suns.margin, solution
+    is_proven, taken = leads > _MARGIN, solution
     if not is_proven:
         start = replace(sky, history=(sky.loss,))
         taken = solve(problem, start, config, solution.seed, course)
@@ -65,7 +70,7 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
         alternatives=(0 if is_proven else number,),
         why=f"views predicted from others say {views:+.1f} standard errors for the suns that were "
         f"found, albedos across their shadows {shadows:+.1f}, together {leads:+.1f}; more than "
-        f"{config.proven_suns.margin:g} are asked for",
+        f"{_MARGIN:g} are asked for",
     )
     return replace(taken, choices=(*taken.choices, choice))
 
@@ -84,25 +89,23 @@ def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     Returns:
         Positive for the second; 0 where its suns cast no shadow.
     """
-    problem, config = rich.problem, rich.config
-    rows = problem.scene.rows
+    problem, rows = rich.problem, rich.problem.scene.rows
     parts = Sunlight.of(problem, rich.light.axes).across_shadows()
     pairs = Pairs.joined(parts)
     shaded, lit = pairs.first, pairs.second
     position = problem.scene.transport.surfels.position[rows]
-    block = block_numbers(position, config.blocks)[shaded.numpy()]
+    block = block_numbers(position)[shaded.numpy()]
     jumps, weight = [], torch.ones(len(shaded))
     for model in (plain, rich):
         radiance = model.matte.rows_radiance(rows)
         albedo = log_ratio(radiance.linear, model.light.irradiance(model.matte, rows))
         jumps.append((albedo[lit] - albedo[shaded]).mean(1).numpy())
         # alike in both models: neither chooses the pairs that it is judged by
-        alike = of_one_material(parts, albedo, radiance.clipped, config).weight
+        alike = of_one_material(parts, albedo, radiance.clipped).weight
         weight *= alike * ~(radiance.clipped[shaded] | radiance.clipped[lit]).any(1)
     tables = [table_of(block, jump, weight.sqrt().numpy()) for jump in jumps]
     before, after = (mean_of(table) for table in tables)
-    light_error = config.light.shade.light_error
-    error = np.hypot(max(mean_error(table) for table in tables), light_error)
+    error = np.hypot(max(mean_error(table) for table in tables), LIGHT_ERROR)
     gain = (before**2 - after**2) / error**2
     return float(np.sign(gain) * np.sqrt(abs(gain)))
 

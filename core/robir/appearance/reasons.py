@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
-from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import Gains
+from robir.appearance.photometry.other_light import LEAST_SPREAD, LEAST_STEPS
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.rivals import fits_alike
 from robir.jobs.choice import Choice
@@ -76,8 +76,7 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
 def _near(tone: ToneChoice) -> str:
     """Which curves could not be told from the chosen one."""
     chosen, *others = tone.candidates
-    ranking = tone.config.tone.ranking
-    near = [other.curve.name for other in others if fits_alike(chosen, other, ranking)]
+    near = [other.curve.name for other in others if fits_alike(chosen, other)]
     return f"; within noise of it: {', '.join(near)}" if near else ""
 
 
@@ -104,21 +103,17 @@ def _lead(tone: ToneChoice) -> str:
 
 
 def camera_choices(
-    gains: Gains,
-    unlike: Collection[str],
-    config: PhotometryConfig,
-    seconds: dict[str, float],
+    gains: Gains, unlike: Collection[str], seconds: dict[str, float]
 ) -> tuple[Choice, ...]:
     """On exposures, light and corners of a camera's photographs; no rendering is asked for them.
 
     Args:
         gains: What was found.
         unlike: Photographs under another light than most.
-        config: What it was found by.
         seconds: Processor time by task: "exposure".
     """
     alike, apart = "one for all", "each photograph its own"
-    steps, odd = gains.falloff.corner_steps, config.other_light
+    steps = gains.falloff.corner_steps
     even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
     number, own = len(unlike), bool(gains.slopes)
     light = f"{apart if own else 'one'}, without {number} of them" if number else apart
@@ -128,8 +123,8 @@ def camera_choices(
             chosen=light if number or own else "one",
             alternatives=("one",) if own else (apart,),
             why="a photograph is left out where it is more than "
-            f"{odd.least_steps} steps brighter or darker than the rest and its points "
-            f"differ in that by more than {odd.least_spread:.0%}; each has its own light "
+            f"{LEAST_STEPS} steps brighter or darker than the rest and its points "
+            f"differ in that by more than {LEAST_SPREAD:.0%}; each has its own light "
             "where that lets photographs predict points elsewhere better than a sheen would",
         ),
         Choice(

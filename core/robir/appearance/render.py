@@ -26,6 +26,8 @@ Floats = NDArray[np.float32]
 MOST_POINTS = 1 << 20
 """Points of several views that are shaded together; memory limits them."""
 
+_PIXEL_RAYS = 2  # rays along each side of a pixel
+
 
 class AtlasLookup:
     """Texel values at points of the mesh."""
@@ -170,12 +172,12 @@ def render_views(
     Yields:
         What each view shows.
     """
-    (*_, values), rays = surface, problem.scene.config.render.pixel_rays
+    *_, values = surface
     largest = max((view.mask.size for view in views), default=1)
-    together = max(1, MOST_POINTS // (rays**2 * largest))
+    together = max(1, MOST_POINTS // (_PIXEL_RAYS**2 * largest))
     for start in range(0, len(views), together):
         group = views[start : start + together]
-        seen = [_Seen.of(view, surface, rays) for view in group]
+        seen = [_Seen.of(view, surface, _PIXEL_RAYS) for view in group]
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
             np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.appearance.step_config import SmoothNormalsConfig
 from robir.geometry.mesh.triangles import Mesh
 from robir.steps import Step
 from robir.transport.baked import Transport
@@ -27,6 +26,11 @@ Floats = NDArray[np.float32]
 CHUNK = 8192
 """Normals that are averaged at a time; each takes some kilobytes."""
 
+_REACH = 0.08  # distance that is averaged over (unit frame)
+# angle between normals at which they count a third: twice the error of a good one (degrees)
+_EDGE = 25.0
+_NUM_SAMPLES = 128  # samples that are averaged at most, the nearest
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
@@ -35,36 +39,29 @@ class Surface:
     Attributes:
         mesh: That textures belong to, unit frame.
         transport: Baked, with the samples of the surface.
-        config: How normals are freed of grain.
     """
 
     mesh: Mesh
     transport: Transport
-    config: SmoothNormalsConfig
 
 
-def smoothed(
-    position: Floats, normal: Floats, surfels: Surfels, config: SmoothNormalsConfig
-) -> Floats:
+def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
     """Normals (N, 3) averaged over the samples about them.
 
     Args:
         position: (N, 3), unit frame.
         normal: (N, 3) unit, by which edges are told.
         surfels: Even samples of the surface.
-        config: How far and how much is averaged.
     """
     tree = cKDTree(surfels.position)
     known = np.concatenate([surfels.normal, np.zeros((1, 3), np.float32)])
     result = np.empty_like(normal)
     for start in range(0, len(position), CHUNK):
         part = slice(start, start + CHUNK)
-        _, near = tree.query(
-            position[part], k=config.num_samples, distance_upper_bound=config.reach
-        )
+        _, near = tree.query(position[part], k=_NUM_SAMPLES, distance_upper_bound=_REACH)
         others, own = known[near], normal[part]
         cosine = np.einsum("nkd,nd->nk", others, own).clip(-1, 1)
-        weight = np.exp(-((np.arccos(cosine) / np.radians(config.edge)) ** 2))
+        weight = np.exp(-((np.arccos(cosine) / np.radians(_EDGE)) ** 2))
         # the own normal counts as one: there is always something to average
         total = np.einsum("nk,nkd->nd", weight, others) + own
         result[part] = total / np.linalg.norm(total, axis=1, keepdims=True)
@@ -72,9 +69,9 @@ def smoothed(
 
 
 def _smooth_normals(state: Surface) -> Surface:
-    mesh, surfels, config = state.mesh, state.transport.surfels, state.config
-    own = smoothed(surfels.position, surfels.normal, surfels, config)
-    vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels, config)
+    mesh, surfels = state.mesh, state.transport.surfels
+    own = smoothed(surfels.position, surfels.normal, surfels)
+    vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels)
     return replace(
         state,
         mesh=replace(mesh, normals=vertices),

@@ -14,16 +14,22 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import told_level
 from robir.appearance.evidence.white_point import sent_by_paint
 from robir.appearance.evidence.witness import BY_PAINT, Witness
+from robir.appearance.light.known_paint import READ_ERROR
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
+from robir.appearance.material.metal import SOLVED_WITHOUT
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
 _GLOSS_STEP = 2
 """Every so manieth sample tells of gloss: all of them tell no more, in twice the time."""
+
+# how much more firmly a told level is held than its error asks. In a solve pairs of neighbours
+# speak of it as well, by the light between surfaces, and errors of the mesh are common to many.
+_FIRMNESS = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +107,7 @@ def _gloss(state: Solution) -> Solution:
     )
     matte, rows = state.problem.without_highlights(diffuse), state.problem.scene.rows
     # metal has no diffuse light, so that its brightness tells nothing of what it receives
-    paint = gloss.solved_by(rows, state.config.material.metal.solved_without)
+    paint = gloss.solved_by(rows, SOLVED_WITHOUT)
     if len(paint) < len(rows):
         matte = matte.by_samples(paint, np.random.default_rng(state.seed))
     return replace(state, gloss=gloss, matte=matte)
@@ -113,7 +119,7 @@ def _level(state: Solution) -> Solution:
     if not told:
         return state
     *_, together = told
-    error = together.deviation / state.config.evidence.level.firmness
+    error = together.deviation / _FIRMNESS
     known = replace(state.told, level=together.value, level_error=error)
     return replace(state, told=known, witnesses=(*state.witnesses, *told))
 
@@ -122,13 +128,13 @@ def _white_point(state: Solution) -> Solution:
     known = state.problem.scene.known_paint
     if known is None:
         return state
-    sent = sent_by_paint(state.matte, state.light, known, state.config.evidence.white_point)
-    level, error = float(sent.mean()), known.config.read_error
-    told = Told(hue=sent - level, hue_error=error, level=level, level_error=error)
+    sent = sent_by_paint(state.matte, state.light, known)
+    level = float(sent.mean())
+    told = Told(hue=sent - level, hue_error=READ_ERROR, level=level, level_error=READ_ERROR)
     hue = float(sent[0] - sent[2])
     rows = (
-        Witness(of="level", by=BY_PAINT, value=level, deviation=error),
-        Witness(of="hue", by=BY_PAINT, value=hue, deviation=error * 2**0.5),
+        Witness(of="level", by=BY_PAINT, value=level, deviation=READ_ERROR),
+        Witness(of="hue", by=BY_PAINT, value=hue, deviation=READ_ERROR * 2**0.5),
     )
     return replace(state, told=told, witnesses=(*state.witnesses, *rows))
 

@@ -24,7 +24,6 @@ from robir.appearance.reasons import camera_choices, light_choices
 from robir.appearance.render import AtlasLookup, Painted, render_views
 from robir.appearance.smooth_normals import SURFACE, Surface
 from robir.appearance.solution import SOLUTION, Solution, solve
-from robir.appearance.step_config import RenderConfig
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
@@ -50,6 +49,8 @@ REVISION = 83
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
 """All steps of the stage, in their order."""
+
+_HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
@@ -81,13 +82,13 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     config, (mesh, tracer, own_tracer) = with_known_curve(config, capture), _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
-    compared = Comparison.of(transport, tracer, capture, config, context.seed)
+    compared = Comparison.of(transport, tracer, capture, context.seed)
     compared = course.carry_out(COMPARISON, compared)
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
         reporter.warn(_told(other, capture))
     common = transport.without_views(other)
-    lit = Surface(mesh=mesh, transport=common, config=config.smooth_normals)
+    lit = Surface(mesh=mesh, transport=common)
     lit = course.carry_out(SURFACE, lit)
     scene = _scene(context, lit, tracer, compared)
     started = time.process_time()
@@ -106,7 +107,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     reporter.progress(0.9, "rendering held-out views")
     surface = Painted(lit.mesh, own_tracer, AtlasLookup(mesh, inside), values)
     psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
-    _show(context.paths, capture, config.render)
+    _show(context.paths, capture)
     _write_textures(folder, inside, values, gloss)
     _write_normals(folder, lit.mesh.normals)
     _write_light(folder, light)
@@ -118,7 +119,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
         *gloss.choices,
         *solution.choices,
         *(() if texture.word is None else (texture.word.choice,)),
-        *camera_choices(problem.gains, other, config.photometry, seconds),
+        *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
     write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
@@ -157,13 +158,12 @@ def _scene(
         tracer if visibility.is_traced else None,
         visibility.offset,
         (config.num_solve_surfels, config.num_soft_lobes),
-        config,
         np.random.default_rng(context.seed),
     )
     return replace(
         scene,
         exposures=compared.exposures,
-        known_paint=KnownPaint.of(lit.mesh, config.white_point, config.light.known_paint),
+        known_paint=KnownPaint.of(lit.mesh, config.white_point),
         sun=_direction(config.sun),
     )
 
@@ -215,8 +215,7 @@ def _held_out(
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, diffuse, squared, count = {}, {}, 0.0, 0
-    side = problem.scene.config.render.held_out_side
-    views = [resize_view(view, side) for view in capture.held_out]
+    views = [resize_view(view, _HELD_OUT_SIDE) for view in capture.held_out]
     pictures = render_views(problem, light, gloss, views, surface)
     for view, shown in zip(views, pictures, strict=True):
         image, alpha = shown.image, shown.alpha
@@ -234,10 +233,10 @@ def _held_out(
     return round(-10 * np.log10(max(squared / count, 1e-10)), 3) if count else None
 
 
-def _show(paths: JobPaths, capture: Capture, config: RenderConfig) -> None:
+def _show(paths: JobPaths, capture: Capture) -> None:
     """Replace the picture by which the user follows the run."""
     if capture.held_out:
-        view = resize_view(capture.held_out[0], config.held_out_side)
+        view = resize_view(capture.held_out[0], _HELD_OUT_SIDE)
         rendering = stored_arrays(paths.stage("appearance") / "held_out.npz", PICTURES)[view.name]
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
@@ -302,11 +301,8 @@ def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:
     """Store the chosen curve and what it was chosen against."""
     first, *others = tone.candidates
     chosen = first.curve
-    ranking = tone.config.tone.ranking
     apart = {
-        other.curve.name: albedo_apart(first, other)
-        for other in others
-        if fits_alike(first, other, ranking)
+        other.curve.name: albedo_apart(first, other) for other in others if fits_alike(first, other)
     }
     write_json(
         folder / "tone_curve.json",

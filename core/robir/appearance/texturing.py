@@ -34,6 +34,9 @@ from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
 
+_ALBEDO_VIEWS = 48  # of which albedo is read
+_DETAIL_VIEWS = 96  # of which the best show a spot's detail
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
@@ -97,7 +100,7 @@ def textured(
     position, normal = interpolate(mesh, *atlas)
     texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
-    spread = spread_views(capture.train, config.texturing.albedo_views)
+    spread = spread_views(capture.train, _ALBEDO_VIEWS)
     views = tuple(resize_view(view, side) for view in spread)
     start = Texture(
         problem=problem,
@@ -136,11 +139,10 @@ def _refine_detail(state: Texture) -> Texture:
     width = pixel_width(state.problem.scene.transport, cameras)
     most = most_side(state.config, state.mesh.cells)
     side = texture_side(state.mesh, width, (len(state.inside), most))
-    views = spread_views(state.capture.train, state.config.texturing.detail_views)
+    views = spread_views(state.capture.train, _DETAIL_VIEWS)
     photographs = (views, state.problem.curve)
     surface = (state.mesh, state.tracer)
-    config = state.config.texture
-    inside, values = finer(state.values, state.inside, surface, photographs, side, config)
+    inside, values = finer(state.values, state.inside, surface, photographs, side)
     return replace(state, inside=inside, values=values)
 
 

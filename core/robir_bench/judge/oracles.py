@@ -29,6 +29,7 @@ from skimage.transform import resize_local_mean
 from robir.appearance.light.lobes import Amplitudes, lobes_of, log_sent, soft_lobes
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import retold
+from robir.appearance.material.metal import SOLVED_WITHOUT
 from robir.appearance.smooth_normals import Surface
 from robir.appearance.solution import Solution
 from robir.capture.store import load_settled
@@ -232,7 +233,7 @@ class Oracle:
         told = roughness.astype(np.float32).clip(0.05, 1), metallic.astype(np.float32)
         gloss, diffuse = retold(problem, state.light, state.material, every, told)
         matte, rows = problem.without_highlights(diffuse), problem.scene.rows
-        paint = gloss.solved_by(rows, problem.scene.config.material.metal.solved_without)
+        paint = gloss.solved_by(rows, SOLVED_WITHOUT)
         if len(paint) < len(rows):
             matte = matte.by_samples(paint, np.random.default_rng(state.seed))
         return replace(state, gloss=replace(gloss, metal=base), matte=matte)

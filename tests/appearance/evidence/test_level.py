@@ -12,6 +12,9 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import (
+    _EXCESS,
+    _EXPOSURE,
+    _PAINT,
     log_factors,
     told_level,
     usual_exposure,
@@ -25,8 +28,7 @@ from robir.appearance.material.gloss import estimate_gloss
 from robir.maths.tone import curve_from_name
 
 CONFIG = AppearanceConfig()
-LEVEL = CONFIG.evidence.level
-FACTORS = log_factors(LEVEL)
+FACTORS = log_factors()
 RED = synthetic.Material(np.float32([0.45, 0.12, 0.1]), 0.45)
 BLUE = synthetic.Material(np.float32([0.1, 0.25, 0.5]), 0.7)
 
@@ -74,19 +76,19 @@ def mean_of(log_likely):
 
 
 def test_without_other_evidence_paints_are_common_ones():
-    common = np.exp(LEVEL.paint)
+    common = np.exp(_PAINT)
     shares = np.array([0.6 * common, common, 3 * common])
-    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)), CONFIG)) for share in shares]
+    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)))) for share in shares]
     assert told == pytest.approx(np.log(shares / common), abs=0.03)
     # what seems to return more than it receives bounds the light from below
     some = np.log(np.full((1000, 3), common))
     some[:50] = 1.0
-    assert mean_of(usual_paint(some, CONFIG)) > 1.0 - 2 * LEVEL.excess
+    assert mean_of(usual_paint(some)) > 1.0 - 2 * _EXCESS
 
 
 def test_without_other_evidence_white_paint_is_exposed_as_is_common():
     for white in (-1.0, 0.5):
-        told = mean_of(usual_exposure(np.log(np.pi) + LEVEL.exposure + white, LEVEL))
+        told = mean_of(usual_exposure(np.log(np.pi) + _EXPOSURE + white))
         assert told == pytest.approx(-white, abs=0.03)
 
 

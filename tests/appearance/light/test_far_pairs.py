@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.light.config import LobesConfig, SolverConfig
 from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.lobes import (
     Priors,
@@ -16,6 +15,7 @@ from robir.appearance.light.lobes import (
     soft_lobes,
     solve_amplitudes,
 )
+from robir.appearance.light.solver import _FAR
 from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.surfels import Surfels
@@ -68,8 +68,8 @@ def test_the_shading_of_a_plain_ball_leaves_its_albedo():
         surfels, np.arange(1500), (0.05, 0.12, 0.25), 6, np.random.default_rng(0)
     )
     spread = {}
-    for far in (0.0, SolverConfig().far):
-        priors = Priors(config=LobesConfig(), far=far)
+    for far in (0.0, _FAR):
+        priors = Priors(far=far)
         light, _ = solve_amplitudes(radiance, transfer, (near, Pairs.joined([])), priors, 240)
         albedo = log_ratio(radiance.linear, light.irradiance(transfer))
         spread[far] = float(albedo.std(0).mean())

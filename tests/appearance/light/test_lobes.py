@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.config import LightConfig, LobesConfig, SunConfig
+from robir.appearance.light import lobes, sun
 from robir.appearance.light.lobes import (
     Amplitudes,
     Priors,
@@ -173,10 +173,11 @@ def test_many_losses_at_once_are_those_of_each():
 
 
 @pytest.mark.parametrize("count", [1, 2, 100, 101])
-def test_what_is_too_bright_is_judged_by_a_quantile(count):
+def test_what_is_too_bright_is_judged_by_a_quantile(monkeypatch, count):
+    monkeypatch.setattr(lobes, "_BRIGHTEST", 0.1)
     log_albedo = torch.randn(count, 3, generator=torch.Generator().manual_seed(7)) - 1
-    nothing, priors = torch.zeros(0, dtype=torch.int64), Priors(config=LobesConfig(brightest=0.1))
-    brightest = log_albedo.amax(1).quantile(priors.config.brightest_quantile)
+    nothing, priors = torch.zeros(0, dtype=torch.int64), Priors()
+    brightest = log_albedo.amax(1).quantile(lobes.BRIGHTEST_QUANTILE)
     expected = 2 * (brightest - np.log(0.1)).clamp(min=0)
     every = torch.arange(count)
     torch.testing.assert_close(range_loss(log_albedo, (nothing, every), priors), expected)
@@ -185,7 +186,7 @@ def test_what_is_too_bright_is_judged_by_a_quantile(count):
 def test_what_is_too_bright_is_judged_where_the_sun_is_sure():
     log_albedo = torch.full((100, 3), -1.0)
     log_albedo[:20] = 0.7
-    every, sure, priors = torch.arange(100), torch.arange(20, 100), Priors(config=LobesConfig())
+    every, sure, priors = torch.arange(100), torch.arange(20, 100), Priors()
     others = range_loss(log_albedo[20:], (every[:0], every[:80]), priors)
     torch.testing.assert_close(range_loss(log_albedo, (every[:0], sure), priors), others)
     assert float(range_loss(log_albedo, (every[:0], every), priors)) > float(others) + 1
@@ -237,7 +238,7 @@ def test_what_pairs_do_not_tell_has_the_hue_of_lights(problem):
         problem.rows_radiance(rows),
         problem.transfer(sharp, rows),
         (none, none),
-        Priors(config=LobesConfig(smooth=0.0)),
+        Priors(smooth=0.0),
         200,
         start=start,
     )
@@ -255,15 +256,15 @@ def test_what_pairs_do_not_tell_has_the_hue_of_lights(problem):
     assert after[1] < 0.5 * before[1]
 
 
-def test_scan_and_refinement_find_the_sun_within_a_degree(problem):
+def test_scan_and_refinement_find_the_sun_within_a_degree(monkeypatch, problem):
     sun_problem = sun_problem_of(problem)
     candidates = scan(sun_problem, 1000, 3)
     losses = [candidate.loss for candidate in candidates]
     assert losses == sorted(losses) and candidates[0].gain > 0.2
     assert degrees(candidates[0].axis, synthetic.SUN) < 8
-    longer = LightConfig(sun=SunConfig(num_rounds=6))
+    monkeypatch.setattr(sun, "_NUM_ROUNDS", 6)
     reach = 0.8 * np.sqrt(4 * np.pi / 1000)
-    found = refine(replace(sun_problem, config=longer), candidates[0], reach)
+    found = refine(sun_problem, candidates[0], reach)
     assert found.loss < candidates[0].loss
     assert degrees(found.axis, synthetic.SUN) < 1
 
@@ -282,7 +283,6 @@ def sun_problem_of(problem) -> SunProblem:
         pairs=neighbour_pairs(surfels, rows, (0.05, 0.12, 0.25), 2, rng),
         tracer=scene.tracer,
         offset=scene.offset,
-        config=LightConfig(),
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.shade import irradiance_doubt, of_one_material, well_lit
+from robir.appearance.light.shade import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
 from robir.appearance.photometry.statistics import Pairs
 
 DEEP, OPEN = 60, 40
@@ -37,17 +37,16 @@ def shaded_pairs() -> tuple[Pairs, torch.Tensor, torch.Tensor]:
 def test_what_little_light_reaches_is_known_by_its_share_of_the_mean():
     irradiance = torch.tensor([[1.0, 2.0, 3.0], [0.1, 0.2, 0.3]])
     mean = irradiance.numpy().mean()
-    shade = CONFIG.light.shade
-    expected = [shade.light_error * mean / 2, shade.light_error * mean / 0.2]
-    np.testing.assert_allclose(irradiance_doubt(irradiance, shade), expected, rtol=1e-6)
+    expected = [LIGHT_ERROR * mean / 2, LIGHT_ERROR * mean / 0.2]
+    np.testing.assert_allclose(irradiance_doubt(irradiance), expected, rtol=1e-6)
 
 
 def test_open_shade_tells_the_step_though_samples_in_gaps_are_more():
     pairs, log, irradiance = shaded_pairs()
     clipped = torch.zeros_like(log, dtype=torch.bool)
-    told = of_one_material(well_lit([pairs], irradiance, CONFIG), log, clipped, CONFIG)
+    told = of_one_material(well_lit([pairs], irradiance), log, clipped)
     assert float(told.weight[DEEP:].sum()) > 0.9
-    even = of_one_material([pairs], log, clipped, CONFIG)
+    even = of_one_material([pairs], log, clipped)
     assert float(even.weight[DEEP:].sum()) < 0.4
 
 
@@ -55,7 +54,7 @@ def test_another_material_hardly_counts():
     pairs, log, irradiance = shaded_pairs()
     log[DEEP] += 1.5
     clipped = torch.zeros_like(log, dtype=torch.bool)
-    told = of_one_material(well_lit([pairs], irradiance, CONFIG), log, clipped, CONFIG)
+    told = of_one_material(well_lit([pairs], irradiance), log, clipped)
     assert float(told.weight[DEEP]) < 0.01 * float(told.weight[DEEP + 1])
 
 
@@ -63,6 +62,6 @@ def test_every_sun_has_its_own_step():
     pairs, log, _ = shaded_pairs()
     deep, light = pairs.of(pairs.first < DEEP), pairs.of(pairs.first >= DEEP)
     clipped = torch.zeros_like(log, dtype=torch.bool)
-    told = of_one_material([deep, light], log, clipped, CONFIG)
+    told = of_one_material([deep, light], log, clipped)
     assert len(told.first) == DEEP + OPEN
     assert float(told.weight[:DEEP].sum()) == pytest.approx(DEEP / (DEEP + OPEN), abs=1e-5)

@@ -10,14 +10,13 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.config import LightConfig
+from robir.appearance.light import sun, sun_search
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.sun import SunCandidate, SunProblem, lowest_point, refine, scan
 from robir.appearance.light.sun_search import find_suns, polish
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12
-LIGHT = LightConfig()
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def problem():
 def scanned(problem):
     scene = problem.scene
     normal = scene.transport.surfels.normal[scene.rows]
-    pairs = scene.pairs.facing_alike(normal, LIGHT.sun_search.alike_cosine)
+    pairs = scene.pairs.facing_alike(normal, sun_search._ALIKE_COSINE)
     sky = scene.soft.sum(1)[:, None].expand(-1, 3)
     return SunProblem.of(problem, sky, scene.rows, pairs)
 
@@ -41,10 +40,10 @@ def degrees(first, second) -> float:
 
 def test_every_direction_is_the_rival_of_one_light_at_most(scanned):
     candidates = scan(scanned, 1000, 20)
-    assert len(candidates) > 5 and 3 < len(candidates[0].rivals) <= LIGHT.sun.num_rivals
+    assert len(candidates) > 5 and 3 < len(candidates[0].rivals) <= sun._NUM_RIVALS
     for candidate in candidates:
         same = candidate.rivals @ candidate.axis
-        assert (same > np.cos(LIGHT.sun.separation)).all() and (same < 0.9999).all()
+        assert (same > np.cos(sun.SEPARATION)).all() and (same < 0.9999).all()
     every = np.concatenate([np.stack([c.axis, *c.rivals]) for c in candidates])
     assert len(np.unique(every, axis=0)) == len(every)
 
@@ -69,21 +68,21 @@ def test_leaps_of_the_loss_do_not_move_its_lowest_point(seed):
     away = np.arccos(np.clip(tried @ synthetic.SUN, -1, 1))
     losses = 0.5 + 30 * away**2
     lowest = tried[losses.argmin()]
-    assert degrees(lowest_point(lowest, tried, losses, LIGHT.sun), synthetic.SUN) < 0.01
+    assert degrees(lowest_point(lowest, tried, losses), synthetic.SUN) < 0.01
     leaping = losses + rng.uniform(0, 0.004, 60)
     lowest = tried[leaping.argmin()]
-    assert degrees(lowest_point(lowest, tried, leaping, LIGHT.sun), synthetic.SUN) < 0.15
+    assert degrees(lowest_point(lowest, tried, leaping), synthetic.SUN) < 0.15
 
 
 def test_without_a_lowest_point_the_best_trial_stays():
     tried = synthetic.SUN + 0.01 * np.random.default_rng(0).normal(size=(60, 3))
     tried = np.float32(tried / np.linalg.norm(tried, axis=1, keepdims=True))
     losses = -np.square(tried[:, 0] - synthetic.SUN[0]).astype(float)
-    stays = lowest_point(tried[3], tried, losses, LIGHT.sun)
+    stays = lowest_point(tried[3], tried, losses)
     np.testing.assert_array_equal(stays, tried[3])
     # a slope without end is followed a little
     slope = tried[:, 0] + 1e-3 * tried[:, 2] ** 2
-    followed = lowest_point(synthetic.SUN, tried, slope, LIGHT.sun)
+    followed = lowest_point(synthetic.SUN, tried, slope)
     assert degrees(followed, synthetic.SUN) < 0.65
 
 

@@ -10,13 +10,10 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.config import MaterialConfig
 from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.photometry.statistics import texture_weights
 from robir.maths.tone import curve_from_name
 
-MATERIAL = MaterialConfig()
-LEVELS = MATERIAL.metal_levels
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)

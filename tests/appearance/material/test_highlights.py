@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.material.config import HighlightsConfig
 from robir.appearance.material.highlights import (
+    _FEWEST_VIEWS,
+    _READING_ERROR,
+    LEVELS,
+    UNKNOWN,
     Highlights,
     Readings,
     pooled,
     read,
 )
-from robir.config import RunConfig, resolve
-from robir.errors import ConfigError
+from robir.constants import changed
 
-CONFIG = HighlightsConfig()
-LEVELS = CONFIG.levels
 HEIGHT = np.array([0.55, 0.5, 0.45, 0.36, 0.2, 0.1, 0.04])
 """Brightest view under a highlight of each level, display."""
 
@@ -66,7 +66,7 @@ def patches(highlights):
 
 
 def roughness_of(highlights):
-    readings = read(highlights, np.zeros(len(highlights.count), np.int64), 1, CONFIG)
+    readings = read(highlights, np.zeros(len(highlights.count), np.int64), 1)
     np.testing.assert_array_equal(readings.patch, [0])
     return readings.roughness[0], np.sqrt(readings.variance[0])
 
@@ -77,7 +77,7 @@ IN_PLACE = 0.01 + 0.05 * np.abs(np.log(np.array(LEVELS) / 0.56))
 def test_a_highlight_in_its_place_is_read_where_it_fits():
     found, error = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))
     assert found == pytest.approx(0.56, abs=0.03)
-    assert CONFIG.reading_error < error < 0.12
+    assert _READING_ERROR < error < 0.12
 
 
 BESIDE = np.array([0.043, 0.05, 0.065, 0.075, 0.07, 0.045, 0.035])
@@ -114,7 +114,7 @@ def test_samples_that_show_another_surface_do_not_speak_for_the_patch():
     assert roughness_of(spoilt)[0] == pytest.approx(clean[0], abs=0.01)
     # samples of every patch are weighed among themselves
     both = patches([spoilt, whole])
-    found = read(both, np.repeat([0, 1], 40), 2, CONFIG).roughness
+    found = read(both, np.repeat([0, 1], 40), 2).roughness
     np.testing.assert_allclose(found, [clean[0], roughness_of(whole)[0]], atol=0.01)
 
 
@@ -122,8 +122,8 @@ def test_few_views_say_little_and_fewer_nothing():
     many = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
     few = roughness_of(patch_of(IN_PLACE, 0.03, 0.2, count=1))[1]
     assert few > 1.5 * many
-    fewer = patch_of(IN_PLACE, 0.03, 0.2, count=1, views=CONFIG.fewest_views - 1)
-    assert not len(read(fewer, np.zeros(1, np.int64), 1, CONFIG).patch)
+    fewer = patch_of(IN_PLACE, 0.03, 0.2, count=1, views=_FEWEST_VIEWS - 1)
+    assert not len(read(fewer, np.zeros(1, np.int64), 1).patch)
 
 
 def test_patches_are_read_apart():
@@ -131,40 +131,34 @@ def test_patches_are_read_apart():
     alone = [roughness_of(one)[0] for one in both]
     whole = patches(both)
     patch = np.repeat([2, 0], 40)
-    readings = read(whole, patch, 3, CONFIG)
+    readings = read(whole, patch, 3)
     np.testing.assert_array_equal(readings.patch, [0, 2])
     np.testing.assert_allclose(readings.roughness, alone[::-1])
     # some of the samples keep their own views
     np.testing.assert_allclose(
-        read(whole.of(patch == 0), patch[patch == 0], 1, CONFIG).roughness, alone[1:]
+        read(whole.of(patch == 0), patch[patch == 0], 1).roughness, alone[1:]
     )
 
 
 def test_what_is_not_read_goes_by_what_is_like_it():
     features = np.array([[0.0, 0.0], [6.0, 0.0], [0.2, 0.1], [6.0, 0.3], [0.0, 9.0]])
-    readings = Readings(np.array([0, 1]), np.array([0.3, 0.8]), np.full(2, CONFIG.reading_error**2))
-    found = pooled(readings, features, CONFIG)
+    readings = Readings(np.array([0, 1]), np.array([0.3, 0.8]), np.full(2, _READING_ERROR**2))
+    found = pooled(readings, features)
     np.testing.assert_allclose(found[:4], [0.3, 0.8, 0.3, 0.8], atol=0.03)
     assert found[4] == pytest.approx(0.54, abs=0.03)
     nothing = Readings(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    np.testing.assert_array_equal(pooled(nothing, features, CONFIG), CONFIG.unknown)
-    assert nothing.weighted_mean(CONFIG.unknown) == CONFIG.unknown
+    np.testing.assert_array_equal(pooled(nothing, features), UNKNOWN)
+    assert nothing.weighted_mean(UNKNOWN) == UNKNOWN
 
 
-def test_a_setting_moves_what_is_not_read():
-    changes = ["appearance.material.highlights.unknown=0.7"]
-    config = resolve(RunConfig(), None, changes).appearance.material.highlights
+def test_a_constant_moves_what_is_not_read():
     nothing = Readings(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    np.testing.assert_array_equal(pooled(nothing, np.zeros((2, 1)), config), 0.7)
-
-
-def test_levels_must_rise():
-    with pytest.raises(ConfigError, match="above the one before"):
-        resolve(RunConfig(), None, ["appearance.material.highlights.levels=[0.3, 0.2]"])
+    with changed(["appearance.material.highlights.UNKNOWN=0.7"]):
+        np.testing.assert_array_equal(pooled(nothing, np.zeros((2, 1))), 0.7)
 
 
 def test_an_unsure_reading_gives_way_to_sure_ones_beside_it():
     features = np.array([[0.0], [0.1], [0.1]])
     readings = Readings(np.arange(3), np.array([0.4, 0.4, 0.9]), np.array([0.05, 0.05, 0.3]) ** 2)
-    assert pooled(readings, features, CONFIG)[2] < 0.45
-    assert readings.weighted_mean(CONFIG.unknown) == pytest.approx(0.4, abs=0.02)
+    assert pooled(readings, features)[2] < 0.45
+    assert readings.weighted_mean(UNKNOWN) == pytest.approx(0.4, abs=0.02)

@@ -3,22 +3,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.config import MaterialConfig
+from robir.appearance.material import highlights, metal
 from robir.appearance.material.gloss import estimate_gloss
-from robir.appearance.material.metal import likely_base, metal_errors, metal_odds, metal_parts
+from robir.appearance.material.metal import (
+    likely_base,
+    metal_errors,
+    metal_odds,
+    metal_parts,
+)
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
 
-MATERIAL = MaterialConfig()
-METAL, LEVELS = MATERIAL.metal, MATERIAL.metal_levels
+LEVELS = highlights.LEVELS[: metal._NUM_LEVELS]
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 SOOT = synthetic.Material(np.float32([0.2, 0.14, 0.1]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
@@ -64,9 +66,9 @@ def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
     problem, light, is_gold = halves
     wrong = light.tinted(torch.full((3,), float(np.log(strength))))
     gloss, _ = estimate_gloss(problem, wrong, 4, 0)
-    metal, seen = gloss.metallic > 0.5, problem.radiance.seen.numpy()
-    assert metal[seen & is_gold].mean() > 0.85
-    assert metal[seen & ~is_gold].mean() < 0.1
+    is_metal, seen = gloss.metallic > 0.5, problem.radiance.seen.numpy()
+    assert is_metal[seen & is_gold].mean() > 0.85
+    assert is_metal[seen & ~is_gold].mean() < 0.1
 
 
 def test_each_figure_speaks_for_metal_by_itself():
@@ -74,13 +76,13 @@ def test_each_figure_speaks_for_metal_by_itself():
 
     def odds(paint: float, free: float, bright: float) -> float:
         errors = [np.full((1, len(LEVELS)), value, np.float32) for value in (paint, free, bright)]
-        return float(metal_odds(errors[0], (errors[1], errors[2]), around, METAL)[0])
+        return float(metal_odds(errors[0], (errors[1], errors[2]), around)[0])
 
     usual = odds(0.03, 0.03, 0.04)
     assert odds(0.04, 0.04, 0.04 * 4 / 3) > usual  # paint explains it worse
     assert odds(0.03, 0.025, 0.025 * 4 / 3) > usual  # metal explains it better
     assert odds(0.03, 0.03, 0.03) > usual  # bright metal does as well
-    assert odds(0.001, 1.0, 1.0) == -METAL.most_odds
+    assert odds(0.001, 1.0, 1.0) == -metal._MOST_ODDS
 
 
 def read_of(problem, light, odds, shown):
@@ -99,7 +101,6 @@ def read_of(problem, light, odds, shown):
         (position, np.zeros((len(rows), 3)), 9.0),
         (reflections, rays, white * torch.from_numpy(shown(rays.sample, len(rows))).float()),
         errors,
-        MATERIAL,
     )
 
 
@@ -107,8 +108,8 @@ def test_parts_are_what_is_certain_on_the_whole(gold):
     problem, light = gold
 
     def odds(count):
-        doubtful = np.full(count, METAL.certain - 0.01)
-        doubtful[count // 2 :] = METAL.certain + 0.01
+        doubtful = np.full(count, metal._CERTAIN - 0.01)
+        doubtful[count // 2 :] = metal._CERTAIN + 0.01
         return doubtful
 
     found = read_of(problem, light, odds, lambda sample, count: np.full((len(sample), 3), 0.5))
@@ -119,52 +120,59 @@ def test_parts_are_what_is_certain_on_the_whole(gold):
 
 def test_a_part_that_is_misread_is_of_the_other_parts_metal(gold):
     problem, light = gold
-    certain = np.float64(METAL.certain + 1)
+    certain = np.float64(metal._CERTAIN + 1)
 
     def shown(sample, count):
         return np.where((sample < count // 4)[:, None], 0.01, 0.8) * np.array([1.0, 0.8, 0.5])
 
     found = read_of(problem, light, lambda count: np.full(count, certain), shown)
     assert len(found.base) == 2
-    alone = np.exp(likely_base(np.log([[0.01, 0.008, 0.005]]), np.array([500]), METAL))[0]
+    alone = np.exp(likely_base(np.log([[0.01, 0.008, 0.005]]), np.array([500])))[0]
     # half of what shows the first part is misread
     assert (found.base.max(1) > 0.65).all()
     assert alone.max() > 0.4
 
 
-def test_base_colours_are_posterior_means():
+def test_base_colours_are_posterior_means(monkeypatch):
     """Monte Carlo: what is drawn of metals and read with errors is told without a bias."""
-    rng, config = np.random.default_rng(3), replace(METAL, misread_share=0.0, alike=1.0, enough=0.0)
+    brightness = metal._BRIGHTNESS - 0.5
+    for name, value in (
+        ("_MISREAD_SHARE", 0.0),
+        ("_ALIKE", 1.0),
+        ("_ENOUGH", 0.0),
+        ("_BRIGHTNESS", brightness),
+    ):
+        monkeypatch.setattr(metal, name, value)
+    rng = np.random.default_rng(3)
     count = 4000
-    bright = config.brightness - 0.5 + config.brightness_spread * rng.normal(size=count)
-    config = replace(config, brightness=config.brightness - 0.5)
-    blue = config.blue + config.blue_spread * rng.normal(size=count)
-    green = config.green_spread * rng.normal(size=count)
+    bright = brightness + metal._BRIGHTNESS_SPREAD * rng.normal(size=count)
+    blue = metal._BLUE + metal._BLUE_SPREAD * rng.normal(size=count)
+    green = metal._GREEN_SPREAD * rng.normal(size=count)
 
     def colour(bright, blue, green):
         log = np.stack([-0.5 * blue - green / 3, 2 / 3 * green, 0.5 * blue - green / 3], axis=1)
         return log - log.max(1, keepdims=True) + bright[:, None]
 
     read = colour(
-        bright + config.brightness_error * rng.normal(size=count),
-        blue + config.blue_error * rng.normal(size=count),
-        green + config.green_error * rng.normal(size=count),
+        bright + metal._BRIGHTNESS_ERROR * rng.normal(size=count),
+        blue + metal._BLUE_ERROR * rng.normal(size=count),
+        green + metal._GREEN_ERROR * rng.normal(size=count),
     )
     one = np.array([500])
-    told = np.concatenate([likely_base(row[None], one, config) for row in read])
+    told = np.concatenate([likely_base(row[None], one) for row in read])
     # one part alone is the whole scene, and read twice: once as the scene, once as the part
     off = (told[:, 2] - told[:, 0]) - blue
     assert abs(off.mean()) < 4 * off.std() / np.sqrt(count)
     assert off.std() < (read[:, 2] - read[:, 0] - blue).std()
-    assert off.std() < config.blue_spread
+    assert off.std() < metal._BLUE_SPREAD
     assert (told <= 0).all()
 
 
 def test_metal_takes_no_part_in_the_light_but_where_there_is_hardly_anything_else(halves, gold):
     problem, light, is_gold = halves
     gloss, _ = estimate_gloss(problem, light, 4, 0)
-    rows = gloss.solved_by(problem.scene.rows, METAL.solved_without)
+    rows = gloss.solved_by(problem.scene.rows, metal.SOLVED_WITHOUT)
     assert is_gold[rows].mean() < 0.1 < is_gold[problem.scene.rows].mean()
     whole, light = gold
     gloss, _ = estimate_gloss(whole, light, 4, 0)
-    assert len(gloss.solved_by(whole.scene.rows, METAL.solved_without)) == len(whole.scene.rows)
+    assert len(gloss.solved_by(whole.scene.rows, metal.SOLVED_WITHOUT)) == len(whole.scene.rows)

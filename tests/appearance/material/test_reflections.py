@@ -12,13 +12,11 @@ from appearance import synthetic
 
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.config import ReflectionsConfig
 from robir.appearance.material.gloss import Gloss, specular_towards
-from robir.appearance.material.reflections import Reflections, as_rays, view_rays
+from robir.appearance.material.reflections import _SHARPEST_KERNEL, Reflections, as_rays, view_rays
 from robir.maths import microfacet
 from robir.maths.tone import curve_from_name
 
-CONFIG = ReflectionsConfig()
 SUN, SKY = 2.4, 0.12
 
 
@@ -56,7 +54,7 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
     soft = lobes_of(light.amplitudes, light.axes[:0], light.sharpness[:0])
     spread = np.exp(float(soft.sharpness[0]) * (directions @ soft.axis.double().numpy().T - 1))
     sky = spread @ soft.amplitude[: synthetic.NUM_SOFT].double().numpy()
-    sharpness = min(CONFIG.sharpest_kernel, 1 / (1.5 * roughness**4))
+    sharpness = min(_SHARPEST_KERNEL, 1 / (1.5 * roughness**4))
     scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
     for ray in range(0, len(reflected), 7):
         row = rows[rays.sample[ray]]

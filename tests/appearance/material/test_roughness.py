@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.material.config import MaterialConfig
-from robir.appearance.material.highlights import Highlights
+from robir.appearance.material.highlights import LEVELS, Highlights
 from robir.appearance.material.roughness import (
     DULL,
     EACH,
@@ -21,10 +20,7 @@ from robir.appearance.material.roughness import (
     choose_roughness,
 )
 from robir.appearance.proof import Proof
-from robir.appearance.step_config import BlocksConfig
 
-CONFIG = MaterialConfig()
-LEVELS = CONFIG.highlights.levels
 VIEWS = 12.0
 
 
@@ -92,7 +88,7 @@ class FakeTrial:
         return np.array(rows)[sample] / VIEWS
 
     def proof(self, chosen, plain, rich):
-        block = block_numbers(self.position[chosen // int(VIEWS)], BlocksConfig())
+        block = block_numbers(self.position[chosen // int(VIEWS)])
         return Proof.of(plain, rich, (block,))
 
 
@@ -101,7 +97,7 @@ def answers(highlights, position, material, num_materials=3):
     features = 9.0 * np.eye(num_materials)
     trial = FakeTrial(np.column_stack([highlights.error, highlights.plain]), position)
     paint = np.ones(len(material), bool)
-    choice = choose_roughness(highlights, Patches(features, material), trial, paint, CONFIG)
+    choice = choose_roughness(highlights, Patches(features, material), trial, paint)
     specular, roughness = choice.choices
     assert [one.choice for one in choice.choices] == ["specular", "roughness"]
     assert specular.alternatives == (GLOSSY if specular.chosen == DULL else DULL,)

@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robir.appearance.material.config import SegmentsConfig
 from robir.appearance.material.segments import pieces
 
-CONFIG = SegmentsConfig()
 GOLD, RED = np.array([0.55, 0.34, -0.89]), np.array([1.14, -0.53, -0.61])
 
 
@@ -28,16 +26,16 @@ def hues(shares, spread=0.1):
 def test_what_does_not_touch_are_two():
     at = board(12)
     at = at[(at[:, 0] < 5) | (at[:, 0] > 6)]
-    number = pieces(at, hues(np.zeros(len(at))), 2.5, 8, CONFIG)
+    number = pieces(at, hues(np.zeros(len(at))), 2.5, 8)
     np.testing.assert_array_equal(number == number[0], at[:, 0] < 5)
     assert len(np.unique(number)) == 2
-    assert len(np.unique(pieces(at, hues(np.zeros(len(at))), 3.5, 8, CONFIG))) == 1
+    assert len(np.unique(pieces(at, hues(np.zeros(len(at))), 3.5, 8))) == 1
 
 
 def test_two_hues_that_touch_and_blend_at_the_border_are_two():
     at = board(20)
     # over three columns one turns into the other, without a step
-    number = pieces(at, hues(np.clip((at[:, 0] - 11) / 4, 0, 1)), 1.5, 8, CONFIG)
+    number = pieces(at, hues(np.clip((at[:, 0] - 11) / 4, 0, 1)), 1.5, 8)
     assert len(np.unique(number)) == 2
     assert len(set(number[at[:, 0] <= 11])) == len(set(number[at[:, 0] >= 15])) == 1
     assert number[0] != number[-1]
@@ -48,7 +46,7 @@ def test_three_hues_are_three():
     hue = hues(np.zeros(len(at)), 0.03)
     hue[at[:, 0] >= 10] += [0.0, 1.0, -1.0]
     hue[at[:, 0] >= 20] += [-1.0, 0.0, 1.0]
-    number = pieces(at, hue, 1.5, 8, CONFIG)
+    number = pieces(at, hue, 1.5, 8)
     assert len(np.unique(number)) == 3
     for third in range(3):
         assert len(set(number[at[:, 0] // 10 == third])) == 1
@@ -57,16 +55,16 @@ def test_three_hues_are_three():
 @pytest.mark.parametrize("spread", [0.0, 0.1])
 def test_a_hue_that_changes_evenly_is_one(spread):
     at = board(20)
-    assert not pieces(at, hues(at[:, 0] / 19, spread), 1.5, 8, CONFIG).any()
+    assert not pieces(at, hues(at[:, 0] / 19, spread), 1.5, 8).any()
 
 
 @pytest.mark.parametrize(("fewest", "count"), [(8, 2), (20, 1)])
 def test_a_few_of_another_hue_are_no_piece(fewest, count):
     at = board(20)
-    number = pieces(at, hues(1.0 * (np.arange(len(at)) < 10), 0.02), 1.5, fewest, CONFIG)
+    number = pieces(at, hues(1.0 * (np.arange(len(at)) < 10), 0.02), 1.5, fewest)
     assert len(np.unique(number)) == count
 
 
 def test_one_hue_without_any_noise_is_one():
     at = board(4)
-    assert not pieces(at, np.tile(GOLD, (len(at), 1)), 1.5, 8, CONFIG).any()
+    assert not pieces(at, np.tile(GOLD, (len(at), 1)), 1.5, 8).any()

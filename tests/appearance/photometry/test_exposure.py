@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.photometry.comparison import find_falloff
-from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import (
     Exposures,
     Gains,
@@ -24,7 +22,6 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations
 
 VIEWS, POINTS = 24, 900
-CONFIG = PhotometryConfig()
 
 
 @pytest.fixture
@@ -70,21 +67,21 @@ def glossy(rng):
 
 def gains_of(seen: Observations, family: str, normals: np.ndarray) -> np.ndarray:
     """Log gains (V, 3) under a curve."""
-    log, kept = comparable(seen, curve_from_name(family), CONFIG.exposure)
-    return solve_gains(log, normals[kept], CONFIG.robust)
+    log, kept = comparable(seen, curve_from_name(family))
+    return solve_gains(log, normals[kept])
 
 
 def falloff_of(seen: Observations, normals: np.ndarray) -> Falloff:
     """Falloff under a plain curve."""
-    log, kept = comparable(seen, curve_from_name("standard"), CONFIG.exposure)
-    return find_falloff(log, normals[kept], seen.off_axis[kept], AppearanceConfig())
+    log, kept = comparable(seen, curve_from_name("standard"))
+    return find_falloff(log, normals[kept], seen.off_axis[kept])
 
 
 def share_of(seen: Observations, normals: np.ndarray, falloff: Falloff) -> float:
     """How much of the gains is exposure under a plain curve, their falloff undone."""
-    log, kept = comparable(seen, curve_from_name("standard"), CONFIG.exposure)
+    log, kept = comparable(seen, curve_from_name("standard"))
     log = log - falloff.log(seen.off_axis[kept])[..., None]
-    return real_share(log, normals[kept], CONFIG)
+    return real_share(log, normals[kept])
 
 
 def jitter(rng, steps: float, hue: float) -> np.ndarray:
@@ -211,9 +208,7 @@ def test_what_one_exposure_clips_another_shows():
     up = np.array([[0, 0, 1]], np.float32)
     evened = linear_observations(seen, curve_from_name("standard"), gains, up)
     assert evened.numpy() == pytest.approx(0.8, rel=0.01)
-    assert diffuse_radiance(seen, evened, CONFIG.statistics).linear.numpy() == pytest.approx(
-        0.8, rel=0.01
-    )
+    assert diffuse_radiance(seen, evened).linear.numpy() == pytest.approx(0.8, rel=0.01)
 
 
 def test_gains_are_named_and_told_in_steps():
@@ -242,9 +237,7 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     falloff = falloff_of(seen, normals)
     assert falloff.strength > 0
     assert share_of(seen, normals, falloff) > 0.6
-    exposures = Exposures(
-        observations=seen, normals=normals, config=CONFIG, gain_share=1.0, has_falloff=True
-    )
+    exposures = Exposures(observations=seen, normals=normals, gain_share=1.0, has_falloff=True)
     gains = exposures.gains(curve_from_name(family))
     # steps of what is seen: s reaches 0.4
     reach = np.quantile(square[weight > 0.5], 0.98)
@@ -274,9 +267,7 @@ def test_a_falloff_alone_leaves_the_photographs_alike(rng):
     linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(-0.7 * square)[..., None]
     seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)), codes)
     assert share_of(seen, normals, falloff_of(seen, normals)) < 0.2
-    exposures = Exposures(
-        observations=seen, normals=normals, config=CONFIG, gain_share=0.0, has_falloff=True
-    )
+    exposures = Exposures(observations=seen, normals=normals, gain_share=0.0, has_falloff=True)
     gains = exposures.gains(curve_from_name("standard"))
     assert gains.by_view == {}
     assert gains.falloff.strength == pytest.approx(0.7, abs=0.02)

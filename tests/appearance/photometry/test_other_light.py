@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.photometry.comparison import COMPARISON, Comparison
-from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
@@ -23,7 +21,6 @@ from robir.transport.config import TransportConfig
 from tests.geometry.scenes import ball, capture_of
 
 VIEWS, POINTS = 24, 600
-CONFIG = PhotometryConfig()
 
 COVERED = (3, 4, 17)
 """Photographs during which a lamp is covered."""
@@ -48,8 +45,8 @@ def lit(rng):
 
 
 def found(log: np.ndarray, normals: np.ndarray) -> list[int]:
-    gains = solve_gains(log, normals, CONFIG.robust)
-    return np.flatnonzero(find_unlike(log, gains, CONFIG.other_light)[0]).tolist()
+    gains = solve_gains(log, normals)
+    return np.flatnonzero(find_unlike(log, gains)[0]).tolist()
 
 
 def test_photographs_with_a_lamp_covered_are_found(lit):
@@ -63,8 +60,8 @@ def test_what_the_points_are_like_under_the_common_light_is_kept(lit):
     log, loss, normals = lit
     true = np.nanmedian(log, axis=1)
     log[:, COVERED] += loss[:, None, None]
-    gains = solve_gains(log, normals, CONFIG.robust)
-    _, points = find_unlike(log, gains, CONFIG.other_light)
+    gains = solve_gains(log, normals)
+    _, points = find_unlike(log, gains)
     assert np.abs(points - true).mean() < 0.05
 
 
@@ -92,19 +89,19 @@ def test_without_a_common_light_none_is_left_out(lit):
 
 def test_photographs_kept_aside_are_judged_by_the_others(lit):
     log, loss, normals = lit
-    gains = solve_gains(log, normals, CONFIG.robust)
-    _, points = find_unlike(log, gains, CONFIG.other_light)
+    gains = solve_gains(log, normals)
+    _, points = find_unlike(log, gains)
     aside = np.stack([log[:, 0], log[:, 1] + loss[:, None], log[:, 2] - 1.0], axis=1)
-    assert unlike(aside, points, CONFIG.other_light).tolist() == [False, True, False]
+    assert unlike(aside, points).tolist() == [False, True, False]
 
 
 def test_a_photograph_that_shows_hardly_any_point_is_not_judged(lit):
     log, loss, _ = lit
     points = np.nanmedian(log, axis=1)
     aside = points[:, None] + loss[:, None, None]
-    assert unlike(aside, points, CONFIG.other_light).all()
+    assert unlike(aside, points).all()
     aside[np.random.default_rng(0).permutation(POINTS)[10:]] = np.nan
-    assert not unlike(aside, points, CONFIG.other_light).any()
+    assert not unlike(aside, points).any()
 
 
 def shaded(view: View) -> View:
@@ -126,7 +123,7 @@ def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
     config = TransportConfig(num_surfels=1500, num_directions=64)
     transport = bake(mesh, capture.train, config, seed=0)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    compared = Comparison.of(transport, tracer, capture, AppearanceConfig(), 0)
+    compared = Comparison.of(transport, tracer, capture, 0)
     compared = Course().carry_out(COMPARISON, compared)
     odd = {views[number].name for number in (5, 16, 20)}
     assert compared.other_light == odd

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.exposure import Exposures, Gains
 from robir.appearance.photometry.own_light import _least_squares, have_own_lights, solve_slopes
 from robir.maths.tone import curve_from_name
@@ -15,7 +14,6 @@ from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations
 
 VIEWS, POINTS = 24, 900
-CONFIG = PhotometryConfig()
 
 CAMERAS = 50.0 * fibonacci_sphere(VIEWS).numpy().astype(np.float32)
 """So far away that all points of a ball are seen along about one direction."""
@@ -82,13 +80,13 @@ def logs(linear: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 def test_an_object_turned_by_hand_has_its_own_light_in_each_photograph(turned):
     linear, weight, normals, _ = turned
-    assert have_own_lights(logs(linear, weight), normals, (normals, CAMERAS), CONFIG)
+    assert have_own_lights(logs(linear, weight), normals, (normals, CAMERAS))
 
 
 def test_exposures_alone_are_no_light(turned, rng):
     linear, weight, normals, light = turned
     still = linear / light[..., None] * np.exp(0.4 * rng.standard_normal((1, VIEWS, 1)))
-    assert not have_own_lights(logs(still, weight), normals, (normals, CAMERAS), CONFIG)
+    assert not have_own_lights(logs(still, weight), normals, (normals, CAMERAS))
 
 
 @pytest.mark.parametrize("exponent", [3, 8, 30])
@@ -105,7 +103,7 @@ def test_gloss_under_one_light_is_none(rng, strength, exponent):
     linear = albedo * irradiance(normals, lamp, 0.7)[:, None, None] + highlight[..., None]
     linear *= np.exp(0.02 * rng.standard_normal((POINTS, VIEWS, 1)))
     normals = normals.astype(np.float32)
-    assert not have_own_lights(logs(linear, weight), normals, (normals, CAMERAS), CONFIG)
+    assert not have_own_lights(logs(linear, weight), normals, (normals, CAMERAS))
 
 
 def test_the_common_light_is_left(turned):
@@ -113,12 +111,7 @@ def test_the_common_light_is_left(turned):
     linear, weight, normals, _ = turned
     seen = observed(linear, weight)
     exposures = Exposures(
-        observations=seen,
-        normals=normals,
-        config=CONFIG,
-        gain_share=1.0,
-        has_falloff=False,
-        has_own_lights=True,
+        observations=seen, normals=normals, gain_share=1.0, has_falloff=False, has_own_lights=True
     )
     gains = exposures.gains(curve_from_name("standard"))
     evened = gains.undone(torch.from_numpy(linear), seen, normals).numpy()
@@ -140,7 +133,7 @@ def test_slopes_are_those_that_photographs_were_given(rng):
     log = log + 0.2 * rng.standard_normal((1, VIEWS, 3))
     log[rng.random((POINTS, VIEWS)) < 0.5] = np.nan
     log[rng.random((POINTS, VIEWS)) < 0.1] += 1.0  # highlights
-    assert np.abs(solve_slopes(log, normals, CONFIG.robust) - true).max() < 0.01
+    assert np.abs(solve_slopes(log, normals) - true).max() < 0.01
 
 
 def test_the_points_are_eliminated_rightly(rng):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import (
     Pairs,
     diffuse_radiance,
@@ -16,8 +15,6 @@ from robir.appearance.photometry.statistics import (
 )
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
-
-CONFIG = StatisticsConfig()
 
 
 def observations(weight: np.ndarray, clipped: np.ndarray | None = None) -> Observations:
@@ -35,7 +32,7 @@ def observations(weight: np.ndarray, clipped: np.ndarray | None = None) -> Obser
 def test_highlights_and_the_darkest_views_are_left_out():
     values = torch.tensor([5.0, 0.3, 0.01, 0.32, 0.31, 2.0, 1.0, 0.9, 0.8, 0.7])
     linear = values[None, :, None].expand(1, 10, 3)
-    radiance = diffuse_radiance(observations(np.ones((1, 10))), linear, CONFIG)
+    radiance = diffuse_radiance(observations(np.ones((1, 10))), linear)
     # Ranks 1 to 4 of 10.
     torch.testing.assert_close(radiance.linear[0], torch.full((3,), (0.3 + 0.31 + 0.32 + 0.7) / 4))
 
@@ -43,7 +40,7 @@ def test_highlights_and_the_darkest_views_are_left_out():
 def test_views_that_do_not_show_a_sample_do_not_count():
     linear = torch.tensor([[0.1, 0.5, 0.2], [0.1, 0.5, 0.2]])[..., None].expand(2, 3, 3)
     weight = np.array([[0, 1, 1], [0, 1, 0]])
-    radiance = diffuse_radiance(observations(weight), linear, CONFIG)
+    radiance = diffuse_radiance(observations(weight), linear)
     assert radiance.linear[:, 0].tolist() == pytest.approx([0.2, 0.5])
     assert radiance.seen.tolist() == [True, False]
 
@@ -53,7 +50,7 @@ def test_clipped_is_judged_by_the_views_that_are_used():
     clipped = np.zeros((2, 4, 3), bool)
     clipped[0, 3] = True
     clipped[1, :, 0] = True
-    radiance = diffuse_radiance(observations(np.ones((2, 4)), clipped), linear, CONFIG)
+    radiance = diffuse_radiance(observations(np.ones((2, 4)), clipped), linear)
     assert radiance.clipped.tolist() == [[False] * 3, [True, False, False]]
 
 
@@ -84,7 +81,7 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
     lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
     # Every other sample is of a wall: the nearest in place alone may face another way.
     normal[::2] = [1, 0, 0]
-    pairs = shadow_pairs(position, normal, lit, dark, CONFIG)
+    pairs = shadow_pairs(position, normal, lit, dark)
     first, second = pairs.first.numpy(), pairs.second.numpy()
     assert len(first) > 100 and dark[first].all() and lit[second].all()
     assert np.linalg.norm(position[first] - position[second], axis=1).max() < 0.8
@@ -97,7 +94,7 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
 def test_partners_of_a_shadow_are_not_all_at_its_edge(floor):
     position, normal = floor.position, floor.normal
     lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
-    pairs = shadow_pairs(position, normal, lit, dark, CONFIG)
+    pairs = shadow_pairs(position, normal, lit, dark)
     second = pairs.second.numpy()
     # the twelve nearest of every sample in shadow lie within .15 of the middle, a tenth of the lit
     assert 0.2 < (position[second, 0] > 0.15).mean() < 0.5
@@ -111,14 +108,14 @@ def test_partners_of_a_shadow_lie_as_far_from_its_edge_where_samples_are_dense()
         position = np.c_[rng.uniform(-1, 1, (count, 2)), np.zeros(count)].astype(np.float32)
         normal = np.tile(np.float32([0, 0, 1]), (count, 1))
         lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
-        pairs = shadow_pairs(position, normal, lit, dark, CONFIG)
+        pairs = shadow_pairs(position, normal, lit, dark)
         away.append(position[pairs.second.numpy(), 0].mean())
     assert away[1] == pytest.approx(away[0], rel=0.1)
 
 
 def test_a_sun_without_a_shadow_has_no_pairs(floor):
     everywhere = np.ones(2000, bool)
-    pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere, CONFIG)
+    pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere)
     assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
 
 
@@ -150,10 +147,10 @@ def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
         second=torch.from_numpy(rng.integers(600, 1200, 2400)),
         weight=torch.full((2400,), 1 / 2400),
     )
-    step = pairs.common_step(log_albedo.float(), CONFIG)
+    step = pairs.common_step(log_albedo.float())
     np.testing.assert_allclose(step.numpy(), [-0.6, -0.45, -0.3], atol=0.03)
     none = pairs.of(torch.zeros(2400, dtype=torch.bool))
-    assert none.common_step(log_albedo, CONFIG).tolist() == [0] * 3
+    assert none.common_step(log_albedo).tolist() == [0] * 3
 
 
 BROWN_TO_WHITE, GREY_TO_PINK = [-0.72, -0.99, -1.26], [-1.85, -1.25, -1.75]
@@ -176,7 +173,7 @@ def test_of_steps_about_as_common_the_lights_is_the_one_that_lights_have(paints,
         second=torch.full((number,), number),
         weight=torch.full((number,), 1 / number),
     )
-    step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]), CONFIG)
+    step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]))
     torch.testing.assert_close(step, steps[int(is_lights)], rtol=0, atol=0.02)
 
 

@@ -11,16 +11,15 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.texture.albedo import texel_albedo
-from robir.appearance.texture.config import TextureConfig
+from robir.appearance.texture import residual_shading
+from robir.appearance.texture.albedo import _STEP, texel_albedo
 from robir.appearance.texture.residual_shading import evened, with_normals
 from robir.appearance.texture.shadow_edges import Reference, settle_clipped, settle_edges
-from robir.appearance.texture.texels import Texels
+from robir.appearance.texture.texels import NORMAL_SCALE, Texels
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
@@ -30,8 +29,6 @@ from robir.transport.observe import observe
 from robir.transport.surfels import sample_surfels
 from robir.transport.visibility import trace_visibility
 
-CONFIG = TextureConfig()
-EVENING = (CONFIG.residual_shading, CONFIG.texels.step)
 SOFT, SUN = 0.5, 2.0
 PAINTS = np.float32([[0.6, 0.5, 0.4], [0.1, 0.25, 0.3]])
 
@@ -68,7 +65,7 @@ def shadow():
 def test_edges_take_the_paint_around_them_and_certain_texels_are_left_alone(shadow):
     texels, light, paint, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
-    reference = Reference(texels, albedo, ~edge, CONFIG)
+    reference = Reference(texels, albedo, ~edge)
     settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
     np.testing.assert_array_equal(settled[~edge], albedo[~edge])
     before = np.abs(np.log(albedo / paint))[edge].mean()
@@ -93,7 +90,7 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
     albedo = exitant / (SOFT + traced * sun)[:, None]
     parts = np.full((len(x), 3), SOFT), 0.8 * traced[:, None], light.amplitudes.sharp.numpy()
     edge = np.abs(x) < 0.07
-    reference = Reference(texels, albedo, ~edge, CONFIG)
+    reference = Reference(texels, albedo, ~edge)
     settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
     wrong = np.abs(np.log(settled / paint))[edge].mean(1)
     assert np.quantile(wrong, 0.9) < 0.16  # the shares tried are a tenth apart
@@ -102,7 +99,7 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
 def test_without_edges_nothing_changes(shadow):
     texels, light, _, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
-    reference = Reference(texels, albedo, ~edge, CONFIG)
+    reference = Reference(texels, albedo, ~edge)
     none = np.zeros_like(edge)
     same = settle_edges((albedo, exitant), parts, light, texels, none, reference)
     np.testing.assert_array_equal(same, albedo)
@@ -117,7 +114,7 @@ def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     measured[middle] *= 0.7
     brighter = middle & (texels.position[:, 1] < -0.4)
     measured[brighter, 0] = 0.9
-    reference = Reference(texels, paint, ~clipped.any(1), CONFIG)
+    reference = Reference(texels, paint, ~clipped.any(1))
     settled = settle_clipped(measured, clipped, reference, texels)
     np.testing.assert_array_equal(settled[~clipped], measured[~clipped])
     np.testing.assert_allclose(settled[middle & ~brighter, 0], PAINTS[0, 0], rtol=1e-6)
@@ -136,8 +133,8 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     unknown = (np.abs(x - 0.2) < 0.02) & (np.abs(y + 0.3) < 0.02)
     seen[unknown] = 0.9
     disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
-    points = with_normals(texels.position, texels.normal, CONFIG.texels.normal_scale)
-    left = np.log(evened(seen, disagreement, points, *EVENING) / paint).mean(1)
+    points = with_normals(texels.position, texels.normal, NORMAL_SCALE)
+    left = np.log(evened(seen, disagreement, points, _STEP) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -154,11 +151,11 @@ def test_the_edge_of_a_shadow_keeps_its_hue_beside_paler_paint():
     steps = np.arange(-0.5, 0.5, 0.006)
     x, y = (grid.ravel().astype(np.float32) for grid in np.meshgrid(steps, steps))
     up = np.tile(np.float32([0, 0, 1]), (len(x), 1))
-    points = with_normals(np.stack([x, y, 0 * x], axis=1), up, CONFIG.texels.normal_scale)
+    points = with_normals(np.stack([x, y, 0 * x], axis=1), up, NORMAL_SCALE)
     mat, tray = np.float32([0.58, 0.38, 0.19]), np.float32([0.47, 0.38, 0.4])
     paint = np.where(x[:, None] < 0, mat, tray)
     edge = (x < 0) & (x > -0.25)
-    result = evened(paint, np.where(edge, 0.3, 0.05).astype(np.float32), points, *EVENING)
+    result = evened(paint, np.where(edge, 0.3, 0.05).astype(np.float32), points, _STEP)
     hue = result / result.mean(1, keepdims=True)
     inner = (x < -0.06) & (x > -0.12)
     # with a `hue_doubt` of 1 and an `alike_hue` of .2 it was .63: the tray's
@@ -170,11 +167,11 @@ def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left)
     rng = np.random.default_rng(4)
     position = np.c_[rng.uniform(-0.5, 0.5, (6000, 2)), np.zeros(6000)].astype(np.float32)
     up = np.tile(np.float32([0, 0, 1]), (6000, 1))
-    points = with_normals(position, up, CONFIG.texels.normal_scale)
+    points = with_normals(position, up, NORMAL_SCALE)
     dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
     albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
     albedo[dark] *= 0.4
-    result = evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, *EVENING)
+    result = evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
     left = np.median(np.log(result[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
     assert left < share_left if doubt > 0.5 else left > share_left
 
@@ -204,7 +201,7 @@ def lit_floor(paints, is_second):
     seen = observe(tracer, surfels.position, surfels.normal, views, 0.003)
     transport = Transport(surfels=surfels, visibility=visibility, observations=seen)
     sizes, rng = (1000, synthetic.NUM_SOFT), np.random.default_rng(0)
-    scene = make_scene(transport, tracer, 0.003, sizes, AppearanceConfig(), rng)
+    scene = make_scene(transport, tracer, 0.003, sizes, rng)
     x, y = (grid.ravel() for grid in np.meshgrid(*2 * [np.linspace(-0.69, 0.69, 50)]))
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
     normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))
@@ -262,8 +259,7 @@ def test_a_dark_polished_part_stays_darker_than_its_light_without_any_reflection
     sheen = replace(matte, floor=floor)
     values = texel_albedo((problem, light, sheen), texels, views, tracer, Course())
     inner = in_disc(texels.position, 0.15)
-    alike = CONFIG.residual_shading.alike_brightness
-    slack = np.exp(np.hypot(alike, values.disagreement[inner]))[:, None]
+    slack = np.exp(np.hypot(residual_shading.ALIKE_BRIGHTNESS, values.disagreement[inner]))[:, None]
     assert np.all(values.albedo[inner] < 1.02 * slack * paints[1])
 
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 from transport.shapes import looking_at, mesh_of, patch
 
-from robir.appearance.texture.config import TextureConfig
 from robir.appearance.texture.detail import agreed, finer
 from robir.appearance.texture.texel_size import pixel_width, texture_side
 from robir.appearance.texture.texels import TexelAlbedo
@@ -22,7 +21,6 @@ from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.maths.tone import curve_from_name
 from robir.transport.surfels import interpolate
 
-CONFIG = TextureConfig()
 SOLVED, SIDE = 64, 256
 CURVE = curve_from_name("standard", {})
 LIGHT = 0.8
@@ -98,8 +96,8 @@ def made_finer(views: list[View]) -> tuple[np.ndarray, np.ndarray]:
     position, _ = interpolate(mesh, face[face >= 0], barycentric[face >= 0])
     truth = np.log(paint_at(position))
     middle = (np.abs(position) < 0.8).all(1)
-    before = finer(values, inside, (mesh, tracer), ([], CURVE), SIDE, CONFIG)[1].albedo
-    held, after = finer(values, inside, (mesh, tracer), (views, CURVE), SIDE, CONFIG)
+    before = finer(values, inside, (mesh, tracer), ([], CURVE), SIDE)[1].albedo
+    held, after = finer(values, inside, (mesh, tracer), (views, CURVE), SIDE)
     assert (held == (face >= 0)).all()
     assert set(after.coverage) == {7}
     errors = [np.abs(np.log(albedo) - truth)[middle].mean(1) for albedo in (before, after.albedo)]
@@ -130,8 +128,8 @@ def test_the_few_that_agree_win():
     detail = np.zeros((1, 4, 3), np.float32)
     detail[0, :, 0] = [0.3, 0.31, 0.29, -0.9]
     weight = np.array([[1.0, 0.8, 0.7, 1.0]], np.float32)
-    assert agreed(weight, detail, CONFIG.detail)[0, 0] == pytest.approx(0.3, abs=0.05)
-    unseen = agreed(np.zeros((1, 4), np.float32), detail, CONFIG.detail)
+    assert agreed(weight, detail)[0, 0] == pytest.approx(0.3, abs=0.05)
+    unseen = agreed(np.zeros((1, 4), np.float32), detail)
     assert unseen.tolist() == [[0.0, 0.0, 0.0]]
 
 
@@ -139,7 +137,7 @@ def test_textures_that_are_fine_enough_stay_as_they_are():
     mesh = floor()
     inside, values = solved(mesh)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    found = finer(values, inside, (mesh, tracer), ([], CURVE), SOLVED, CONFIG)
+    found = finer(values, inside, (mesh, tracer), ([], CURVE), SOLVED)
     assert found == (inside, values)
 
 

@@ -11,7 +11,6 @@ from export.tiled_run import TILES
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.render import AtlasLookup
-from robir.appearance.texture.config import TextureConfig
 from robir.appearance.texture.detail import finer
 from robir.appearance.texture.texel_size import most_side, solved_side
 from robir.appearance.texture.texels import TexelAlbedo
@@ -89,7 +88,7 @@ def test_finer_texels_are_read_from_their_own_tile():
     )  # fmt: skip
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     photographs = ([], curve_from_name("standard"))
-    fine, after = finer(values, held, (mesh, tracer), photographs, 32, TextureConfig())
+    fine, after = finer(values, held, (mesh, tracer), photographs, 32)
     is_left = np.nonzero(fine)[1] < 16
     assert is_left.any() and not is_left.all()
     expected = np.where(is_left[:, None], 0.2, 0.6) * np.ones(3)

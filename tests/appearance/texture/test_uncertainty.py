@@ -4,33 +4,34 @@
 import numpy as np
 import pytest
 
-from robir.appearance.texture.config import UncertaintyConfig
+from robir.appearance.texture import uncertainty
 from robir.appearance.texture.uncertainty import LARGEST, distance_to_seen, standard_error
-from robir.config import RunConfig, resolve
-
-CONFIG = UncertaintyConfig()
-FLOOR = CONFIG.floor
+from robir.constants import changed
 
 
-def error(spread=0.0, changed=0.0, count=1e9, distance=0.0, config=CONFIG):
+def error(spread=0.0, changed=0.0, count=1e9, distance=0.0):
     causes = (np.float32([v]) for v in (spread, changed, count, distance))
-    return float(standard_error(*causes, config)[0])
+    return float(standard_error(*causes)[0])
 
 
 def test_each_cause_alone_and_all_together():
-    assert error() == pytest.approx(FLOOR, rel=1e-4)
+    assert error() == pytest.approx(uncertainty._FLOOR, rel=1e-4)
     parts = {"spread": 0.02, "changed": 0.03, "count": 4.0, "distance": 0.01}
-    alone = [error(**{name: value}) ** 2 - FLOOR**2 for name, value in parts.items()]
-    factors = (CONFIG.spread * 0.02, CONFIG.changed * 0.03, CONFIG.few / 2, CONFIG.distance * 0.01)
+    alone = [error(**{name: value}) ** 2 - uncertainty._FLOOR**2 for name, value in parts.items()]
+    factors = (
+        uncertainty._SPREAD * 0.02,
+        uncertainty._CHANGED * 0.03,
+        uncertainty._FEW / 2,
+        uncertainty._DISTANCE * 0.01,
+    )
     by_hand = [each**2 for each in factors]
     np.testing.assert_allclose(alone, by_hand, rtol=1e-3)
-    assert error(**parts) ** 2 == pytest.approx(FLOOR**2 + sum(by_hand), rel=1e-4)
+    assert error(**parts) ** 2 == pytest.approx(uncertainty._FLOOR**2 + sum(by_hand), rel=1e-4)
 
 
-def test_a_setting_moves_the_error():
-    changes = ["appearance.texture.uncertainty.floor=0.2"]
-    config = resolve(RunConfig(), None, changes).appearance.texture.uncertainty
-    assert error(config=config) == pytest.approx(0.2, rel=1e-4)
+def test_a_constant_moves_the_error():
+    with changed(["appearance.texture.uncertainty._FLOOR=0.2"]):
+        assert error() == pytest.approx(0.2, rel=1e-4)
 
 
 def test_what_no_view_is_near_is_unknown():
@@ -42,9 +43,7 @@ def test_what_no_view_is_near_is_unknown():
 def test_distance_is_to_the_nearest_seen_point():
     position = np.float32([[0, 0, 0], [1, 0, 0], [0.03, 0, 0], [1.2, 0, 0]])
     seen = np.array([True, True, False, False])
-    np.testing.assert_allclose(
-        distance_to_seen(position, seen, CONFIG), [0, 0, 0.03, np.inf], rtol=1e-6
-    )
+    np.testing.assert_allclose(distance_to_seen(position, seen), [0, 0, 0.03, np.inf], rtol=1e-6)
     assert error(distance=0.2) == LARGEST
-    assert np.isinf(distance_to_seen(position, np.zeros(4, bool), CONFIG)).all()
-    assert not distance_to_seen(position, np.ones(4, bool), CONFIG).any()
+    assert np.isinf(distance_to_seen(position, np.zeros(4, bool))).all()
+    assert not distance_to_seen(position, np.ones(4, bool)).any()

@@ -17,13 +17,12 @@ from robir.appearance.tone.choose import choose_tone_curve
 from robir.appearance.tone.clipping import clipping_evidence
 from robir.appearance.tone.ranking import Judged, best_shoulder, chosen_number, pair_likeness
 from robir.appearance.tone.shoulder import Lead, PlainLead
-from robir.config import RunConfig, resolve
+from robir.constants import changed
 from robir.maths.tone import curve_from_name
 from robir.steps import Course
 from robir.transport.observe import Observations
 
 CONFIG = AppearanceConfig(num_scan_directions=400, num_sharp_lobes=1, iterations=60)
-TONE = CONFIG.tone
 SUN, SKY = 5.0, 0.25
 
 
@@ -96,19 +95,19 @@ def histogram(codes: list[int]) -> Observations:
     ],
 )
 def test_verdict_of_the_histogram(codes, verdict):
-    assert clipping_evidence(histogram(codes), TONE.clipping).verdict is verdict
+    assert clipping_evidence(histogram(codes)).verdict is verdict
 
 
-def test_a_setting_moves_the_verdict():
-    evidence = histogram([100] * 900 + [255] * 50 + [250] * 10)
-    config = resolve(RunConfig(), None, ["appearance.tone.clipping.spike_ratio=9"]).appearance
-    assert clipping_evidence(evidence, config.tone.clipping).verdict is None
+def test_a_constant_moves_the_verdict():
+    evidence = clipping_evidence(histogram([100] * 900 + [255] * 50 + [250] * 10))
+    with changed(["appearance.tone.clipping._SPIKE_RATIO=9"]):
+        assert evidence.verdict is None
 
 
 def test_shares_count_only_what_is_seen():
     seen = histogram([255, 255, 250, 100])
     seen.weight[0] = 0
-    evidence = clipping_evidence(seen, TONE.clipping)
+    evidence = clipping_evidence(seen)
     assert evidence.clipped_share == pytest.approx(1 / 3)
     assert evidence.bright_share == pytest.approx(1 / 3)
 
@@ -136,26 +135,26 @@ NAMES = ["standard", "filmic", "agx", "robir_aces"]
     ],
 )
 def test_the_best_curve_with_a_shoulder(scores, expected):
-    chosen = best_shoulder(NAMES, [table(score) for score in scores], TONE)
+    chosen = best_shoulder(NAMES, [table(score) for score in scores])
     assert NAMES[chosen] == expected
 
 
 def test_the_neutral_curve_does_not_stand_for_those_with_a_shoulder():
     names, scores = ["standard", "filmic", "khronos_pbr_neutral"], (10.0, 11.0, 10.1)
-    assert best_shoulder(names, [table(score) for score in scores], TONE) == 1
+    assert best_shoulder(names, [table(score) for score in scores]) == 1
     names, tables = ["standard", "khronos_pbr_neutral"], [table(10.0), table(9.0)]
-    assert best_shoulder(names, tables, TONE) is None
+    assert best_shoulder(names, tables) is None
 
 
 def test_noise_leaves_the_simpler_curve():
     loud = [table(10.4, 0.0), table(10.0, 20.0)]  # differ by .4, standard error 1
     quiet = [table(10.4, 0.0), table(10.0, 2.0)]
-    assert best_shoulder(["filmic", "agx"], loud, TONE) == 0
-    assert best_shoulder(["filmic", "agx"], quiet, TONE) == 1
+    assert best_shoulder(["filmic", "agx"], loud) == 0
+    assert best_shoulder(["filmic", "agx"], quiet) == 1
 
 
 def test_the_plain_curve_alone_has_no_shoulder():
-    assert best_shoulder(["standard"], [table(10.0)], TONE) is None
+    assert best_shoulder(["standard"], [table(10.0)]) is None
 
 
 @pytest.mark.parametrize(

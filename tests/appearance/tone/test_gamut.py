@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.tone.config import GamutConfig
 from robir.appearance.tone.gamut import share_beyond, unable
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
 
-CONFIG = GamutConfig()
 FAMILIES = ("standard", "filmic", "agx", "khronos_pbr_neutral", "robir_aces")
 
 
@@ -41,11 +39,11 @@ def photographed(family: str) -> Observations:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_curve_shows_what_went_through_it(family):
-    assert share_beyond(curve_from_name(family), photographed(family), CONFIG) == 0
+    assert share_beyond(curve_from_name(family), photographed(family)) == 0
 
 
 def test_saturated_paint_in_strong_light_did_not_go_through_agx():
-    beyond = unable([curve_from_name(name) for name in FAMILIES], photographed("standard"), CONFIG)
+    beyond = unable([curve_from_name(name) for name in FAMILIES], photographed("standard"))
     assert set(beyond) >= {"agx"}
     assert set(beyond) <= {"agx", "khronos_pbr_neutral"}
     assert beyond["agx"] > 0.05
@@ -53,7 +51,7 @@ def test_saturated_paint_in_strong_light_did_not_go_through_agx():
 
 def test_grey_went_through_any_curve():
     grey = np.repeat(np.arange(1, 255)[:, None], 3, axis=1)
-    assert unable([curve_from_name(name) for name in FAMILIES], shown(grey), CONFIG) == {}
+    assert unable([curve_from_name(name) for name in FAMILIES], shown(grey)) == {}
 
 
 def test_what_is_clipped_or_unseen_says_nothing():
@@ -68,5 +66,5 @@ def test_what_is_clipped_or_unseen_says_nothing():
         views=seen.views,
     )
     agx = curve_from_name("agx")
-    assert share_beyond(agx, seen, CONFIG) == 1
-    assert share_beyond(agx, told, CONFIG) == 0
+    assert share_beyond(agx, seen) == 1
+    assert share_beyond(agx, told) == 0

@@ -10,7 +10,6 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.tone.config import RankingConfig
 from robir.appearance.tone.ranking import Candidate
 from robir.appearance.tone.rivals import albedo_apart, fits_alike
 from robir.maths.tone import curve_from_name
@@ -70,4 +69,4 @@ def test_without_a_sample_that_is_whole_nothing_is_said(candidate):
 @pytest.mark.parametrize(("score", "alike"), [(2.0, True), (3.4, True), (3.6, False)])
 def test_curves_within_one_standard_error_fit_alike(candidate, score, alike):
     other = replace(candidate, score=score, standard_error=0.5)
-    assert fits_alike(candidate, other, RankingConfig()) == alike
+    assert fits_alike(candidate, other) == alike

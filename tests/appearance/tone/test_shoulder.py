@@ -11,9 +11,9 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.blocks import mean_of
+from robir.appearance.light import lobes
 from robir.appearance.light.problem import blocks_of, make_problem
 from robir.appearance.photometry.statistics import Radiance
-from robir.appearance.tone.config import ToneConfig
 from robir.appearance.tone.shoulder import PlainLead, mismatch_table
 from robir.maths.tone import curve_from_name
 
@@ -46,7 +46,7 @@ def test_the_plain_curve_must_lead_clearly(shadows, highlights, noise, clear):
     pairs = table(0.1), table(0.1 + shadows, 0.1 * noise)
     codes = (table(3.0 / 255), table((3.0 + (highlights or 0)) / 255, noise / 255))
     bright = None if highlights is None else codes
-    lead = PlainLead.of(("standard", "filmic"), pairs, bright, ToneConfig())
+    lead = PlainLead.of(("standard", "filmic"), pairs, bright)
     lead = replace(lead, margin=2.0)
     assert lead.shoulder == "filmic"
     assert lead.shadows.value == pytest.approx(shadows)
@@ -75,7 +75,7 @@ class Fake:
 def known(problem, log_irradiance, log_albedo, clipped=None):
     """The problem with given light and albedo of those samples that take part."""
     scene = problem.scene
-    linear = torch.full((len(scene.transport.surfels), 3), scene.config.light.lobes.mean_albedo)
+    linear = torch.full((len(scene.transport.surfels), 3), lobes.MEAN_ALBEDO)
     linear[scene.rows] = (log_irradiance + log_albedo).exp() / np.pi
     top = torch.zeros_like(linear, dtype=torch.bool)
     if clipped is not None:

@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.light.config import KnownPaintConfig
 from robir.errors import ConfigError
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import plane_cross
 from robir.transport.surfels import interpolate
 
 Floats = NDArray[np.float32]
+
+READ_ERROR = 0.02  # error of a spot's reading, of each channel's logarithm
+_SHEEN = 0.01  # what a white sheen adds to all channels of it (albedo)
+_LEVEL_SPREAD = 2.0  # usual log by which albedo is off at all
+# usual log by which each channel is off against the others: what white balance leaves
+_HUE_SPREAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,25 +31,20 @@ class KnownPaint:
         position: (3,) of the spot, unit frame.
         normal: (3,) unit.
         albedo: (3,) linear Rec.709, above 0.
-        config: How far it is believed.
     """
 
     texel: tuple[float, float]
     position: Floats
     normal: Floats
     albedo: Floats
-    config: KnownPaintConfig
 
     @classmethod
-    def of(
-        cls, mesh: Mesh, white_point: tuple[float, ...], config: KnownPaintConfig
-    ) -> KnownPaint | None:
+    def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownPaint | None:
         """The spot of the setting `appearance.white_point` on an unwrapped mesh, if there is one.
 
         Args:
             mesh: Unit frame.
             white_point: u and v, over the tiles if the mesh has such, red, green, blue; or empty.
-            config: How far it is believed.
 
         Raises:
             ConfigError: If no face lies there.
@@ -74,21 +74,19 @@ class KnownPaint:
             position=position[0],
             normal=normal[0],
             albedo=np.asarray(white_point[2:], np.float32),
-            config=config,
         )
 
     def off(self, seen: Floats) -> Floats:
         """Log (3,) by which all albedo is too bright, if it is read as `seen` (N, 3) at the spot.
 
-        The likeliest, where readings err: each channel by `read_error`, and all together by what a
-        white `sheen` adds, which is little of a bright channel and much of a dark one. A grey or
+        The likeliest, where readings err: each channel by `READ_ERROR`, and all together by what a
+        white `_SHEEN` adds, which is little of a bright channel and much of a dark one. A grey or
         bright paint therefore tells level and hue as they are, a red one hardly any hue.
         """
         read = np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo.astype(np.float64))
-        config = self.config
-        sheen = config.sheen / self.albedo.astype(np.float64)
-        noise = config.read_error**2 * np.eye(3) + np.outer(sheen, sheen)
-        prior = config.level_spread**2 + config.hue_spread**2 * np.eye(3)
+        sheen = _SHEEN / self.albedo.astype(np.float64)
+        noise = READ_ERROR**2 * np.eye(3) + np.outer(sheen, sheen)
+        prior = _LEVEL_SPREAD**2 + _HUE_SPREAD**2 * np.eye(3)
         return (prior @ np.linalg.solve(prior + noise, read)).astype(np.float32)
 
     def texels(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:

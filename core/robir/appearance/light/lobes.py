@@ -11,7 +11,7 @@ light without a sun.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light.config import LobesConfig
 from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.told import NOTHING_TOLD, Told
@@ -34,6 +33,23 @@ from robir.transport.visibility import Visibility
 SOFT_SHARPNESS_PER_LOBE = 0.17
 """Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak.
 It says what amplitudes of a light mean."""
+
+MEAN_ALBEDO = 0.3  # geometric mean of the albedos of common scenes
+START_ALBEDO = 0.35  # median albedo under the light that a search begins with
+BRIGHTEST_QUANTILE = 0.97  # rank of the albedos that counts as the brightest
+_BRIGHTEST = 0.9  # albedo that the brightest materials should not exceed
+_BOUNDS = 1.0  # weight of staying within a physical range
+# weight of hues that lights have (maths/daylight.py), per squared deviation: of the light as a
+# whole, since surfaces that do not shine do not tell it from that of all albedos, and under a tint
+# bounced light is judged wrongly; and of suns against the sky
+_HUE = 0.0024
+_PART = 0.005  # the same of the sky's lobes against their mean, per deviation
+_SMOOTH = 0.01  # weight of neighbouring soft lobes being alike
+# weight of no bright soft lobes where few samples see them, as below the ground. They could else be
+# as bright as it takes to shade what is painted.
+_SPREAD = 0.1
+_SHADOW = 0.25  # weight of equal albedo on both sides of a shadow
+_RATE = 0.06  # learning rate of the first step; it falls to a tenth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,15 +167,17 @@ class Priors:
     """What a solve knows of albedo and light beforehand.
 
     Attributes:
-        config: Limits and weights.
-        told: What evidence tells of the light as a whole; it weighs as `hue` does, per squared
+        told: What evidence tells of the light as a whole; it weighs as `_HUE` does, per squared
             deviation.
         far: Weight of equal albedo where the hue is one, see far_pairs.py.
+        shadow: Weight of equal albedo on both sides of a shadow.
+        smooth: Weight of neighbouring soft lobes being alike.
     """
 
-    config: LobesConfig
     told: Told = NOTHING_TOLD
     far: float = 0.0
+    shadow: float = field(default_factory=lambda: _SHADOW)
+    smooth: float = field(default_factory=lambda: _SMOOTH)
 
 
 def solve_amplitudes(
@@ -184,11 +202,10 @@ def solve_amplitudes(
         Amplitudes and the final neighbour loss (mean absolute log difference).
     """
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
-    config = priors.config
     renewed = {0, iterations // 3, 2 * iterations // 3}
     if start is None:
         renewed.remove(0)  # nothing is known of the light yet
-        start = neutral_start(radiance, transfer, config.start_albedo)
+        start = neutral_start(radiance, transfer, START_ALBEDO)
     log_soft = start.soft.clamp(min=1e-6).log().requires_grad_(True)
     log_sharp = start.sharp.clamp(min=1e-6).log().requires_grad_(True)
     optimiser = Adam([log_soft, log_sharp], (0.9, 0.98))
@@ -208,22 +225,22 @@ def solve_amplitudes(
         irradiance = amplitudes.irradiance(transfer)
         log_albedo = log_ratio(radiance.linear, irradiance)
         neighbour = neighbours.loss(log_albedo)
-        loss = neighbour + config.shadow * across.loss(log_albedo)
+        loss = neighbour + priors.shadow * across.loss(log_albedo)
         if priors.far and step in renewed and (pairs_far := far_pairs(log_albedo.detach(), whole)):
             alike = PairWeights.of(pairs_far, radiance.clipped)
         if alike is not None:
             loss = loss + priors.far * alike.loss(log_albedo)
-        loss = loss + config.bounds * range_loss(log_albedo, (whole, sure), priors)
+        loss = loss + _BOUNDS * range_loss(log_albedo, (whole, sure), priors)
         sky = torch.log(amplitudes.soft.mean(0))
-        loss = loss + config.part * PART.absolute(log_soft - sky).mean()
+        loss = loss + _PART * PART.absolute(log_soft - sky).mean()
         if num_sharp:
-            loss = loss + config.hue * SUN.squared(log_sharp - sky).mean()
+            loss = loss + _HUE * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        loss = loss + config.hue * (WHOLE.squared(sent) + priors.told.squared(sent))
-        loss = loss + config.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
-        loss = loss + config.spread * unevenness(amplitudes.soft, hidden)
+        loss = loss + _HUE * (WHOLE.squared(sent) + priors.told.squared(sent))
+        loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
+        loss = loss + _SPREAD * unevenness(amplitudes.soft, hidden)
         loss.backward()
-        rate = config.rate * (1 - 0.9 * fraction)
+        rate = _RATE * (1 - 0.9 * fraction)
         optimiser.step((rate, rate))
         loss_value = float(neighbour.detach())
     return Amplitudes(soft=log_soft.detach().exp(), sharp=log_sharp.detach().exp()), loss_value
@@ -256,16 +273,16 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
         chosen: Samples of which no channel is clipped, and those of which it is sure.
         priors: Limits.
     """
-    (whole, sure), config = chosen, priors.config
+    whole, sure = chosen
     # the quantile, linear between ranks, without sorting what lies below
     brightness = log_albedo.index_select(0, sure).amax(1)
-    rank, part = divmod(config.brightest_quantile * (len(brightness) - 1), 1.0)
+    rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
     if priors.told.level is not None:
         return 2 * brightest.clamp(min=0)
-    high = (brightest - np.log(config.brightest)).clamp(min=0)
-    middle = (log_albedo.index_select(0, whole).mean() - np.log(config.mean_albedo)) ** 2
+    high = (brightest - np.log(_BRIGHTEST)).clamp(min=0)
+    middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
     return 2 * high + 0.2 * middle.nan_to_num()
 
 

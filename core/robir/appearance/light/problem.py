@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.known_paint import KnownPaint
-from robir.appearance.light.lobes import Transfer, soft_transfer
+from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.photometry.exposure import Exposures, Gains
 from robir.appearance.photometry.statistics import (
     Pairs,
@@ -30,6 +29,20 @@ from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
 
+# distances over which albedos are compared: below and above the width of a shadow (unit frame)
+PAIR_REACHES = (0.05, 0.12, 0.25)
+# partners of a sample at each of these distances; with half as many the light hangs on chance
+_NUM_PARTNERS = 6
+_EVERY_PARTNERS = 3  # the same where every sample takes part
+# radiance of a surface in the shade, open to the whole sky, over the median of what is seen
+_SKY_SHARE = 0.3
+_LOOK_ALIKES = 64  # seen samples that tell a hidden one's albedo, the nearest
+_LOOK_ALIKE_RANK = 0.9  # rank among them that does: the brighter ones are those in the light
+_LEAST_HIDDEN_ALBEDO = 0.05  # least albedo of what no camera sees
+_MOST_HIDDEN_ALBEDO = 0.8  # greatest albedo of that
+_NUM_BOUNCES = 3  # reflections between surfaces that no camera sees
+SUN_RAY_PAIRS = 4  # pairs of opposite rays that sample a sun at a point
+
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -42,7 +55,6 @@ class Scene:
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
-        config: Of the stage.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
         known_paint: A spot whose paint the user tells, if any.
         sun: (3,) unit, towards the first sun, if the user tells it.
@@ -54,7 +66,6 @@ class Scene:
     offset: float
     rows: NDArray[np.int64]
     pairs: Pairs
-    config: AppearanceConfig
     exposures: Exposures | None = None
     known_paint: KnownPaint | None = None
     sun: Floats | None = None
@@ -68,7 +79,7 @@ class Scene:
         """Irradiance (len(rows), J) for unit energy of sharp lobes, traced."""
         surfels = self.transport.surfels
         points = (surfels.position[rows], surfels.normal[rows])
-        rays = 2 * self.config.light.problem.sun_ray_pairs
+        rays = 2 * SUN_RAY_PAIRS
         return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, rays))
 
     def sharp_transfer_at(
@@ -101,7 +112,6 @@ def make_scene(
     tracer: EmbreeTracer | None,
     offset: float,
     sizes: tuple[int, int],
-    config: AppearanceConfig,
     rng: np.random.Generator,
 ) -> Scene:
     """Choose the samples that take part and precompute the sky's transport.
@@ -111,7 +121,6 @@ def make_scene(
         tracer: Tracer of the mesh, or None where nothing blocks light.
         offset: Distance that rays start above the surface.
         sizes: Number of samples that take part and number of soft lobes.
-        config: Of the stage.
         rng: Source of randomness.
 
     Returns:
@@ -123,14 +132,13 @@ def make_scene(
     soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
     seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
     rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
-    asked = config.light.problem
-    pairs = neighbour_pairs(surfels, rows, asked.pair_reaches, asked.num_partners, rng)
-    return Scene(transport, tracer, soft, offset, rows, pairs, config)
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, _NUM_PARTNERS, rng)
+    return Scene(transport, tracer, soft, offset, rows, pairs)
 
 
 def blocks_of(scene: Scene) -> NDArray[np.int64]:
     """Block number of the first sample of every ordered pair, (2 P,)."""
-    block = block_numbers(scene.transport.surfels.position[scene.rows], scene.config.blocks)
+    block = block_numbers(scene.transport.surfels.position[scene.rows])
     return np.concatenate([block[scene.pairs.first.numpy()], block[scene.pairs.second.numpy()]])
 
 
@@ -158,8 +166,7 @@ class Problem:
 
     def without_highlights(self, diffuse: Tensor) -> Problem:
         """The problem once the radiance (S, V, 3) without its specular part is known."""
-        statistics = self.scene.config.photometry.statistics
-        radiance = diffuse_radiance(self.scene.transport.observations, diffuse, statistics)
+        radiance = diffuse_radiance(self.scene.transport.observations, diffuse)
         return replace(self, radiance=radiance)
 
     def by_every_sample(self, rng: np.random.Generator) -> Problem:
@@ -172,8 +179,8 @@ class Problem:
 
     def by_samples(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Problem:
         """The problem in which these samples (U,) take part; `rng` is the source of neighbours."""
-        surfels, config = self.scene.transport.surfels, self.scene.config.light.problem
-        pairs = neighbour_pairs(surfels, rows, config.pair_reaches, config.every_partners, rng)
+        surfels = self.scene.transport.surfels
+        pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, _EVERY_PARTNERS, rng)
         return replace(self, scene=replace(self.scene, rows=rows, pairs=pairs))
 
     def rows_radiance(self, rows: NDArray[np.int64]) -> Radiance:
@@ -202,7 +209,7 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
     observations = scene.transport.observations
     gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
     linear = linear_observations(observations, curve, gains, scene.transport.surfels.normal)
-    total = diffuse_radiance(observations, linear, scene.config.photometry.statistics)
+    total = diffuse_radiance(observations, linear)
     # What bounces is everything that leaves the surface, highlights aside.
     exitant = with_hidden(scene, total)
     indirect = scene.bounced(exitant)
@@ -235,10 +242,9 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
     openness = (open_sky / open_sky.quantile(0.99)).clamp(max=1.0)[hidden, None]
     median = exitant[total.seen].median(0).values
     albedo = _hidden_albedo(scene, total, median)
-    config = scene.config.light
-    sky = config.problem.sky_share * median * openness * albedo / config.lobes.mean_albedo
+    sky = _SKY_SHARE * median * openness * albedo / MEAN_ALBEDO
     exitant[hidden] = sky
-    for _ in range(config.problem.num_bounces):
+    for _ in range(_NUM_BOUNCES):
         exitant[hidden] = sky + albedo / np.pi * scene.bounced(exitant)[hidden]
     return exitant
 
@@ -249,14 +255,12 @@ def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
     Args:
         scene: The scene.
         total: Radiance of all samples, right where `seen`.
-        median: (3,) radiance of what is seen, that of a surface of `mean_albedo`.
+        median: (3,) radiance of what is seen, that of a surface of `MEAN_ALBEDO`.
     """
-    asked, mean_albedo = scene.config.light.problem, scene.config.light.lobes.mean_albedo
     position, seen = scene.transport.surfels.position, total.seen.numpy()
-    count = min(asked.look_alikes, int(seen.sum()))
+    count = min(_LOOK_ALIKES, int(seen.sum()))
     around = cKDTree(position[seen]).query(position[~seen], k=count)[1].reshape(-1, count)
     shown = total.linear.numpy()[seen][around]
-    bright = np.quantile(shown, asked.look_alike_rank, axis=1)
+    bright = np.quantile(shown, _LOOK_ALIKE_RANK, axis=1)
     relative = torch.from_numpy(bright).float() / median.clamp(min=1e-6)
-    least, most = asked.least_hidden_albedo, asked.most_hidden_albedo
-    return (mean_albedo * relative).clamp(least, most)
+    return (MEAN_ALBEDO * relative).clamp(_LEAST_HIDDEN_ALBEDO, _MOST_HIDDEN_ALBEDO)

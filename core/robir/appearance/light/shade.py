@@ -5,17 +5,23 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.config import ShadeConfig
-from robir.appearance.photometry.statistics import Pairs
+from robir.appearance.photometry.statistics import STEP_WIDTH, Pairs
+
+# difference in hue, beyond the step common to all pairs, at which two samples hardly are one
+# material (log albedo)
+ALIKE_HUE = 0.1
+ALIKE_BRIGHTNESS = 0.35  # the same in brightness. The fields of a board are 0.8 apart (log albedo)
+# error of the irradiance that mesh and bounces leave, over its mean: what hardly any light reaches
+# has an albedo that nobody knows
+LIGHT_ERROR = 0.05
 
 
-def irradiance_doubt(irradiance: Tensor, config: ShadeConfig) -> Tensor:
+def irradiance_doubt(irradiance: Tensor) -> Tensor:
     """One standard deviation (N,) of the logarithm of an irradiance (N, 3)."""
-    return config.light_error * irradiance.mean() / irradiance.mean(1).clamp(min=1e-6)
+    return LIGHT_ERROR * irradiance.mean() / irradiance.mean(1).clamp(min=1e-6)
 
 
-def well_lit(parts: list[Pairs], irradiance: Tensor, config: AppearanceConfig) -> list[Pairs]:
+def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
     """Pairs across shadows, those counting more whose shaded end's irradiance is well known.
 
     In the gap below an object little light arrives and a mesh that is a trifle off changes it by
@@ -25,19 +31,16 @@ def well_lit(parts: list[Pairs], irradiance: Tensor, config: AppearanceConfig) -
     Args:
         parts: Pairs of the U samples, a list a sun, the shaded end first.
         irradiance: (U, 3) by the light as it is known.
-        config: How well light is known, and a step common to all pairs.
 
     Returns:
         The same pairs.
     """
-    doubt = irradiance_doubt(irradiance, config.light.shade)
-    doubt = doubt / config.photometry.statistics.step_width
+    doubt = irradiance_doubt(irradiance)
+    doubt = doubt / STEP_WIDTH
     return [part.weighted(1 / (1 + doubt[part.first] ** 2)) for part in parts]
 
 
-def of_one_material(
-    parts: list[Pairs], log_albedo: Tensor, clipped: Tensor, config: AppearanceConfig
-) -> Pairs:
+def of_one_material(parts: list[Pairs], log_albedo: Tensor, clipped: Tensor) -> Pairs:
     """Pairs with one end out of a sun's light, those counting more that are of one material.
 
     These are alike but for the step that all pairs of one material show.
@@ -46,15 +49,13 @@ def of_one_material(
         parts: Pairs of the U samples, a list a sun, the end out of its light first.
         log_albedo: (U, 3) under the light as it is known.
         clipped: (U, 3) bool, of the samples' radiance.
-        config: How alike they are, and of the step.
 
     Returns:
         The pairs of all suns.
     """
-    shade, statistics = config.light.shade, config.photometry.statistics
     weighted = []
     for part in parts:
-        step = part.of(part.unclipped(clipped)).common_step(log_albedo, statistics)
-        alike = part.likeness(log_albedo, shade.alike_hue, shade.alike_brightness, step)
+        step = part.of(part.unclipped(clipped)).common_step(log_albedo)
+        alike = part.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS, step)
         weighted.append(part.weighted(alike))
     return Pairs.joined(weighted)

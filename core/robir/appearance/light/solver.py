@@ -26,6 +26,19 @@ from robir.appearance.photometry.statistics import Pairs
 
 Floats = NDArray[np.float32]
 
+# difference in hue at which neighbours hardly are one paint, once a light is known. Sky and sun
+# differ in hue as well, and the sky is not known well. From 0.1 to 0.4 all gives about the same
+# (log albedo)
+_NEIGHBOUR_HUE = 0.2
+# weight of equal albedo across shadows once a light tells which pairs are one material
+_SHADOW = 1.0
+# weight of an even sky where few albedos are asked for: a bright patch of sky would turn one
+# material into another
+_SMOOTH = 0.05
+# weight of equal albedo where the hue is one, anywhere on the surface. Suns and curve are found
+# without: under a wrong curve it would make albedos alike as well.
+_FAR = 2.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
@@ -86,7 +99,7 @@ def fit(
         problem.rows_radiance(problem.scene.rows),
         transfer,
         (problem.scene.pairs, Pairs.joined(sunlight.across_shadows())),
-        Priors(config=problem.scene.config.light.lobes),
+        Priors(),
         iterations,
         start=start,
     )
@@ -127,16 +140,16 @@ def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) 
     light = light.tinted(told.missing(sent))
     irradiance = light.amplitudes.irradiance(transfer)
     log_albedo = log_ratio(radiance.linear, irradiance)
-    across = well_lit(sunlight.across_shadows(), irradiance, config)
+    across = well_lit(sunlight.across_shadows(), irradiance)
     neighbours = problem.scene.pairs
-    solver = config.light.solver
-    likeness = neighbours.likeness(log_albedo, solver.neighbour_hue, np.inf)
-    alike = of_one_material(across, log_albedo, radiance.clipped, config)
+    likeness = neighbours.likeness(log_albedo, _NEIGHBOUR_HUE, np.inf)
+    alike = of_one_material(across, log_albedo, radiance.clipped)
     parts = (neighbours.weighted(likeness), alike)
     priors = Priors(
-        config=replace(config.light.lobes, smooth=solver.smooth, shadow=solver.shadow),
+        smooth=_SMOOTH,
+        shadow=_SHADOW,
         told=told,
-        far=solver.far,
+        far=_FAR,
     )
     amplitudes, loss = solve_amplitudes(
         radiance, transfer, parts, priors, config.iterations // 2, start=light.amplitudes

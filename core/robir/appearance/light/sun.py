@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from robir.appearance.light.config import LightConfig, SunConfig
+from robir.appearance.light.lobes import START_ALBEDO
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, Radiance
@@ -27,6 +27,29 @@ from robir.maths.vectors import fibonacci_sphere, tangents
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
+
+# irradiances of the sun at normal incidence over the mean of the base light, tried for each
+# direction
+_STRENGTHS = (0.25, 0.8, 2.0, 6.0)
+_LIT = 0.05  # visibility times cosine above which a sample is lit
+# samples that a sun lights, over those that the best placed one would. From below the ground only
+# one side of what stands on it is lit, and the strength of such a light is whatever evens out the
+# albedo there; the soft lobes carry it.
+_LEAST_LIT = 0.4
+_BLUR = 0.5  # radius of the candidates, spacings of the scan: none is stepped over
+_BASIN = 1.5  # spacings of the scan within which a candidate must be the best
+# angle between two suns: directions nearer than that are the same light to the scan, and a further
+# sun there would only repair shadows of a wrong mesh (radians)
+SEPARATION = 0.3
+# directions about a candidate that are compared anew by more samples: along a shadow that runs off
+# the ground those of the scan may not tell a sun from a lower place
+_NUM_RIVALS = 12
+_NUM_STARTS = 3  # of these, how many the search begins from
+_NUM_ROUNDS = 4  # rings of the search
+_SHRINKING = 0.6  # radius of a ring over that of the one before
+# radius about the best trial in which a paraboloid smooths the losses. They leap wherever a
+# shadow's edge steps over a sample; the lowest alone is up to a degree aside (radians)
+_SMOOTHING = 0.022
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +66,6 @@ class SunProblem:
         pairs: Over the U samples.
         tracer: Tracer of the mesh, or None where nothing blocks.
         offset: Distance that rays start above the surface.
-        config: Of the scan and the search.
     """
 
     position: Floats
@@ -54,7 +76,6 @@ class SunProblem:
     pairs: Pairs
     tracer: EmbreeTracer | None
     offset: float
-    config: LightConfig
 
     @classmethod
     def of(
@@ -71,7 +92,6 @@ class SunProblem:
             pairs=pairs,
             tracer=scene.tracer,
             offset=scene.offset,
-            config=scene.config.light,
         )
 
 
@@ -107,16 +127,15 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
         Losses (C, G) summed over channels, each channel at the strength common to all; and the
         loss (1,) without any sun.
     """
-    albedo, tried = problem.config.lobes.start_albedo, problem.config.sun.strengths
-    wanted = (np.pi * problem.radiance.linear.mean(1) / albedo).median()
+    wanted = (np.pi * problem.radiance.linear.mean(1) / START_ALBEDO).median()
     weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
     # a column a strength and channel, channels fastest: short last axes are slow
     base, indirect, log_radiance = (
-        part.repeat(1, len(tried))
+        part.repeat(1, len(_STRENGTHS))
         for part in (problem.base, problem.indirect, torch.log(problem.radiance.linear))
     )
     grey = problem.base.mean(1)
-    strengths = torch.tensor(tried) * problem.base.mean()
+    strengths = torch.tensor(_STRENGTHS) * problem.base.mean()
 
     def losses(row: Tensor) -> Tensor:
         """Losses (G,) with one candidate's transfer (U,)."""
@@ -141,18 +160,17 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     Returns:
         Candidates, lowest loss first.
     """
-    config = problem.config.sun
     directions = fibonacci_sphere(count).numpy().astype(np.float32)
     bits = _trace_directions(problem, directions)
     cosine = np.clip(directions @ problem.normal.T, 0, None)
     # blurred, the true direction lies inside the basin of its neighbours
     spacing = np.sqrt(4 * np.pi / count)
-    kernel = np.exp((directions @ directions.T - 1) / (config.blur * spacing) ** 2)
+    kernel = np.exp((directions @ directions.T - 1) / (_BLUR * spacing) ** 2)
     kernel[kernel < 0.02] = 0
     kernel /= kernel.sum(1, keepdims=True)
     transfer = csr_matrix(kernel) @ (bits * cosine)
-    lit = (transfer > config.lit).mean(1)
-    least_lit = config.least_lit * float(lit.max())
+    lit = (transfer > _LIT).mean(1)
+    least_lit = _LEAST_LIT * float(lit.max())
     indices = np.flatnonzero(lit > least_lit)
     if not len(indices):
         return []
@@ -161,7 +179,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     # Of the directions about a light only the best is a candidate: a broad lamp that many of them
     # fit would else leave no room for a small one.
     useful_axes = directions[indices]
-    around = torch.from_numpy(useful_axes @ useful_axes.T > np.cos(config.basin * spacing))
+    around = torch.from_numpy(useful_axes @ useful_axes.T > np.cos(_BASIN * spacing))
     is_lowest = best <= torch.where(around, best, np.inf).min(1).values
     order = best.argsort()
     ordered, is_free = useful_axes[order], np.ones(len(order), bool)
@@ -170,7 +188,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
         if not is_free[rank]:
             continue
         axis, index = ordered[rank], int(order[rank])
-        same = is_free & (ordered @ axis > np.cos(config.separation))
+        same = is_free & (ordered @ axis > np.cos(SEPARATION))
         is_free &= ~same
         same[: rank + 1] = False
         loss = float(best[index])
@@ -181,7 +199,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
                 gain=1 - loss / float(without),
                 lit=float(lit[indices[index]]),
                 least_lit=least_lit,
-                rivals=ordered[same][: config.num_rivals],
+                rivals=ordered[same][:_NUM_RIVALS],
             )
         )
         if len(chosen) == keep:
@@ -213,11 +231,10 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
     Returns:
         The best direction found.
     """
-    config = problem.config.sun
     best, heads = start, _best_starts(problem, start, reach)
     tried: list[SunCandidate] = []
-    for index in range(config.num_rounds):
-        radius = reach * config.shrinking**index
+    for index in range(_NUM_ROUNDS):
+        radius = reach * _SHRINKING**index
         sharpness = 2 / max(radius / 3, 0.01) ** 2
         trials = [
             direction
@@ -234,7 +251,7 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
         tried += judged
     axes = np.stack([candidate.axis for candidate in tried])
     losses = np.array([candidate.loss for candidate in tried])
-    lowest = lowest_point(best.axis, axes, losses, config)
+    lowest = lowest_point(best.axis, axes, losses)
     return replace(best, axis=lowest, least_lit=start.least_lit)
 
 
@@ -253,7 +270,7 @@ def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[S
         ]
     )
     losses, without = candidate_loss(problem, torch.from_numpy(transfer))
-    lit = (transfer > problem.config.sun.lit).mean(1)
+    lit = (transfer > _LIT).mean(1)
     return [
         SunCandidate(axis=axis, loss=loss, gain=1 - loss / float(without), lit=float(share))
         for axis, loss, share in zip(axes, losses.min(1).values.tolist(), lit, strict=True)
@@ -269,26 +286,23 @@ def _best_starts(problem: SunProblem, start: SunCandidate, reach: float) -> list
     for candidate in sorted(judged, key=lambda candidate: candidate.loss):
         if all(float(candidate.axis @ other) < np.cos(reach) for other in starts):
             starts.append(candidate.axis)
-    return starts[: problem.config.sun.num_starts]
+    return starts[:_NUM_STARTS]
 
 
-def lowest_point(
-    best: Floats, axes: Floats, losses: NDArray[np.float64], config: SunConfig
-) -> Floats:
+def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Floats:
     """Lowest point of a paraboloid through the losses of directions near the best.
 
     Args:
         best: (3,) unit, about where the lowest point is.
         axes: (T, 3) unit directions that were tried.
         losses: (T,) of them.
-        config: Within which radius, `smoothing`.
 
     Returns:
         (3,) unit, at most half of that from the best; that itself where the losses do not curve
         upwards.
     """
     across = np.stack(tangents(best))
-    near = axes @ best > np.cos(config.smoothing)
+    near = axes @ best > np.cos(_SMOOTHING)
     x, y = across @ axes[near].T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     _, slope_x, slope_y, xx, xy, yy = np.linalg.lstsq(terms, losses[near], rcond=None)[0]
@@ -296,7 +310,7 @@ def lowest_point(
     if np.linalg.eigvalsh(curvature)[0] <= 0:
         return best
     step = -np.linalg.solve(curvature, [slope_x, slope_y])
-    step *= min(1.0, 0.5 * config.smoothing / max(float(np.linalg.norm(step)), 1e-9))
+    step *= min(1.0, 0.5 * _SMOOTHING / max(float(np.linalg.norm(step)), 1e-9))
     axis = best + step @ across
     return (axis / np.linalg.norm(axis)).astype(np.float32)
 

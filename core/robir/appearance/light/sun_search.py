@@ -11,16 +11,44 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.config import LightConfig, SunSearchConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.pair_loss import PairWeights
-from robir.appearance.light.problem import Problem
+from robir.appearance.light.problem import PAIR_REACHES, Problem
 from robir.appearance.light.solver import Light, fit, no_suns
-from robir.appearance.light.sun import SunCandidate, SunProblem, refine, scan
+from robir.appearance.light.sun import SEPARATION, SunCandidate, SunProblem, refine, scan
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.photometry.statistics import Pairs, neighbour_pairs
 
 Floats = NDArray[np.float32]
+
+# share by which a further sharp lobe must lower the differences across its own shadow
+_LEAST_SHADOW_GAIN = 0.15
+# share by which a sun must lower the neighbour loss; the first need not if its shadow shows
+_LEAST_GAIN = 0.02
+# gain in the scan, over `_LEAST_GAIN`, that a further sun must have to be tried. With all lights
+# solved anew a second lamp gains up to three times as much.
+_PROMISING = 0.25
+# gain in the scan, over the best one's, that other candidates for the first sun must have
+_SECOND_BEST = 0.1
+_NUM_CANDIDATES = 3  # directions of the scan that may be tried at most
+_SEARCH_REACH = 0.8  # radius of the first ring of the search, spacings of the scan
+_SCAN_SAMPLES = 2000  # surface samples that the scan compares
+_SHARPNESS = 2000.0  # of a sun before its own is searched: about 1.3 degrees across
+_TRIED_SHARPNESS = (100.0, 400.0, 2000.0, 10000.0)  # of these the one is taken that fits best
+# cosine between the normals of pairs by which a sun is found and polished: where shadows lie tells
+# its place, while what changes with the orientation, paint or what a metal mirrors, passes for
+# shading
+_ALIKE_COSINE = 0.8
+# difference at which pairs hardly count when a sun is polished: more than a shadow in the wrong
+# place makes, less than there is between the fields of a board (log albedo)
+_ALIKE_ALBEDO = 1.0
+# pairs per sample and distance then, by all samples that two views see: by those of the solve alone
+# they hang on chance
+_POLISH_PARTNERS = 4
+# cosine between the normals of those pairs. Nearly all of them lie on one level surface, where
+# nothing but a shadow changes with the sun's direction.
+_LEVEL_COSINE = 0.95
+_POLISH_REACH = 0.03  # radius of the first ring of the search then (radians)
 
 
 def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
@@ -36,9 +64,9 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     Returns:
         The light with its suns, strengths from short solves.
     """
-    scene, search = problem.scene, config.light.sun_search
+    scene = problem.scene
     normal = scene.transport.surfels.normal[scene.rows]
-    pairs = scene.pairs.facing_alike(normal, search.alike_cosine)
+    pairs = scene.pairs.facing_alike(normal, _ALIKE_COSINE)
     problem = replace(problem, scene=replace(scene, pairs=pairs))
     axes, sharpness = no_suns()
     trial = config.iterations // 3
@@ -46,12 +74,12 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     losses = [light.loss]
     for index in range(config.num_sharp_lobes):
         refined = _searched(problem, light, config, index, seed)
-        best = _best_addition(problem, light, refined, trial, config.light)
+        best = _best_addition(problem, light, refined, trial)
         is_told = index == 0 and scene.sun is not None
         if best is None or (best.loss > light.loss and not is_told):
             break
-        is_seen = _casts_shadow(problem, light, best, search)
-        gains = 1 - best.loss / light.loss > search.least_gain
+        is_seen = _casts_shadow(problem, light, best)
+        gains = 1 - best.loss / light.loss > _LEAST_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
         if not (is_told or (is_seen or gains if index == 0 else is_seen and gains)):
@@ -74,33 +102,30 @@ def _searched(
         seed: Of the sub-samples.
     """
     rng, told = np.random.default_rng(seed + index), problem.scene.sun
-    search = config.light.sun_search
     base = None if index == 0 else _direct(problem, light)
-    coarse = _sub_sampled(problem, base, search.scan_samples, config.light, rng)
-    fine = _sub_sampled(problem, base, config.num_solve_surfels, config.light, rng)
+    coarse = _sub_sampled(problem, base, _SCAN_SAMPLES, rng)
+    fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
     if index == 0 and told is not None:
         candidates = [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
     else:
-        scanned = scan(coarse, config.num_scan_directions, search.num_candidates)
-        candidates = _promising(scanned, search, is_first=index == 0)
+        scanned = scan(coarse, config.num_scan_directions, _NUM_CANDIDATES)
+        candidates = _promising(scanned, is_first=index == 0)
     spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
-    reach = search.search_reach * spacing
+    reach = _SEARCH_REACH * spacing
     return [refine(fine, candidate, reach) for candidate in candidates]
 
 
-def _promising(
-    candidates: list[SunCandidate], config: SunSearchConfig, *, is_first: bool
-) -> list[SunCandidate]:
+def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCandidate]:
     """Those of a scan's candidates, best first, that a full solve may make a sun of."""
-    least = config.promising * config.least_gain
+    least = _PROMISING * _LEAST_GAIN
     if is_first and candidates:
         # one that the scan does not see at all may still be known from its shadow
         best = candidates[0].gain
-        least = config.second_best * best if best > config.least_gain else -np.inf
+        least = _SECOND_BEST * best if best > _LEAST_GAIN else -np.inf
     return [candidate for candidate in candidates if candidate.gain > least]
 
 
-def _casts_shadow(problem: Problem, before: Light, after: Light, config: SunSearchConfig) -> bool:
+def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     """Whether the photographs show the shadow of the sun that was added last.
 
     A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
@@ -116,30 +141,25 @@ def _casts_shadow(problem: Problem, before: Light, after: Light, config: SunSear
     for light in (before, after):
         log_albedo = log_ratio(radiance.linear, light.irradiance(problem, rows))
         losses.append(float(weights.loss(log_albedo)))
-    return losses[1] < (1 - config.least_shadow_gain) * losses[0]
+    return losses[1] < (1 - _LEAST_SHADOW_GAIN) * losses[0]
 
 
 def _best_addition(
-    problem: Problem,
-    light: Light,
-    candidates: list[SunCandidate],
-    iterations: int,
-    config: LightConfig,
+    problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
 ) -> Light | None:
     """The candidate whose full solve has the lowest loss, those that cast a shadow first."""
     best: Light | None = None
     best_rank = (False, np.inf)
-    separation, search = config.sun.separation, config.sun_search
     for candidate in candidates:
         # The search may have led it below the ground.
         if candidate.lit < candidate.least_lit:
             continue
-        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(separation):
+        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(SEPARATION):
             continue
         axes = np.concatenate([light.axes, candidate.axis[None]])
-        sharpness = np.append(light.sharpness, np.float32(search.sharpness))
+        sharpness = np.append(light.sharpness, np.float32(_SHARPNESS))
         solved = fit(problem, axes, sharpness, iterations)
-        rank = (not _casts_shadow(problem, light, solved, search), solved.loss)
+        rank = (not _casts_shadow(problem, light, solved), solved.loss)
         if best is None or rank < best_rank:
             best, best_rank = solved, rank
     return best
@@ -158,53 +178,42 @@ def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) 
         The light, for `refit`.
     """
     axes, sharpness = light.axes.copy(), light.sharpness.copy()
-    search = config.light.sun_search
     seen = np.flatnonzero(problem.radiance.seen)
     for index in range(len(axes)):
         others = np.arange(len(axes)) != index
         base = _direct(problem, light, others)
         rng = np.random.default_rng(seed + index)
-        pairs = _polishing_pairs(problem, light, seen, config.light, rng)
+        pairs = _polishing_pairs(problem, light, seen, rng)
         fine = SunProblem.of(problem, base, seen, pairs)
         start = SunCandidate(axis=axes[index], loss=np.inf, gain=0.0)
-        axes[index] = refine(fine, start, search.polish_reach).axis
-        sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index, search)
+        axes[index] = refine(fine, start, _POLISH_REACH).axis
+        sharpness[index] = _best_sharpness(problem, light, axes, sharpness, index)
     steps = config.iterations // 2
     polished = fit(problem, axes, sharpness, steps, start=light.amplitudes)
     return replace(polished, history=light.history)
 
 
 def _polishing_pairs(
-    problem: Problem,
-    light: Light,
-    rows: NDArray[np.int64],
-    config: LightConfig,
-    rng: np.random.Generator,
+    problem: Problem, light: Light, rows: NDArray[np.int64], rng: np.random.Generator
 ) -> Pairs:
     """Pairs of samples `rows` (U,) on level ground, those alike under the light counting more."""
-    surfels, search = problem.scene.transport.surfels, config.sun_search
-    reaches = config.problem.pair_reaches
-    pairs = neighbour_pairs(surfels, rows, reaches, search.polish_partners, rng)
-    pairs = pairs.facing_alike(surfels.normal[rows], search.level_cosine)
+    surfels = problem.scene.transport.surfels
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, _POLISH_PARTNERS, rng)
+    pairs = pairs.facing_alike(surfels.normal[rows], _LEVEL_COSINE)
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
     apart = ((log_albedo[pairs.first] - log_albedo[pairs.second]) ** 2).mean(1)
-    return pairs.weighted(torch.exp(-0.5 * apart / search.alike_albedo**2))
+    return pairs.weighted(torch.exp(-0.5 * apart / _ALIKE_ALBEDO**2))
 
 
 def _best_sharpness(
-    problem: Problem,
-    light: Light,
-    axes: Floats,
-    sharpness: Floats,
-    index: int,
-    config: SunSearchConfig,
+    problem: Problem, light: Light, axes: Floats, sharpness: Floats, index: int
 ) -> float:
     """Size of a sun, by the neighbour loss at fixed strengths."""
     rows = problem.scene.rows
     radiance = problem.rows_radiance(rows)
     weights = PairWeights.of(problem.scene.pairs, radiance.clipped)
     best, best_loss = float(sharpness[index]), np.inf
-    for trial in config.tried_sharpness:
+    for trial in _TRIED_SHARPNESS:
         tried = sharpness.copy()
         tried[index] = trial
         sharp = problem.scene.sharp_transfer(axes, tried, rows)
@@ -226,18 +235,14 @@ def _direct(problem: Problem, light: Light, others: NDArray[np.bool_] | None = N
 
 
 def _sub_sampled(
-    problem: Problem,
-    base: Tensor | None,
-    count: int,
-    config: LightConfig,
-    rng: np.random.Generator,
+    problem: Problem, base: Tensor | None, count: int, rng: np.random.Generator
 ) -> SunProblem:
     """So many samples, under a light that is known (S, 3) or under a grey sky."""
     scene, surfels = problem.scene, problem.scene.transport.surfels
     rows, per_reach = scene.rows, 2
     if count < len(rows):
         rows, per_reach = np.sort(rng.choice(rows, count, replace=False)), 1
-    pairs = neighbour_pairs(surfels, rows, config.problem.pair_reaches, per_reach, rng)
-    pairs = pairs.facing_alike(surfels.normal[rows], config.sun_search.alike_cosine)
+    pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, per_reach, rng)
+    pairs = pairs.facing_alike(surfels.normal[rows], _ALIKE_COSINE)
     sky = scene.soft.sum(1)[:, None].expand(-1, 3) if base is None else base
     return SunProblem.of(problem, sky, rows, pairs)

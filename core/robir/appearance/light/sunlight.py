@@ -10,11 +10,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, shadow_pairs
 
 Floats = NDArray[np.float32]
+
+# lobe in which a sun's visibility must be whole or nil for a point to be certain of it: 250 are 5
+# degrees across, about what a mesh error of one grid cell does to a shadow
+EDGE_SHARPNESS = 250.0
+# share of that lobe that may be missing, or seen, of what counts as whole or nil
+_EDGE_SHARE = 0.03
+# cosine to a sun, of either sign, below which an error of the normals gives or takes that sun: 12
+# degrees; those of a draft are 7 to 10 off on average
+_GRAZING_COSINE = 0.2
+_FACING_COSINE = 0.15  # cosine to a sun from which a sample is compared across its shadow
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,15 +34,13 @@ class Sunlight:
         position: (U, 3) unit frame.
         normal: (U, 3) unit.
         cosine: (U, J) between normal and sun.
-        share: (U, J) of a lobe of `edge_sharpness` that is seen; anything where it is behind.
-        config: What is sure, and which pairs there are.
+        share: (U, J) of a lobe of `EDGE_SHARPNESS` that is seen; anything where it is behind.
     """
 
     position: Floats
     normal: Floats
     cosine: Floats
     share: Floats
-    config: AppearanceConfig
 
     @classmethod
     def of(cls, problem: Problem, axes: Floats) -> Sunlight:
@@ -41,29 +48,26 @@ class Sunlight:
         scene, rows = problem.scene, problem.scene.rows
         surfels = scene.transport.surfels
         normal = surfels.normal[rows]
-        edge_sharpness = scene.config.light.sunlight.edge_sharpness
-        sharpness = np.full(len(axes), edge_sharpness, np.float32)
+        sharpness = np.full(len(axes), EDGE_SHARPNESS, np.float32)
         wide = scene.sharp_transfer(axes, sharpness, rows).numpy()
         cosine = normal @ axes.T
         share = wide / np.maximum(cosine, 1e-3)
-        return cls(surfels.position[rows], normal, cosine, share, scene.config)
+        return cls(surfels.position[rows], normal, cosine, share)
 
     def across_shadows(self) -> list[Pairs]:
         """Pairs across the shadow of each sun, away from its edge."""
-        config, statistics = self.config.light.sunlight, self.config.photometry.statistics
-        facing = self.cosine > config.facing_cosine
-        lit = facing & (self.share > 1 - config.edge_share)
-        dark = facing & (self.share < config.edge_share)
+        facing = self.cosine > _FACING_COSINE
+        lit = facing & (self.share > 1 - _EDGE_SHARE)
+        dark = facing & (self.share < _EDGE_SHARE)
         columns = zip(lit.T, dark.T, strict=True)
-        return [shadow_pairs(self.position, self.normal, *sides, statistics) for sides in columns]
+        return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
 
     def is_sure(self) -> Tensor:
         """Bool (U,), whether an error of the mesh would neither give nor take a sun.
 
         All, should that leave fewer than half.
         """
-        config = self.config.light.sunlight
-        is_part = (self.share > config.edge_share) & (self.share < 1 - config.edge_share)
+        is_part = (self.share > _EDGE_SHARE) & (self.share < 1 - _EDGE_SHARE)
         is_edge = (self.cosine > 0) & is_part
-        sure = ~(is_edge | (np.abs(self.cosine) < config.grazing_cosine)).any(1)
+        sure = ~(is_edge | (np.abs(self.cosine) < _GRAZING_COSINE)).any(1)
         return torch.from_numpy(sure if 2 * sure.sum() > len(sure) else np.ones_like(sure))

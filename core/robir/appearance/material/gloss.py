@@ -19,13 +19,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.highlights import Highlights
+from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.material.metal import metal_among, near
 from robir.appearance.material.metal_proof import proven_parts
-from robir.appearance.material.observed import Seen, dense, diffuse_below, looked_at, low_mean
+from robir.appearance.material.observed import (
+    LEAST_DIFFUSE,
+    Seen,
+    dense,
+    diffuse_below,
+    looked_at,
+    low_mean,
+)
 from robir.appearance.material.reflections import (
     Reflections,
     ViewRays,
@@ -41,6 +47,17 @@ from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
+
+# distance, unit frame, that half the difference of opposite normals counts as between samples that
+# are judged together
+_NORMAL_SCALE = 0.06
+# the same of a difference of one in the logarithm of albedo, as of paint: a small part of metal is
+# judged with itself, not with the paint about it
+_PAINT_SCALE = 0.05
+_SPREAD_SCALE = 1.5  # difference of log albedo that one of the deviation of views counts as
+# roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
+# sky and of the surroundings, their errors and the mesh's displace
+SHARPEST_SKY = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,34 +131,31 @@ def specular_towards(
     return result[0], result[1], kept
 
 
-def _costs(
-    looked: tuple[Reflections, ViewRays, Seen, Tensor], config: AppearanceConfig
-) -> tuple[Highlights, Floats]:
+def _costs(looked: tuple[Reflections, ViewRays, Seen, Tensor]) -> tuple[Highlights, Floats]:
     """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
     Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
     rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
-    sky is reflected as by the surface itself, but no sharper than `sharpest_sky`.
+    sky is reflected as by the surface itself, but no sharper than `SHARPEST_SKY`.
     """
     reflections, rays, seen, valid = looked
-    material, statistics, sample = config.material, config.photometry.statistics, rays.sample
-    levels, sharpest_sky = material.highlights.levels, material.gloss.sharpest_sky
+    sample = rays.sample
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
     others = torch.ones(len(sample), dtype=torch.bool).index_fill_(0, near, value=False)
-    peaks, predicted = (torch.zeros(len(near), len(levels)) for _ in range(2))
-    noise = torch.zeros(int(others.sum()), len(levels))
+    peaks, predicted = (torch.zeros(len(near), len(LEVELS)) for _ in range(2))
+    noise = torch.zeros(int(others.sum()), len(LEVELS))
 
     def summed(values: Tensor, rays: ViewRays) -> Tensor:
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
 
     def below(specular: Tensor, through: Tensor) -> Tensor:
-        return diffuse_below(seen, specular, through, (rays, valid), statistics)
+        return diffuse_below(seen, specular, through, (rays, valid))
 
-    highlight = torch.full((len(valid), len(levels)), float("inf"))
-    dielectric = torch.zeros(len(valid), len(levels))
-    blurred = reflections.from_sky(rays, sharpest_sky)[:, 0]
-    for index, level in enumerate(levels):
+    highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
+    dielectric = torch.zeros(len(valid), len(LEVELS))
+    blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
+    for index, level in enumerate(LEVELS):
         through = 1 - reflected_share(rays, level)[:, None]
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
         lit, even = (sky + sun)[:, 0], sky[:, 0]
@@ -149,7 +163,7 @@ def _costs(
         excess = seen.excess(base + lit)
         dielectric[:, index] = summed(seen.counted(excess, base + lit), rays)
         noise[:, index] = excess[others].mean(1)
-        if level < sharpest_sky:
+        if level < SHARPEST_SKY:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
         peaks[:, index] = near_seen.excess(soft).mean(1)
@@ -158,7 +172,7 @@ def _costs(
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
             highlight[:, index] = torch.minimum(highlight[:, index], total)
-    dull = low_mean(seen.linear, rays, valid, statistics)[near_rays.sample]
+    dull = low_mean(seen.linear, rays, valid)[near_rays.sample]
     plain = summed(near_seen.error(dull), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)
     views = valid.sum(1).clamp(min=1)[:, None]
@@ -194,26 +208,24 @@ def estimate_gloss(
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
     """
-    config, surfels = problem.scene.config, problem.scene.transport.surfels
-    material = config.material
+    surfels = problem.scene.transport.surfels
     seen = np.flatnonzero(problem.radiance.seen.numpy())
     in_solve = np.isin(seen, problem.scene.rows[::step])
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
-    highlights, dielectric = _costs(looked, config)
-    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2], config=config.proof)
+    highlights, dielectric = _costs(looked)
+    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2])
     features = _features(problem, light, seen)
     points, hue = _alike(problem, seen, features[:, :3])
     alike = points[in_solve], hue[in_solve]
     parts = metal_among((problem, light), rows, alike, trial, dielectric)
-    levels = material.highlights
-    parts, metal_choice = proven_parts(parts, trial, dielectric, levels)
+    parts, metal_choice = proven_parts(parts, trial, dielectric)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)
     patches = Patches(features=means(features, cluster), number=cluster[in_solve])
-    choice = choose_roughness(highlights, patches, trial, ~is_metal, material)
+    choice = choose_roughness(highlights, patches, trial, ~is_metal)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
@@ -278,9 +290,9 @@ def _alike(problem: Problem, seen: NDArray[np.int64], paint: Floats) -> tuple[Fl
         seen: (N,) samples.
         paint: (N, 3) log albedo, as of paint.
     """
-    surfels, config = problem.scene.transport.surfels, problem.scene.config.material.gloss
-    normal = config.normal_scale * surfels.normal[seen]
-    points = np.concatenate([surfels.position[seen], normal, config.paint_scale * paint], axis=1)
+    surfels = problem.scene.transport.surfels
+    normal = _NORMAL_SCALE * surfels.normal[seen]
+    points = np.concatenate([surfels.position[seen], normal, _PAINT_SCALE * paint], axis=1)
     return points, paint - paint.mean(1, keepdims=True)
 
 
@@ -312,8 +324,7 @@ def _features(problem: Problem, light: Light, seen: NDArray[np.int64]) -> Floats
     mean = (linear.log() * valid).sum(1) / valid.sum(1)
     spread = (((linear.log() - mean[:, None]) ** 2 * valid).sum(1) / valid.sum(1)).sqrt()
     log_albedo = albedo.clamp(0.01, 1.0).log()
-    scale = problem.scene.config.material.gloss.spread_scale
-    look = torch.cat([log_albedo, scale * spread[:, None]], 1).numpy()
+    look = torch.cat([log_albedo, _SPREAD_SCALE * spread[:, None]], 1).numpy()
     position = problem.scene.transport.surfels.position[seen]
     return np.concatenate([look, position], axis=1)
 
@@ -335,8 +346,7 @@ def _apply(
     diffuse = problem.linear.clone()
     floor = np.zeros((num, 3), np.float32)
     kept = np.ones((num, 1), np.float32)
-    unknown = scene.config.material.highlights.unknown
-    full_level, full_metal = np.full(num, unknown, np.float32), np.zeros(num, np.float32)
+    full_level, full_metal = np.full(num, UNKNOWN, np.float32), np.zeros(num, np.float32)
     full_level[seen], full_metal[seen] = level, metal
     for roughness in np.unique(level) if has_highlights else ():
         rows = seen[level == roughness]
@@ -347,7 +357,7 @@ def _apply(
         dielectric = dense(both[:, 0], rays, shape)
         through = 1 - dense(reflected_share(rays, float(roughness))[:, None], rays, shape)
         linear = diffuse[rows]
-        least = scene.config.material.observed.least_diffuse * linear
+        least = LEAST_DIFFUSE * linear
         below = torch.maximum(linear - dielectric, least) / through
         # the views that the textures are read from, see texture.py
         seen_by = observations.weight[rows], observations.positions

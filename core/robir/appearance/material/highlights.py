@@ -15,17 +15,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.material.config import HighlightsConfig
-
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
 
+LEVELS = (0.12, 0.2, 0.3, 0.42, 0.56, 0.72, 0.9)  # roughnesses that are tried, rising
+_ROUGH_SHARE = 0.66  # share of the highlight at the last of these that is left at roughness 1
+# how many of them have a highlight so narrow that an error of the mesh may put it anywhere
+_NARROW = 4
+_LEAST_ROUGHNESS = 0.1  # that paint may have
+# roughnesses are whole multiples of this: finer differences are below the errors of the readings,
+# and every one of them has its own pass over its samples
+STEP = 0.02
+_FEWEST_VIEWS = 30  # near a sun's mirror direction, that a patch must have to be read
+# views at which what they say counts half: neighbouring samples and views err alike
+_HALF_BELIEVED = 300
+# power of an error ratio that is its likelihood: as if so many views erred each in its own way,
+# however many there are
+_STEEPNESS = 12.0
+# deviation of the log of a peak that is seen from the one predicted at the true roughness
+_PEAK_ERROR = 0.25
+_UNSEEN_CODES = 0.3  # errors, codes, below which their ratios mean nothing
+_PEAK_CODES = 1.0  # the same of the heights of peaks (codes)
+# brightest views of a patch, as a share: all but few are beside a narrow highlight
+_TOP_SHARE = 0.03
+# samples of a patch, as a share, that speak for it. The others' views err most where no highlight
+# is: the mesh has an outline or a shadow in the wrong place there.
+_STEADY_SHARE = 0.8
+UNKNOWN = 0.5  # roughness given to what the views say nothing about
+_READING_ERROR = 0.05  # error of the best of readings
+_SPREAD = 0.3  # how far paints differ in roughness, within one scene and from scene to scene
+# distance of patches, in log albedo and place in the unit frame, over which they tell of each other
+_ALIKE = 1.0
 
-def grid_of(config: HighlightsConfig) -> Reals:
+
+def grid_of() -> Reals:
     """Roughnesses (G,) whose likelihood is told: every one that paint may have."""
-    least = config.least_roughness
-    return np.linspace(least, 1.0, round((1.0 - least) / config.step) + 1)
+    return np.linspace(_LEAST_ROUGHNESS, 1.0, round((1.0 - _LEAST_ROUGHNESS) / STEP) + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,34 +110,31 @@ class Readings:
     variance: Reals
 
     def weighted_mean(self, unknown: float) -> float:
-        """The one roughness that fits all readings best; `unknown` where there is none."""
+        """The one roughness that fits all readings best; `UNKNOWN` where there is none."""
         weight = 1 / self.variance
         return float(weight @ self.roughness / weight.sum()) if len(weight) else unknown
 
 
-def read(
-    highlights: Highlights, patch: Rows, num_patches: int, config: HighlightsConfig
-) -> Readings:
+def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
     """Roughness of every patch by its own highlights alone.
 
     Args:
         highlights: Of U samples.
         patch: (U,) of each, below `num_patches`.
         num_patches: K.
-        config: What highlights say.
 
     Returns:
         What is left of each once the roughness that is likely anyhow is taken out, so that patches
         that say little weigh little.
     """
-    steady, grid = _steady(highlights, patch, config.steady_share), grid_of(config)
+    steady, grid = _steady(highlights, patch, _STEADY_SHARE), grid_of()
     highlights, patch = highlights.of(steady), patch[steady]
     count = np.bincount(patch, highlights.count, num_patches)
-    known = np.flatnonzero(count >= config.fewest_views)
-    fit = fit_of(*_costs(highlights, patch, known, count, config.narrow), config)
-    peaks = -0.5 * (_peak_ratios(highlights, patch, known, config) / config.peak_error) ** 2
-    believed = count[known] / (count[known] + config.half_believed)
-    log = (fit + _on_grid(peaks, config)) * believed[:, None]
+    known = np.flatnonzero(count >= _FEWEST_VIEWS)
+    fit = fit_of(*_costs(highlights, patch, known, count, _NARROW))
+    peaks = -0.5 * (_peak_ratios(highlights, patch, known) / _PEAK_ERROR) ** 2
+    believed = count[known] / (count[known] + _HALF_BELIEVED)
+    log = (fit + _on_grid(peaks)) * believed[:, None]
     likely = np.exp(log - log.max(1, keepdims=True))
     likely /= likely.sum(1, keepdims=True)
     mean = likely @ grid
@@ -121,7 +144,7 @@ def read(
     says = precision > 0.5
     mean, variance, precision = mean[says], variance[says], precision[says]
     own = (mean / variance - grid.mean() / anyhow) / precision
-    variance = 1 / precision + config.reading_error**2
+    variance = 1 / precision + _READING_ERROR**2
     return Readings(known[says], own.clip(grid[0], grid[-1]), variance)
 
 
@@ -143,23 +166,22 @@ def _steady(highlights: Highlights, patch: Rows, share: float) -> NDArray[np.boo
     return rank < np.ceil(share * members)[patch]
 
 
-def fit_of(codes: Reals, plain: Reals, config: HighlightsConfig) -> Reals:
+def fit_of(codes: Reals, plain: Reals) -> Reals:
     """Log likelihood (R, G) of roughnesses.
 
     Args:
         codes: (R, L) that a near view differs by at every level.
         plain: (R,) without any highlight.
-        config: What errors say.
     """
-    left = 1 - config.rough_share
+    left = 1 - _ROUGH_SHARE
     rough = codes[:, -1] + left * np.maximum(plain - codes[:, -1], 0)
-    likely = -config.steepness * np.log(np.c_[codes, rough] + config.unseen_codes)
-    return _on_grid(likely, config)
+    likely = -_STEEPNESS * np.log(np.c_[codes, rough] + _UNSEEN_CODES)
+    return _on_grid(likely)
 
 
-def _on_grid(values: Reals, config: HighlightsConfig) -> Reals:
+def _on_grid(values: Reals) -> Reals:
     """Values (R, G) between those (R, L + 1) at every level and at roughness 1."""
-    levels, grid = [*config.levels, 1.0], grid_of(config)
+    levels, grid = [*LEVELS, 1.0], grid_of()
     return np.array([np.interp(grid, levels, row) for row in values]).reshape(-1, len(grid))
 
 
@@ -169,7 +191,7 @@ def _costs(
     """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight.
 
     A narrow highlight in the wrong place is worse than none. That speaks against the place, so at
-    the `narrow` first levels it costs no more than none would.
+    the `_NARROW` first levels it costs no more than none would.
     """
     columns = [*highlights.error.T, highlights.plain]
     sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
@@ -178,24 +200,21 @@ def _costs(
     return np.array(levels).T, plain
 
 
-def _peak_ratios(
-    highlights: Highlights, patch: Rows, known: Rows, config: HighlightsConfig
-) -> Reals:
+def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:
     """Log (R, L + 1) of the brightest near views over the brightest that are predicted.
 
     Errors of mesh and albedo brighten some views as well; the other views tell by how much.
     """
     near, far = patch[highlights.sample], patch[highlights.other]
-    share, codes = config.top_share, config.peak_codes
-    result = np.zeros((len(known), len(config.levels) + 1))
+    result = np.zeros((len(known), len(LEVELS) + 1))
     for row, index in enumerate(known):
-        seen = _brightest(highlights.seen[near == index], share)
-        predicted = _brightest(highlights.predicted[near == index], share)
-        noise = _brightest(highlights.noise[far == index], share)
-        shown = np.append(predicted, config.rough_share * predicted[-1])
+        seen = _brightest(highlights.seen[near == index], _TOP_SHARE)
+        predicted = _brightest(highlights.predicted[near == index], _TOP_SHARE)
+        noise = _brightest(highlights.noise[far == index], _TOP_SHARE)
+        shown = np.append(predicted, _ROUGH_SHARE * predicted[-1])
         expected = np.hypot(shown, np.append(noise, noise[-1]))
         height = np.append(seen, seen[-1]).clip(0)
-        result[row] = np.log((height + codes) / (expected + codes))
+        result[row] = np.log((height + _PEAK_CODES) / (expected + _PEAK_CODES))
     return result
 
 
@@ -207,7 +226,7 @@ def _brightest(values: Floats, share: float) -> Reals:
     return 255 * np.partition(values, max(0, len(values) - top), axis=0)[-top:].mean(0)
 
 
-def pooled(readings: Readings, features: Reals, config: HighlightsConfig) -> Reals:
+def pooled(readings: Readings, features: Reals) -> Reals:
     """Roughness (K,) of all patches, each from its own reading and those of patches like it.
 
     Kriging: patches alike in albedo and place are expected to be alike in roughness. What has no
@@ -216,12 +235,11 @@ def pooled(readings: Readings, features: Reals, config: HighlightsConfig) -> Rea
     Args:
         readings: Of some of the patches.
         features: (K, D) log albedo and place of all.
-        config: How alike patches are.
     """
-    unknown, grid = config.unknown, grid_of(config)
+    grid = grid_of()
     apart = ((features[:, None] - features[None]) ** 2).sum(2)
-    prior = config.spread**2 * (np.exp(-0.5 * apart / config.alike**2) + 1)
+    prior = _SPREAD**2 * (np.exp(-0.5 * apart / _ALIKE**2) + 1)
     rows = readings.patch
     seen = prior[np.ix_(rows, rows)] + np.diag(readings.variance)
-    weight = np.linalg.solve(seen, readings.roughness - unknown)
-    return (unknown + prior[:, rows] @ weight).clip(grid[0], grid[-1])
+    weight = np.linalg.solve(seen, readings.roughness - UNKNOWN)
+    return (UNKNOWN + prior[:, rows] @ weight).clip(grid[0], grid[-1])

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.config import MaterialConfig, MetalConfig
+from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.observed import dense, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, tilts_of
 from robir.appearance.material.segments import pieces
@@ -36,6 +36,39 @@ HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
 
 LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
 """Log colours, but for their mean, of these two."""
+
+_PER_PAINT_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
+_PER_METAL_ERROR = -2.98  # the same of metal's error over paint's
+_PER_BRIGHTNESS = -1.26  # the same of bright metal's error over that of any
+_CONSTANT = -1.3  # log odds where all these are 0
+_LEAST_RATIO = 0.35  # metal's error over paint's below which less tells no more
+_MOST_ODDS = 4.0  # log odds, either way, that one neighbourhood may tell
+# how many of the roughnesses metal is tried at: a rougher one looks like a dielectric of another
+# shade
+_NUM_LEVELS = 5
+_JUDGED = 3400  # samples that are judged; the others go by those about them
+_NEIGHBOURS = 8  # of these, those that judge together under one roughness
+_WITNESSES = 12  # of these, those whose log odds are averaged
+_LIKELY = 0.5  # log odds from which a sample may be part of metal
+# mean log odds from which such a part is metal: paint that is taken for metal costs a good albedo
+# more than metal that is missed costs a bad one
+_CERTAIN = 2.45
+_GAP = 3.0  # gap, in spacings of the judged samples, across which samples belong to one part
+_FEWEST = 8  # judged samples of a part
+_BRIGHTEST_CHANNEL = 0.5  # brightest channel that bright metal has at least
+_ENOUGH = 8.0  # judged samples whose own errors are as large as what those of a part have in common
+_BRIGHTNESS = -0.35  # usual log of a base colour's brightest channel
+_BRIGHTNESS_SPREAD = 0.35  # its standard deviation among metals
+_BLUE = -0.35  # usual log of blue over red of a base colour
+_BLUE_SPREAD = 0.6  # its standard deviation; from silver to gold and copper
+_GREEN_SPREAD = 0.25  # of the log of green over the mean of red and blue
+_ALIKE = 0.4  # spread among the metals of one scene, over that among all metals
+_BRIGHTNESS_ERROR = 0.35  # of a part's reading, in logarithms
+_BLUE_ERROR = 0.45  # the same of its blue over red: light differs along the line of daylight
+_GREEN_ERROR = 0.1  # the same across it
+_MISREAD_SHARE = 0.15  # chance that a reading is wrong altogether, for what is mirrored is
+_MISREAD_ERROR = 1.5  # error of such a reading, in logarithms
+SOLVED_WITHOUT = 0.1  # least share of paint with which the light is solved by paint alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +110,17 @@ def metal_among(
         dielectric: (U, L) mean display error over each one's views at every roughness.
     """
     (problem, light), (points, hue) = solved, alike
-    surfels, config = problem.scene.transport.surfels, problem.scene.config.material
-    judged = np.arange(0, len(rows), -(-len(rows) // config.metal.judged) or 1)
+    surfels = problem.scene.transport.surfels
+    judged = np.arange(0, len(rows), -(-len(rows) // _JUDGED) or 1)
     metal = metal_errors(problem, light, rows[judged])
-    together = near(points[judged], points[judged], config.metal.neighbours)
-    witnesses = near(points[judged], points, config.metal.witnesses)
-    odds = metal_odds(dielectric[judged], metal, together, config.metal)[witnesses].mean(1)
+    together = near(points[judged], points[judged], _NEIGHBOURS)
+    witnesses = near(points[judged], points, _WITNESSES)
+    odds = metal_odds(dielectric[judged], metal, together)[witnesses].mean(1)
     nearest = witnesses[:, 0]
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     place = surfels.position[rows], hue[judged][together].mean(1)[nearest], spacing
     observed = trial.reflections, trial.rays, trial.seen.linear
-    return metal_parts(odds, place, observed, metal[0][nearest], config)
+    return metal_parts(odds, place, observed, metal[0][nearest])
 
 
 def near(points: Floats, places: Floats, count: int) -> Rows:
@@ -112,12 +145,11 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
     Returns:
         (U, L) each at the roughnesses of metal, of any base colour and of bright ones.
     """
-    config = problem.scene.config.material
-    levels, brightest = config.metal_levels, config.metal.brightest_channel
+    levels = LEVELS[:_NUM_LEVELS]
     reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
     best = torch.full((2, len(rows), len(levels)), float("inf"))
-    for tilt in tilts_of(config.reflections):
+    for tilt in tilts_of():
         mirrored = reflections.tilted(rays, tilt)
         for index, level in enumerate(levels):
             sky = reflections.from_sky(mirrored, level)
@@ -125,7 +157,7 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
             ratio = dense(seen.linear / white.clamp(min=1e-5), rays, shape)
             base = ratio.masked_fill(~valid[..., None], float("nan")).nanmedian(1).values
             base = base.clamp(1e-3, 1)
-            bright = base * (brightest / base.amax(1, keepdim=True)).clamp(min=1)
+            bright = base * (_BRIGHTEST_CHANNEL / base.amax(1, keepdim=True)).clamp(min=1)
             for kind, tried in enumerate((base, bright)):
                 error = seen.error(tried[sample] * white)
                 total = torch.zeros(len(rows)).index_add_(0, sample, error)
@@ -135,7 +167,7 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
 
 
 def metal_odds(
-    dielectric: Floats, metal: tuple[Floats, Floats], around: Rows, config: MetalConfig
+    dielectric: Floats, metal: tuple[Floats, Floats], around: Rows
 ) -> NDArray[np.float64]:
     """Log odds (U,) that neighbourhoods are of metal.
 
@@ -143,18 +175,17 @@ def metal_odds(
         dielectric: (U, L) mean display error over each sample's views as paint at every roughness.
         metal: The same as metal, from `metal_errors`.
         around: (U, C) samples that judge together with each.
-        config: What each figure tells.
     """
     paint, free, bright = (
         errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
     )
     odds = (
-        config.constant
-        + config.per_paint_error * np.log(255 * paint + 0.5)
-        + config.per_metal_error * np.log((free / paint).clip(config.least_ratio))
-        + config.per_brightness * np.log(bright / free)
+        _CONSTANT
+        + _PER_PAINT_ERROR * np.log(255 * paint + 0.5)
+        + _PER_METAL_ERROR * np.log((free / paint).clip(_LEAST_RATIO))
+        + _PER_BRIGHTNESS * np.log(bright / free)
     )
-    return odds.clip(-config.most_odds, config.most_odds)
+    return odds.clip(-_MOST_ODDS, _MOST_ODDS)
 
 
 def metal_parts(
@@ -162,7 +193,6 @@ def metal_parts(
     place: tuple[Floats, Floats, float],
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
-    config: MaterialConfig,
 ) -> MetalParts:
     """Gather metal samples into parts and read what each is made of.
 
@@ -173,25 +203,22 @@ def metal_parts(
         place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
         errors: (U, L) mean display error of each sample as metal.
-        config: What makes a part, and what metals there are.
 
     Returns:
         The parts.
     """
-    metal, levels = config.metal, config.metal_levels
-    rows = np.flatnonzero(odds > metal.likely)
+    levels = LEVELS[:_NUM_LEVELS]
+    rows = np.flatnonzero(odds > _LIKELY)
     position, hue, spacing = place
     piece, part = np.full(len(odds), -1), np.full(len(odds), -1)
     if len(rows):
-        piece[rows] = pieces(
-            position[rows], hue[rows], metal.gap * spacing, metal.fewest, config.segments
-        )
+        piece[rows] = pieces(position[rows], hue[rows], _GAP * spacing, _FEWEST)
     reflections, rays, linear = observed
     bases, roughness, sizes = [], [], []
     readings: dict[float, Floats] = {}
     for index in range(piece.max(initial=-1) + 1):
         inside = piece == index
-        if inside.sum() < metal.fewest or odds[inside].mean() < metal.certain:
+        if inside.sum() < _FEWEST or odds[inside].mean() < _CERTAIN:
             continue
         level = levels[int(errors[inside].mean(0).argmin())]
         if level not in readings:
@@ -202,7 +229,7 @@ def metal_parts(
         roughness.append(level)
         sizes.append(inside.sum())
     log = np.log(np.reshape(bases, (-1, 3)).clip(1e-3))
-    base = np.exp(likely_base(log, np.array(sizes), metal))
+    base = np.exp(likely_base(log, np.array(sizes)))
     return MetalParts(
         part=part,
         base=base.astype(np.float32),
@@ -210,7 +237,7 @@ def metal_parts(
     )
 
 
-def likely_base(read: Reals, count: NDArray[np.int64], config: MetalConfig) -> Reals:
+def likely_base(read: Reals, count: NDArray[np.int64]) -> Reals:
     """Log base colours (P, 3) of parts, from what they read and from what metals there are.
 
     Most scenes hold one metal, so the parts of a scene are drawn from what all of them read, and
@@ -220,7 +247,6 @@ def likely_base(read: Reals, count: NDArray[np.int64], config: MetalConfig) -> R
     Args:
         read: (P, 3) logarithms of what the parts read.
         count: (P,) samples that tell each.
-        config: What metals there are, and how well they are read.
 
     Returns:
         Posterior means, none above 0.
@@ -229,19 +255,17 @@ def likely_base(read: Reals, count: NDArray[np.int64], config: MetalConfig) -> R
         return read
     share = count / count.sum()
     shown = np.column_stack([read.max(1), read @ HUE_OF_LOG.T])
-    metals = np.array([config.brightness, config.blue, 0.0])
-    spread = np.array([config.brightness_spread, config.blue_spread, config.green_spread])
+    metals = np.array([_BRIGHTNESS, _BLUE, 0.0])
+    spread = np.array([_BRIGHTNESS_SPREAD, _BLUE_SPREAD, _GREEN_SPREAD])
     together = _weighted_median(shown, share)[None]
-    chance = np.sqrt(1 + config.enough / count.clip(1))[:, None]
-    scene = _posterior(together, (metals, spread), np.sqrt((share**2).sum()) * chance.min(), config)
-    brightest, *hue = _posterior(shown, (scene[0], config.alike * spread), chance, config).T
+    chance = np.sqrt(1 + _ENOUGH / count.clip(1))[:, None]
+    scene = _posterior(together, (metals, spread), np.sqrt((share**2).sum()) * chance.min())
+    brightest, *hue = _posterior(shown, (scene[0], _ALIKE * spread), chance).T
     log = np.stack(hue, axis=1) @ LOG_OF_HUE.T
     return np.minimum(log - log.max(1, keepdims=True) + brightest[:, None], 0.0)
 
 
-def _posterior(
-    read: Reals, prior: tuple[Reals, Reals], chance: Reals | float, config: MetalConfig
-) -> Reals:
+def _posterior(read: Reals, prior: tuple[Reals, Reals], chance: Reals | float) -> Reals:
     """Posterior means (P, 3) of brightness and hue that are read so.
 
     Some readings are wrong altogether: the error is a mixture, so that they are trusted the less
@@ -252,13 +276,12 @@ def _posterior(
         read: (P, 3) brightness, blueness, greenness.
         prior: Mean and deviation (3,) of the true ones.
         chance: Errors of all readings, (P, 1), in those of the configuration.
-        config: Errors of good and of wrong readings.
     """
     known, spread = prior
-    off, wrong = read - known, config.misread_error
+    off = read - known
     weights, means = [], []
-    usual = (config.brightness_error, config.blue_error, config.green_error)
-    for share, error in ((1 - config.misread_share, usual), (config.misread_share, 3 * (wrong,))):
+    usual = (_BRIGHTNESS_ERROR, _BLUE_ERROR, _GREEN_ERROR)
+    for share, error in ((1 - _MISREAD_SHARE, usual), (_MISREAD_SHARE, 3 * (_MISREAD_ERROR,))):
         whole = spread**2 + (chance * np.array(error)) ** 2
         weights.append(share * np.exp(-0.5 * (off**2 / whole + np.log(whole)).sum(1)))
         means.append(off * spread**2 / whole)

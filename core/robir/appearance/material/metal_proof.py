@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.material.config import HighlightsConfig
+from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.trial import Trial
 from robir.jobs.choice import Choice
@@ -14,12 +14,7 @@ from robir.jobs.choice import Choice
 Floats = NDArray[np.float32]
 
 
-def proven_parts(
-    parts: MetalParts,
-    trial: Trial,
-    dielectric: Floats,
-    config: HighlightsConfig,
-) -> tuple[MetalParts, Choice]:
+def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[MetalParts, Choice]:
     """The parts that are metal unless photographs that had no part in their fit prove the contrary.
 
     Each is compared with a dielectric, matt or of the roughness that fits it best, whichever is
@@ -30,7 +25,6 @@ def proven_parts(
         parts: As read from the photographs.
         trial: The U samples.
         dielectric: (U, L) display error of each sample as paint at every roughness, in those.
-        config: These roughnesses.
 
     Returns:
         The proven parts, numbered anew, and what was compared, for the report.
@@ -40,7 +34,7 @@ def proven_parts(
     for index, roughness in enumerate(parts.roughness):
         inside = parts.part == index
         own = trial.rays_of(inside)
-        level = config.levels[int(dielectric[inside].mean(0).argmin())]
+        level = LEVELS[int(dielectric[inside].mean(0).argmin())]
         glossy = trial.paint_errors(own, np.full(len(inside), level))
         plain[own] = min(trial.paint_errors(own, None), glossy, key=np.sum)
         metal[own] = trial.metal_errors(own, float(roughness))

@@ -12,11 +12,13 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.config import ObservedConfig
 from robir.appearance.material.reflections import Reflections, ViewRays, view_rays
-from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.statistics import darker_view_weights
 from robir.maths.tone_curve import AbstractToneCurve
+
+# display error, 0..1, beyond which the mesh is wrong, whatever the material, and more says no more
+_MOST_ERROR = 0.15
+LEAST_DIFFUSE = 0.02  # least share of an observation's radiance that is no reflection
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,6 @@ class Seen:
 
     Attributes:
         curve: Tone curve.
-        config: How it is compared with predictions.
         linear: (M, 3) radiance.
         display: (M, 3) display codes, 0..1.
         clipped: (M, 3) whether the true value is at least `linear`.
@@ -33,7 +34,6 @@ class Seen:
     """
 
     curve: AbstractToneCurve
-    config: ObservedConfig
     linear: Tensor
     display: Tensor
     clipped: Tensor
@@ -42,7 +42,7 @@ class Seen:
     def of(self, chosen: Tensor) -> Seen:
         """Some of the rays."""
         parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return Seen(self.curve, self.config, *parts)
+        return Seen(self.curve, *parts)
 
     def excess(self, prediction: Tensor) -> Tensor:
         """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
@@ -55,12 +55,12 @@ class Seen:
     def squared(self, prediction: Tensor) -> NDArray[np.float64]:
         """Squared display error (M,) of a predicted radiance (M, 3), for proofs."""
         off = self.excess(prediction).masked_fill(self.clipped & (prediction > self.linear), 0)
-        return (off**2).mean(1).clamp(max=self.config.most_error**2).double().numpy()
+        return (off**2).mean(1).clamp(max=_MOST_ERROR**2).double().numpy()
 
     def counted(self, excess: Tensor, prediction: Tensor) -> Tensor:
         """The same where the excess (M, 3) is known."""
         shown = excess.abs().masked_fill(self.clipped & (prediction > self.linear), 0)
-        return shown.clamp(max=self.config.most_error).mean(1)
+        return shown.clamp(max=_MOST_ERROR).mean(1)
 
 
 def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
@@ -71,7 +71,6 @@ def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> See
     off_axis = observations.off_axis[rows][rays.sample, rays.view]
     return Seen(
         curve=problem.curve,
-        config=problem.scene.config.material.observed,
         linear=problem.linear[rows][sample, view],
         display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
         clipped=torch.from_numpy(observations.clipped[rows])[sample, view],
@@ -105,11 +104,7 @@ def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
 
 
 def diffuse_below(
-    seen: Seen,
-    specular: Tensor,
-    through: Tensor,
-    seen_by: tuple[ViewRays, Tensor],
-    config: StatisticsConfig,
+    seen: Seen, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
 ) -> Tensor:
     """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
 
@@ -118,15 +113,14 @@ def diffuse_below(
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that the layer lets through.
         seen_by: The rays, and (U, V) which views show the samples.
-        config: Which of them are the darker ones.
     """
     rays, valid = seen_by
-    least = seen.config.least_diffuse * seen.linear
+    least = LEAST_DIFFUSE * seen.linear
     diffuse = torch.maximum(seen.linear - specular, least) / through
-    return low_mean(diffuse, rays, valid, config)[rays.sample] * through
+    return low_mean(diffuse, rays, valid)[rays.sample] * through
 
 
-def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor, config: StatisticsConfig) -> Tensor:
+def low_mean(linear: Tensor, rays: ViewRays, valid: Tensor) -> Tensor:
     """Mean (U, 3) over each sample's darker views of a flat list (M, 3)."""
     table = dense(linear, rays, (valid.shape[0], valid.shape[1]))
-    return (table * darker_view_weights(table, valid, config)[..., None]).sum(1)
+    return (table * darker_view_weights(table, valid)[..., None]).sum(1)

@@ -19,7 +19,6 @@ from torch import Tensor
 from robir.appearance.light.lobes import sky_radiance
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.config import ReflectionsConfig
 from robir.maths import microfacet
 from robir.maths.vectors import normalise, orthonormal_frame
 from robir.transport.observe import Observations
@@ -32,6 +31,16 @@ F0 = 0.04
 
 CHUNK = 1024
 """Rays at a time, whose cosines with all directions then stay in the processor's cache."""
+
+# roughness below which a sun's highlight is narrower than the samples can tell
+_SHARPEST_HIGHLIGHT = 0.12
+# sharpness of the lobe about a mirror direction beyond which the sky's directions lie too far from
+# each other
+_SHARPEST_KERNEL = 200.0
+# between normal and half vector, within which a view is near the mirror direction of a sun
+_HIGHLIGHT_COSINE = 0.87
+_LEAST_SUN = 0.1  # cosine times visibility of a sun below which it has no highlight
+_TILT = 0.12  # of the normal that a highlight may need, as a tangent: about the mesh's error
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +138,10 @@ def metal_share(rays: ViewRays, roughness: float) -> Tensor:
     return scale + bias
 
 
-def tilts_of(config: ReflectionsConfig) -> tuple[tuple[float, float], ...]:
+def tilts_of() -> tuple[tuple[float, float], ...]:
     """Tilts of the normal, along two tangents, that are tried: none, and six about it."""
     around = np.arange(6) * np.pi / 3
-    return ((0.0, 0.0), *((config.tilt * np.cos(a), config.tilt * np.sin(a)) for a in around))
+    return ((0.0, 0.0), *((_TILT * np.cos(a), _TILT * np.sin(a)) for a in around))
 
 
 def _product_at(
@@ -216,7 +225,6 @@ class Reflections:
         # Where no ray tells the surface: the mean radiance that the bounce carries.
         bounced = problem.indirect[rows] / around.clamp(min=0.05)[:, None]
         surfaces, is_hit = _radiance_of_surfaces(problem, rows)
-        self._config = scene.config.material.reflections
         self._directions = directions
         self._incident = [
             seen * sky[:, channel]
@@ -232,7 +240,7 @@ class Reflections:
     @property
     def tilts(self) -> tuple[tuple[float, float], ...]:
         """See `tilts_of`."""
-        return tilts_of(self._config)
+        return tilts_of()
 
     def radiance(self, rays: ViewRays, roughness: float) -> Tensor:
         """Specular radiance (M, 2, 3): for F0 = 0.04, and per unit of a metal's base colour."""
@@ -256,7 +264,7 @@ class Reflections:
         # Width of the GGX lobe about the mirror direction at a typical slant.
         alpha = microfacet.ggx_alpha_from_roughness(torch.tensor(roughness))
         sharpness = float(1 / (2 * alpha**2 * 0.75))
-        sharpness = min(sharpness, self._config.sharpest_kernel)
+        sharpness = min(sharpness, _SHARPEST_KERNEL)
         return torch.exp(sharpness * (self._directions @ self._directions.T - 1))
 
     def near_highlight(self, rays: ViewRays) -> Tensor:
@@ -265,8 +273,8 @@ class Reflections:
         near = torch.zeros(len(sample), dtype=torch.bool)
         for index in range(len(self._light.axes)):
             half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
-            facing = (self._normal[sample] * half).sum(1) > self._config.highlight_cosine
-            near |= facing & (self._sun[sample, index] > self._config.least_sun)
+            facing = (self._normal[sample] * half).sum(1) > _HIGHLIGHT_COSINE
+            near |= facing & (self._sun[sample, index] > _LEAST_SUN)
         return near.nonzero()[:, 0]
 
     def tilted(self, rays: ViewRays, tilt: tuple[float, float]) -> ViewRays:
@@ -299,7 +307,7 @@ class Reflections:
             # About the half vector a sun is half as wide, and widths add as squares: a lobe of
             # sharpness s widens alpha^2 by 1 / (2 s).
             blurred = (roughness**4 + 0.5 / float(sharpness)) ** 0.25
-            wide = torch.full_like(rays.cosine, max(blurred, self._config.sharpest_highlight))
+            wide = torch.full_like(rays.cosine, max(blurred, _SHARPEST_HIGHLIGHT))
             axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
             arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
             lobe = microfacet.specular_brdf(

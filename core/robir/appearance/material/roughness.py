@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.material.config import HighlightsConfig, MaterialConfig
-from robir.appearance.material.highlights import Highlights, pooled, read
+from robir.appearance.material.highlights import STEP, UNKNOWN, Highlights, pooled, read
 from robir.appearance.material.trial import Trial
 from robir.jobs.choice import Choice
 
@@ -30,6 +29,11 @@ MATTE = 1.0
 
 ONE, EACH = "one for the whole object", "one per patch of like paint"
 GLOSSY, DULL = "as of any paint: F0 = 0.04", "none"
+
+# deviation of the roughness over the surface below which there is one: nobody sees it, and chance
+# alone lets patches predict a little better
+_NO_DIFFERENCE = 0.04
+_STRIDE = 3  # every so manieth sample of paint is tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,11 +65,7 @@ class Patches:
 
 
 def choose_roughness(
-    highlights: Highlights,
-    patches: Patches,
-    trial: Trial,
-    paint: NDArray[np.bool_],
-    config: MaterialConfig,
+    highlights: Highlights, patches: Patches, trial: Trial, paint: NDArray[np.bool_]
 ) -> RoughnessChoice:
     """Roughness of every patch, as many as there are.
 
@@ -74,27 +74,23 @@ def choose_roughness(
         patches: That they lie on.
         trial: The same samples.
         paint: (U,) those that are no metal, of which all is judged.
-        config: How roughness is read, and how many there are.
 
     Returns:
         The choice.
     """
     started = time.process_time()
-    reading, limits = config.highlights, config.roughness
-    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features, reading)
-    kept = trial.rays_of(paint & (np.arange(len(paint)) % limits.stride == 0))
-    levels = np.full(len(paint), _stepped(one, reading.step)), each[patches.number]
+    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features)
+    kept = trial.rays_of(paint & (np.arange(len(paint)) % _STRIDE == 0))
+    levels = np.full(len(paint), _stepped(one, STEP)), each[patches.number]
     plain = trial.paint_errors(kept, None)
     single, several = (trial.paint_errors(kept, level) for level in levels)
     many = trial.proof(kept, single, several)
     gloss = trial.proof(kept, plain, several if many.is_open else single)
     of_paint = each[patches.number[paint]]
-    is_alike = not len(of_paint) or float(of_paint.std()) < limits.no_difference
+    is_alike = not len(of_paint) or float(of_paint.std()) < _NO_DIFFERENCE
     is_dull = not gloss.is_open
     is_one = is_dull or is_alike or not many.is_open
-    roughness = (
-        np.full(len(each), MATTE if is_dull else _stepped(one, reading.step)) if is_one else each
-    )
+    roughness = np.full(len(each), MATTE if is_dull else _stepped(one, STEP)) if is_one else each
     choices = (
         Choice(
             choice="specular",
@@ -116,15 +112,12 @@ def choose_roughness(
 
 
 def _fitted(
-    highlights: Highlights,
-    number: NDArray[np.int64],
-    features: Reals,
-    config: HighlightsConfig,
+    highlights: Highlights, number: NDArray[np.int64], features: Reals
 ) -> tuple[float, NDArray[np.float64]]:
     """Roughness of all samples together, and of every patch (K,), in whole steps."""
-    readings = read(highlights, number, len(features), config)
-    each = _stepped(pooled(readings, features, config), config.step)
-    return readings.weighted_mean(config.unknown), each
+    readings = read(highlights, number, len(features))
+    each = _stepped(pooled(readings, features), STEP)
+    return readings.weighted_mean(UNKNOWN), each
 
 
 def _stepped(roughness: Any, step: float) -> Any:

@@ -12,13 +12,15 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from robir.appearance.material.config import SegmentsConfig
-
 Reals = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
 
+# Ashman's distance of two halves' means, in their mean deviations, from which they are two hues.
+# Hues spread evenly along a line have 3.5 when cut in the middle, a normal distribution 2.7.
+_CLEAR_GAP = 4.0
 
-def pieces(position: Reals, hue: Reals, gap: float, fewest: int, config: SegmentsConfig) -> Rows:
+
+def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
     """Number (N,) of the piece of every sample.
 
     What touches may be two things: the cap of a bottle, the paint about a bumper. Links from sample
@@ -30,7 +32,6 @@ def pieces(position: Reals, hue: Reals, gap: float, fewest: int, config: Segment
         hue: (N, 3) log colour without its mean over the channels, mean of each one's surroundings.
         gap: Across which samples are near each other.
         fewest: Samples that either side of a cut must have.
-        config: When hues are two.
     """
     near = cKDTree(position).query_pairs(gap, output_type="ndarray")
     ones = np.ones(len(near))
@@ -40,7 +41,7 @@ def pieces(position: Reals, hue: Reals, gap: float, fewest: int, config: Segment
     number, done = np.zeros(len(position), np.int64), 0
     while waiting:
         rows = waiting.pop()
-        is_low = _two_heaps(hue[rows], fewest, config.clear_gap)
+        is_low = _two_heaps(hue[rows], fewest, _CLEAR_GAP)
         if is_low is None:
             number[rows] = done
             done += 1

@@ -20,10 +20,9 @@ from torch import Tensor
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.observed import Seen, looked_at
+from robir.appearance.material.observed import LEAST_DIFFUSE, Seen, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
-from robir.appearance.proof import Proof
-from robir.appearance.step_config import ProofConfig
+from robir.appearance.proof import EVERY, Proof
 
 Reals = NDArray[np.float64]
 
@@ -36,25 +35,22 @@ class Trial:
         reflections: What the U samples reflect.
         rays: Their observations.
         seen: What these show.
-        config: Into how many folds views are parted.
     """
 
     reflections: Reflections
     rays: ViewRays
     seen: Seen
-    config: ProofConfig
 
     @classmethod
     def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
         """Samples (U,) of a scene under a light."""
         reflections, rays, seen, _ = looked_at(problem, light, rows)
-        config = problem.scene.config.proof
-        return cls(reflections=reflections, rays=rays, seen=seen, config=config)
+        return cls(reflections=reflections, rays=rays, seen=seen)
 
     def rays_of(self, chosen: NDArray[np.bool_]) -> Tensor:
         """Numbers of the rays of chosen samples (U,) that views of another fold show as well."""
-        fold = self.rays.view % self.config.every
-        count = np.zeros((len(chosen), self.config.every))
+        fold = self.rays.view % EVERY
+        count = np.zeros((len(chosen), EVERY))
         np.add.at(count, (self.rays.sample, fold), 1)
         elsewhere = count.sum(1)[self.rays.sample] > count[self.rays.sample, fold]
         return torch.from_numpy(np.flatnonzero(chosen[self.rays.sample] & elsewhere))
@@ -74,7 +70,7 @@ class Trial:
             part = rays.of(own)
             specular[own] = self.reflections.radiance(part, float(roughness))[:, 0]
             through[own] = 1 - reflected_share(part, float(roughness))[:, None]
-        below = predicted_below(seen, rays, specular, through, self.config)
+        below = predicted_below(seen, rays, specular, through)
         return seen.squared(below + specular)
 
     def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
@@ -94,9 +90,7 @@ class Trial:
         return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
 
 
-def predicted_below(
-    seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor, config: ProofConfig
-) -> Tensor:
+def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor) -> Tensor:
     """Diffuse radiance (M, 3) that leaves rays' samples, as other folds of the views have it.
 
     Args:
@@ -104,12 +98,11 @@ def predicted_below(
         rays: All of some samples.
         specular: (M, 3) what of it is reflected.
         through: (M, 1) share of the diffuse light that is let through.
-        config: Into how many folds views are parted.
     """
-    least = seen.config.least_diffuse * seen.linear
+    least = LEAST_DIFFUSE * seen.linear
     below = torch.maximum(seen.linear - specular, least) / through
     shown = seen.curve.display_from_linear(below).float()
-    others = _by_other_folds(shown, rays, config.every).clamp(0, 1)
+    others = _by_other_folds(shown, rays, EVERY).clamp(0, 1)
     return through * seen.curve.linear_from_display(others).float()
 
 

@@ -17,10 +17,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.config import AppearanceConfig
-from robir.appearance.photometry.config import RobustConfig
-from robir.appearance.photometry.exposure import Exposures, comparable, log_radiance
-from robir.appearance.photometry.gains import orientations, real_share, solve_gains
+from robir.appearance.photometry.exposure import (
+    LEAST_COSINE,
+    LEAST_VIEWS,
+    Exposures,
+    comparable,
+    log_radiance,
+)
+from robir.appearance.photometry.gains import LEAST_POINTS, orientations, real_share, solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.appearance.photometry.own_light import have_own_lights
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
@@ -38,6 +42,9 @@ from robir.transport.surfels import Surfels
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+_NUM_POINTS = 1500  # surface points that are compared
+_IMAGE_SIDE = 200  # longest side that photographs are read at (pixels)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
@@ -50,7 +57,6 @@ class Comparison:
         log: As from `comparable`, under a plain tone curve: the true one is not known yet.
         kept: Which points that is of.
         observed: Reads the points in any views.
-        config: How they are compared.
         other_light: Names of the photographs taken under another light than most, held-out ones
             included.
         falloff: Of all photographs towards their corners, under a plain tone curve.
@@ -64,7 +70,6 @@ class Comparison:
     log: Array
     kept: NDArray[np.bool_]
     observed: Callable[[Sequence[View]], Observations]
-    config: AppearanceConfig
     other_light: frozenset[str] = frozenset()
     falloff: Falloff = NO_FALLOFF
     gain_share: float = 0.0
@@ -72,12 +77,7 @@ class Comparison:
 
     @classmethod
     def of(
-        cls,
-        transport: Transport,
-        tracer: EmbreeTracer,
-        capture: Capture,
-        config: AppearanceConfig,
-        seed: int,
+        cls, transport: Transport, tracer: EmbreeTracer, capture: Capture, seed: int
     ) -> Comparison:
         """Some points that enough views show, as these show them.
 
@@ -85,13 +85,12 @@ class Comparison:
             transport: Baked transport with the samples' observations.
             tracer: Tracer of the mesh.
             capture: All views.
-            config: How they are compared.
             seed: Of the choice of points.
         """
-        surfels, seen, asked = transport.surfels, transport.observations, config.photometry
-        is_frontal = seen.weight > asked.exposure.least_cosine
-        usable = np.flatnonzero(is_frontal.sum(1) >= asked.exposure.least_views)
-        count = min(asked.comparison.num_points, len(usable))
+        surfels, seen = transport.surfels, transport.observations
+        is_frontal = seen.weight > LEAST_COSINE
+        usable = np.flatnonzero(is_frontal.sum(1) >= LEAST_VIEWS)
+        count = min(_NUM_POINTS, len(usable))
         rng = np.random.default_rng(seed)
         chosen = np.sort(rng.choice(usable, count, replace=False))
         keep = np.zeros(len(surfels), bool)
@@ -99,12 +98,12 @@ class Comparison:
         points = surfels.subset(keep)
 
         def observed(views: Sequence[View]) -> Observations:
-            small = tuple(resize_view(view, asked.comparison.image_side) for view in views)
+            small = tuple(resize_view(view, _IMAGE_SIDE) for view in views)
             offset = transport.visibility.offset
             return observe(tracer, points.position, points.normal, small, offset)
 
         few = seen.subset(keep)
-        log, kept = comparable(few, _plain(), asked.exposure)
+        log, kept = comparable(few, _plain())
         return cls(
             capture=capture,
             points=points,
@@ -112,7 +111,6 @@ class Comparison:
             log=log,
             kept=kept,
             observed=observed,
-            config=config,
         )
 
     @property
@@ -123,7 +121,6 @@ class Comparison:
         return Exposures(
             observations=self.observed(self.capture.without(self.other_light).views),
             normals=self.points.normal,
-            config=self.config.photometry,
             gain_share=1.0 if self.has_own_lights else self.gain_share,
             has_falloff=self.falloff.strength > 0,
             has_own_lights=self.has_own_lights,
@@ -132,7 +129,7 @@ class Comparison:
     @property
     def tells(self) -> bool:
         """Whether enough is seen in common to tell anything."""
-        return len(self.log) >= self.config.photometry.gains.least_points
+        return len(self.log) >= LEAST_POINTS
 
     @property
     def normals(self) -> Floats:
@@ -152,25 +149,25 @@ def _plain() -> AbstractToneCurve:
 def _leave_out_other_light(state: Comparison) -> Comparison:
     if not state.tells:
         return state
-    few, config = state.observations, state.config.photometry
-    gains = solve_gains(state.log, state.normals, config.robust)
-    odd, common = find_unlike(state.log, gains, config.other_light)
+    few = state.observations
+    gains = solve_gains(state.log, state.normals)
+    odd, common = find_unlike(state.log, gains)
     other = {few.views[index] for index in np.flatnonzero(odd)}
     if not other:
         return state
     if aside := state.capture.held_out:
-        apart = log_radiance(state.observed(aside), _plain(), config.exposure)[state.kept]
-        is_odd = unlike(apart, common, config.other_light)
+        apart = log_radiance(state.observed(aside), _plain())[state.kept]
+        is_odd = unlike(apart, common)
         other |= {aside[index].name for index in np.flatnonzero(is_odd)}
     few = few.of_views(~odd)
-    log, kept = comparable(few, _plain(), config.exposure)
+    log, kept = comparable(few, _plain())
     return replace(state, other_light=frozenset(other), observations=few, log=log, kept=kept)
 
 
 def _find_falloff(state: Comparison) -> Comparison:
     if not state.tells:
         return state
-    falloff = find_falloff(state.log, state.normals, state.off_axis, state.config)
+    falloff = find_falloff(state.log, state.normals, state.off_axis)
     return replace(state, falloff=falloff)
 
 
@@ -178,7 +175,7 @@ def _find_gains(state: Comparison) -> Comparison:
     if not state.tells:
         return state
     dimming = state.falloff.log(state.off_axis)[..., None]
-    share = real_share(state.log - dimming, state.normals, state.config.photometry)
+    share = real_share(state.log - dimming, state.normals)
     return replace(state, gain_share=share) if share else state
 
 
@@ -187,7 +184,7 @@ def _find_own_lights(state: Comparison) -> Comparison:
         return state
     log = state.log - state.falloff.log(state.off_axis)[..., None]
     places = state.points.position[state.kept], state.observations.positions
-    has_own_lights = have_own_lights(log, state.normals, places, state.config.photometry)
+    has_own_lights = have_own_lights(log, state.normals, places)
     return replace(state, has_own_lights=has_own_lights)
 
 
@@ -221,9 +218,7 @@ COMPARISON: tuple[Step[Comparison], ...] = (
 """What is asked of photographs of the same points, in this order."""
 
 
-def find_falloff(
-    log: Array, normals: Floats, off_axis: NDArray[np.uint8], config: AppearanceConfig
-) -> Falloff:
+def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
     """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
 
     Solved by the fitted views, it must let the points that these show predict the kept ones better,
@@ -233,34 +228,28 @@ def find_falloff(
         log: (P, V, 3) log radiance from `comparable`.
         normals: (P, 3) of the points.
         off_axis: (P, V) as in `Observations.off_axis`.
-        config: How photographs are compared, and views kept for the proof.
     """
-    asked = config.photometry
-    is_fitted = fitted_views(log.shape[1], config.proof)
-    enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= asked.exposure.least_views
-    if enough.sum() < asked.gains.least_points:
+    is_fitted = fitted_views(log.shape[1])
+    enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= LEAST_VIEWS
+    if enough.sum() < LEAST_POINTS:
         return NO_FALLOFF
     log, normals, off_axis = log[enough], normals[enough], off_axis[enough]
-    falloff = solve_falloff(log[:, is_fitted], normals, off_axis[:, is_fitted], asked)
+    falloff = solve_falloff(log[:, is_fitted], normals, off_axis[:, is_fitted])
     if falloff.strength <= 0:
         return NO_FALLOFF
     point, view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))
     # sheen at grazing angles, which is where the edges of photographs look, errs by orientation
-    orientation = orientations(normals, asked.gains)
+    orientation = orientations(normals)
     plain, rich = (
-        _kept_errors(log, normals, model.log(off_axis), is_fitted, asked.robust)
+        _kept_errors(log, normals, model.log(off_axis), is_fitted)
         for model in (NO_FALLOFF, falloff)
     )
     is_proven = Proof.of(plain, rich, (view, orientation[point])).is_given
-    return solve_falloff(log, normals, off_axis, asked) if is_proven else NO_FALLOFF
+    return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
 
 
 def _kept_errors(
-    log: Array,
-    normals: Floats,
-    dimming: Array,
-    is_fitted: NDArray[np.bool_],
-    config: RobustConfig,
+    log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
 ) -> Array:
     """Squared display errors (M,) of what kept views show, predicted by the fitted ones.
 
@@ -269,10 +258,9 @@ def _kept_errors(
         normals: (P, 3) of the points.
         dimming: (P, V) log radiance against the middle of a photograph.
         is_fitted: (V,).
-        config: How observations are weighed.
     """
     evened = log - dimming[..., None]
-    gains = solve_gains(evened[:, is_fitted], normals, config)
+    gains = solve_gains(evened[:, is_fitted], normals)
     points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
     apart = evened[:, ~is_fitted] - points[:, None]
     apart -= np.nanmedian(apart, axis=0)

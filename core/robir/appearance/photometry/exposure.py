@@ -21,7 +21,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.photometry.config import ExposureConfig, PhotometryConfig
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.own_light import solve_slopes
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
@@ -30,6 +29,11 @@ from robir.transport.observe import Observations
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+
+LEAST_COSINE = 0.5  # cosine from which a view of a point counts: flatter ones show mostly sheen
+_DARKEST = 10  # code from which a curve's slope is worth something in all three channels (codes)
+_BRIGHTEST = 250  # code up to which it is (codes)
+LEAST_VIEWS = 4  # views of a point from which photographs can be compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +114,6 @@ class Exposures:
     Attributes:
         observations: A few surface points in all views, the held-out ones included.
         normals: (N, 3) of the points.
-        config: How they are compared.
         gain_share: How much of the gains between photographs is exposure, 0..1.
         has_falloff: Whether they are darker towards their corners.
         has_own_lights: Whether each is in a light of its own.
@@ -118,27 +121,26 @@ class Exposures:
 
     observations: Observations
     normals: Floats
-    config: PhotometryConfig
     gain_share: float
     has_falloff: bool
     has_own_lights: bool = False
 
     def gains(self, curve: AbstractToneCurve) -> Gains:
         """Gains of all views, and their falloff, under a tone curve."""
-        log, kept = comparable(self.observations, curve, self.config.exposure)
+        log, kept = comparable(self.observations, curve)
         normals, off_axis = self.normals[kept], self.observations.off_axis[kept]
         falloff = NO_FALLOFF
         if self.has_falloff:
-            falloff = solve_falloff(log, normals, off_axis, self.config)
+            falloff = solve_falloff(log, normals, off_axis)
             log = log - falloff.log(off_axis)[..., None]
         if not self.gain_share:
             return Gains({}, falloff)
         names, slopes = self.observations.views, {}
         if self.has_own_lights:
-            rows = solve_slopes(log, normals, self.config.robust)
+            rows = solve_slopes(log, normals)
             slopes = dict(zip(names, rows, strict=True))
             log = log - (normals @ rows.T)[..., None]
-        rows = self.gain_share * solve_gains(log, normals, self.config.robust)
+        rows = self.gain_share * solve_gains(log, normals)
         by_view = {name: np.exp(row) for name, row in zip(names, rows, strict=True)}
         return Gains(by_view, falloff, slopes)
 
@@ -148,31 +150,28 @@ def _rows(by_view: Mapping[str, Array], plain: Array, views: Sequence[str]) -> T
 
 
 def comparable(
-    observations: Observations, curve: AbstractToneCurve, config: ExposureConfig
+    observations: Observations, curve: AbstractToneCurve
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Log radiance (P, V, 3) of the points that enough views show well, NaN where they do not.
 
     Args:
         observations: N points.
         curve: Tone curve to undo.
-        config: Which views are enough.
 
     Returns:
         Log radiance, and which (N,) points are left.
     """
-    log = log_radiance(observations, curve, config)
-    kept = np.isfinite(log[..., 0]).sum(1) >= config.least_views
+    log = log_radiance(observations, curve)
+    kept = np.isfinite(log[..., 0]).sum(1) >= LEAST_VIEWS
     return log[kept], kept
 
 
-def log_radiance(
-    observations: Observations, curve: AbstractToneCurve, config: ExposureConfig
-) -> Array:
+def log_radiance(observations: Observations, curve: AbstractToneCurve) -> Array:
     """Log radiance (N, V, 3) under a tone curve, NaN where a view does not show a point well."""
     log = np.log(decoded(observations, curve).numpy().astype(np.float64).clip(1e-4))
     display = observations.display
-    poor = (observations.weight < config.least_cosine)[..., None] | observations.clipped
-    poor = poor | (display < config.darkest) | (display > config.brightest)
+    poor = (observations.weight < LEAST_COSINE)[..., None] | observations.clipped
+    poor = poor | (display < _DARKEST) | (display > _BRIGHTEST)
     log[poor.any(2)] = np.nan
     return log
 

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.photometry.config import GainsConfig, PhotometryConfig, RobustConfig
 from robir.appearance.photometry.robust import Weighing, solve_views
 from robir.maths.tone import curve_from_name
 
@@ -21,22 +20,25 @@ _LEAST_ERRORS = 2.0
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+# cells per unit of a normal's components, points of one erring together: some forty degrees
+_ORIENTATION_CELLS = 1.5
+LEAST_POINTS = 50  # points in all from which photographs can be compared
 
-def solve_gains(log: Array, normals: Floats, config: RobustConfig) -> Array:
+
+def solve_gains(log: Array, normals: Floats) -> Array:
     """Gains of views by the points they share.
 
     Args:
         log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
             point is shown by some view.
         normals: (P, 3) unit.
-        config: How observations are weighed.
 
     Returns:
         Log gains (V, 3) of mean 0 in every channel.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log)
-    weighing = Weighing(known, normals, config)
+    weighing = Weighing(known, normals)
     gains = np.zeros(log.shape[1:])
     for _ in weighing.rounds():
         gains, points = _least_squares(values, weighing.weight, weighing.prior())
@@ -63,7 +65,7 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
     return gains, mean - weight @ gains / mass[:, None]
 
 
-def real_share(log: Array, normals: Floats, config: PhotometryConfig) -> float:
+def real_share(log: Array, normals: Floats) -> float:
     """How much of the gains is exposure, 0..1; the rest is sheen and noise.
 
     An exposure changes all points alike, so points of some orientations and points of the others
@@ -76,27 +78,24 @@ def real_share(log: Array, normals: Floats, config: PhotometryConfig) -> float:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
             does not show a point.
         normals: (P, 3) of the points.
-        config: How orientations are told apart, and how observations are weighed.
 
     Returns:
         0 where too few points tell.
     """
-    orientation = orientations(normals, config.gains)
+    orientation = orientations(normals)
     is_first = halves(orientation)[orientation]
-    if min(is_first.sum(), (~is_first).sum()) < config.gains.least_points:
+    if min(is_first.sum(), (~is_first).sum()) < LEAST_POINTS:
         return 0.0
-    first, second = (
-        solve_gains(log[half], normals[half], config.robust) for half in (is_first, ~is_first)
-    )
+    first, second = (solve_gains(log[half], normals[half]) for half in (is_first, ~is_first))
     product, mean = (first * second).mean(), (((first + second) / 2) ** 2).mean()
     # channels of one photograph err together, so photographs are what is counted
     chance = np.sqrt((first**2).mean() * (second**2).mean() / len(first))
     return float(min(product / mean, 1.0)) if product > _LEAST_ERRORS * chance else 0.0
 
 
-def orientations(normals: Floats, config: GainsConfig) -> NDArray[np.int64]:
+def orientations(normals: Floats) -> NDArray[np.int64]:
     """Numbers (P,) of orientations that err together, from 0 without gaps."""
-    cells = np.rint(config.orientation_cells * normals)
+    cells = np.rint(_ORIENTATION_CELLS * normals)
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 

@@ -20,23 +20,28 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.photometry.config import PhotometryConfig, RobustConfig
-from robir.appearance.photometry.gains import halves, others_errors, solve_gains
-from robir.appearance.photometry.robust import Weighing
+from robir.appearance.photometry.gains import LEAST_POINTS, halves, others_errors, solve_gains
+from robir.appearance.photometry.robust import FIRST_WIDTH, LAST_WIDTH, NARROWING, Weighing
 from robir.appearance.proof import Proof
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+_PLACE_SIZE = 0.15  # side of the cubes within which points err together (unit frame)
+# of the rival sheen's polynomials: of the second, a ball with a Phong exponent of 8 passes for one
+# in lights of its own
+_SHEEN_DEGREE = 3
+_SHEEN_ROUNDS = 8  # turns of points and sheen
+_SHEEN_RIDGE = 1e-4  # weight of the sheen's prior against the trace of its equations
 
-def solve_slopes(log: Array, normals: Floats, config: RobustConfig) -> Array:
+
+def solve_slopes(log: Array, normals: Floats) -> Array:
     """By how much each photograph is brighter on what faces one way than on what faces another.
 
     Args:
         log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
             point is shown by some view.
         normals: (P, 3) unit.
-        config: How observations are weighed.
 
     Returns:
         (V, 3) log radiance per unit of the normal, alike in all channels, of mean 0 over the views:
@@ -45,7 +50,7 @@ def solve_slopes(log: Array, normals: Floats, config: RobustConfig) -> Array:
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
     basis = np.column_stack([np.ones(len(normals)), normals]).astype(np.float64)
-    weighing = Weighing(known, normals, config)
+    weighing = Weighing(known, normals)
     unknowns = np.zeros((log.shape[1], 4))
     for _ in weighing.rounds():
         unknowns, points = _least_squares(values, basis, weighing.weight, weighing.prior())
@@ -82,9 +87,7 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
     return unknowns, mean - (weight * (basis @ unknowns.T)).sum(1) / mass
 
 
-def have_own_lights(
-    log: Array, normals: Floats, places: tuple[Floats, Floats], config: PhotometryConfig
-) -> bool:
+def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
     """Whether photographs are each in a light of its own.
 
     Slopes of points in some places must let photographs predict those in others, better than gains
@@ -95,27 +98,26 @@ def have_own_lights(
             does not show a point.
         normals: (P, 3) of the points.
         places: Where the points (P, 3) and the cameras (V, 3) are, unit frame.
-        config: Of places and sheen, and how observations are weighed.
     """
     positions, cameras = places
-    cells = np.floor(positions / config.own_light.place_size)
+    cells = np.floor(positions / _PLACE_SIZE)
     place = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
     is_first = halves(place)[place]
-    if min(is_first.sum(), (~is_first).sum()) < config.gains.least_points:
+    if min(is_first.sum(), (~is_first).sum()) < LEAST_POINTS:
         return False
-    mirrored = _mirrored(positions, normals, cameras, config.own_light.sheen_degree)
+    mirrored = _mirrored(positions, normals, cameras, _SHEEN_DEGREE)
     groups: list[NDArray[np.int64]] = []
     errors: list[list[Array]] = []
     for judged in (is_first, ~is_first):
         fitted, shown = ~judged, log[judged]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
         groups.append(np.stack([view, place[judged][point]]))
-        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted], config)
-        slopes = normals @ solve_slopes(log[fitted], normals[fitted], config.robust).T
+        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted])
+        slopes = normals @ solve_slopes(log[fitted], normals[fitted]).T
         errors.append([])
         for more in (np.zeros_like(sheen), sheen, slopes):
             added = more[..., None]
-            gains = solve_gains(log[fitted] - added[fitted], normals[fitted], config.robust)
+            gains = solve_gains(log[fitted] - added[fitted], normals[fitted])
             errors[-1].append(others_errors(shown, gains + added[judged])[point, view])
     plain, sheeny, own = (np.concatenate(both) for both in zip(*errors, strict=True))
     grouped = tuple(np.concatenate(groups, axis=1))
@@ -136,32 +138,30 @@ def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) 
     return np.stack([x**a * y**b * z**c for a, b, c in powers if 0 < a + b + c <= degree], axis=-1)
 
 
-def _solve_sheen(log: Array, normals: Floats, mirrored: Array, config: PhotometryConfig) -> Array:
+def _solve_sheen(log: Array, normals: Floats, mirrored: Array) -> Array:
     """Coefficients (K,) of a sheen under one light, by points and gains in turns.
 
     Args:
         log: (P, V, 3) log radiance, NaN where a view does not show a point.
         normals: (P, 3) of the points.
         mirrored: (P, V, K) what the sheen is a sum of.
-        config: Of the sheen, and how observations are weighed.
     """
     known = np.isfinite(log[..., 0])
     gray = np.nan_to_num(log).mean(2)
-    own, robust = config.own_light, config.robust
-    sheen, width = np.zeros(mirrored.shape[2]), robust.first_width
-    for _ in range(own.sheen_rounds):
+    sheen, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH
+    for _ in range(_SHEEN_ROUNDS):
         shown = mirrored @ sheen
-        left = gray - shown - solve_gains(log - shown[..., None], normals, robust).mean(1)
+        left = gray - shown - solve_gains(log - shown[..., None], normals).mean(1)
         left = np.where(known, left, 0.0)
         apart = left - left.sum(1, keepdims=True) / known.sum(1, keepdims=True)
         weight = known / (1 + (apart / width) ** 2) ** 2
-        width = max(robust.last_width, robust.narrowing * width)
+        width = max(LAST_WIDTH, NARROWING * width)
         mass = weight.sum(1)
         kinds = mirrored - (np.einsum("pv,pvk->pk", weight, mirrored) / mass[:, None])[:, None]
         left = left - (weight * left).sum(1, keepdims=True) / mass[:, None]
         system = np.einsum("pv,pvk,pvl->kl", weight, kinds, kinds)
         right = np.einsum("pv,pvk,pv->k", weight, kinds, left)
         sheen = sheen + np.linalg.solve(
-            system + own.sheen_ridge * np.trace(system) * np.eye(len(right)), right
+            system + _SHEEN_RIDGE * np.trace(system) * np.eye(len(right)), right
         )
     return sheen

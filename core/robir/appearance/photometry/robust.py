@@ -8,9 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.photometry.config import RobustConfig
-
 Array = NDArray[np.float64]
+
+_PRIOR_STEPS = 0.5  # standard deviation of gains before anything is seen (steps)
+_NORMAL_SHARPNESS = 10.0  # of the lobe within which normals share one vote: 10 are about 25 degrees
+# deviation between views of which a photograph's noise alone is capable (log radiance)
+_NOISE = 0.02
+# deviation from which an observation counts little (Geman-McClure), at first (log radiance)
+FIRST_WIDTH = 0.4
+LAST_WIDTH = 0.05  # the same in the end (log radiance)
+NARROWING = 0.7  # by what that shrinks from round to round
+_NUM_ROUNDS = 20  # solves, weights renewed after each
 
 
 class Weighing:
@@ -26,35 +34,31 @@ class Weighing:
         noise: Typical deviation of what counts, log radiance.
     """
 
-    def __init__(
-        self, known: NDArray[np.bool_], normals: NDArray[np.float32], config: RobustConfig
-    ) -> None:
+    def __init__(self, known: NDArray[np.bool_], normals: NDArray[np.float32]) -> None:
         self.known = known
-        self.noise = config.first_width
-        self._config = config
+        self.noise = FIRST_WIDTH
         self.weight = known.astype(np.float64)
-        self._alike = np.exp(config.normal_sharpness * (normals @ normals.T - 1))
+        self._alike = np.exp(_NORMAL_SHARPNESS * (normals @ normals.T - 1))
         self._dull, self._trust = np.ones(len(known)), known.astype(np.float64)
-        self._width = config.first_width
+        self._width = FIRST_WIDTH
 
     def rounds(self) -> Iterator[int]:
         """Rounds; in each, solve with `weight` and hand what is left to `renew`."""
-        config = self._config
-        for step in range(config.num_rounds):
+        for step in range(_NUM_ROUNDS):
             self.weight = self._trust * (self._dull / (self._alike @ self._dull))[:, None]
-            self._width = max(config.last_width, config.first_width * config.narrowing**step)
+            self._width = max(LAST_WIDTH, FIRST_WIDTH * NARROWING**step)
             yield step
 
     def prior(self) -> float:
         """Weight with which every gain is drawn to 0."""
-        deviation = self._config.prior_steps * np.log(2)
+        deviation = _PRIOR_STEPS * np.log(2)
         return self.weight[self.known].mean() * (self.noise / deviation) ** 2
 
     def renew(self, apart: Array) -> None:
         """Take what is left, (P, V) absolute deviations, into account."""
         self._trust = self.known / (1 + (apart / self._width) ** 2) ** 2
         apart[~self.known] = np.nan
-        self._dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + self._config.noise**2)
+        self._dull = 1 / (np.nanmedian(apart, axis=1) ** 2 + _NOISE**2)
         self.noise = 1.48 * float(np.nanmedian(apart))
 
 

@@ -11,12 +11,33 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.photometry.config import StatisticsConfig
 from robir.appearance.photometry.exposure import Gains, decoded
 from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
+
+# rank of brightness from which a sample's views are averaged: pixels darkened by an outline lie
+# below
+_LOW_SHARE = 0.1
+_HIGH_SHARE = 0.5  # rank up to which they are: highlights lie above
+_CLIPPED_SHARE = 0.3  # weight of its clipped views from which a sample is clipped
+# how far apart a sample in shadow and its lit partner may lie. Under a low sun shadows are longer
+# than what casts them (unit frame)
+_SHADOW_REACH = 0.8
+_SHADOW_NORMAL = 0.6  # what a difference of one unit of normal counts in that distance (unit frame)
+_LEAST_SHADOW_SAMPLES = 20  # in the shadow and lit, from which a shadow is compared
+_SHADOW_PARTNERS = 12  # lit partners of a sample in shadow
+# of how many lit samples one may be its partner, at least. The nearest all hug the shadow's edge,
+# where photographs blur it and the mesh displaces it; of those far away more are of another paint.
+_SHADOW_PARTS = 4
+_LARGEST_PART = 1250  # of how many samples, lit or not, a part of these consists at most
+# width of the kernel that finds the commonest step across shadows: more than noise, less than the
+# difference between the materials of a scene (log units)
+STEP_WIDTH = 0.15
+_STEP_PAIRS = 4000  # pairs that tell a step
+_STEP_STARTS = 400  # those of them from which it is searched
+_STEP_ROUNDS = 30  # rounds of the search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,21 +72,20 @@ def linear_observations(
     return gains.undone(decoded(observations, curve), observations, normals)
 
 
-def darker_view_weights(linear: Tensor, valid: Tensor, config: StatisticsConfig) -> Tensor:
+def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
     """Weights of the views between two ranks of each sample's brightness.
 
     Args:
         linear: (N, V, 3) radiance.
         valid: (N, V) bool, views that show the sample.
-        config: The ranks.
 
     Returns:
         (N, V) float32; a row sums to 1, or to 0 where no view shows the sample.
     """
     count = valid.sum(1)
     rank = linear.sum(2).masked_fill(~valid, float("inf")).argsort(1).argsort(1).float()
-    low = (config.low_share * count).floor()[:, None]
-    high = (config.high_share * count).ceil().clamp(min=1)[:, None]
+    low = (_LOW_SHARE * count).floor()[:, None]
+    high = (_HIGH_SHARE * count).ceil().clamp(min=1)[:, None]
     chosen = (valid & (rank >= torch.minimum(low, high - 1)) & (rank < high)).float()
     return chosen / chosen.sum(1, keepdim=True).clamp(min=1)
 
@@ -92,31 +112,26 @@ def texture_weights(
     return pixels / pixels.sum(1, keepdim=True).clamp(min=1e-12)
 
 
-def diffuse_radiance(
-    observations: Observations, linear: Tensor, config: StatisticsConfig
-) -> Radiance:
+def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
     """Robust low mean over the views: highlights drop out, noise averages.
 
     Args:
         observations: Colours in the photographs.
         linear: (N, V, 3) their radiance under the tone curve, specular part removed if known.
-        config: Which views are the darker ones.
 
     Returns:
         Radiance per sample.
     """
     valid = torch.from_numpy(observations.weight > 0)
-    share = darker_view_weights(linear, valid, config)
-    return weighted_radiance(observations, linear, share, config)
+    share = darker_view_weights(linear, valid)
+    return weighted_radiance(observations, linear, share)
 
 
-def weighted_radiance(
-    observations: Observations, linear: Tensor, share: Tensor, config: StatisticsConfig
-) -> Radiance:
+def weighted_radiance(observations: Observations, linear: Tensor, share: Tensor) -> Radiance:
     """Mean over the views, each sample's counting (N, V) as told; else as `diffuse_radiance`."""
     mean = (linear * share[..., None]).sum(1)
     top = torch.from_numpy(observations.clipped) & (share > 0)[..., None]
-    clipped = (top.float() * share[..., None]).sum(1) > config.clipped_share
+    clipped = (top.float() * share[..., None]).sum(1) > _CLIPPED_SHARE
     seen = (observations.weight > 0).sum(1) >= 2
     return Radiance(linear=mean.clamp(min=1e-5), clipped=clipped, seen=torch.from_numpy(seen))
 
@@ -193,7 +208,7 @@ class Pairs:
             ),
         )
 
-    def common_step(self, log_albedo: Tensor, config: StatisticsConfig) -> Tensor:
+    def common_step(self, log_albedo: Tensor) -> Tensor:
         """The commonest difference (3,) of log albedo between first and second samples.
 
         Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
@@ -203,23 +218,22 @@ class Pairs:
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
-            config: Of the search.
 
         Returns:
-            The mode found by mean shift with a kernel of `step_width`; zeros without pairs.
+            The mode found by mean shift with a kernel of `STEP_WIDTH`; zeros without pairs.
         """
         if not len(self.first):
             return torch.zeros(3)
-        some = torch.linspace(0, len(self.first) - 1, config.step_pairs).long().unique()
+        some = torch.linspace(0, len(self.first) - 1, _STEP_PAIRS).long().unique()
         apart = log_albedo[self.first[some]] - log_albedo[self.second[some]]
-        weight, width = self.weight[some], config.step_width
-        starts = apart[:: max(1, len(apart) // config.step_starts)]
-        votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * width**2)) @ weight
+        weight = self.weight[some]
+        starts = apart[:: max(1, len(apart) // _STEP_STARTS)]
+        votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
         # seen through that kernel: what a light lacks is light, what two paints differ by is not
-        hue = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, width)))
+        hue = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, STEP_WIDTH)))
         step = starts[(votes * torch.exp(-0.5 * hue.squared(starts))).argmax()]
-        for _ in range(config.step_rounds):
-            near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * width**2))
+        for _ in range(_STEP_ROUNDS):
+            near = weight * torch.exp(-((apart - step) ** 2).sum(1) / (2 * STEP_WIDTH**2))
             step = near @ apart / near.sum()
         return step
 
@@ -292,7 +306,6 @@ def shadow_pairs(
     normal: NDArray[np.float32],
     lit: NDArray[np.bool_],
     dark: NDArray[np.bool_],
-    config: StatisticsConfig,
 ) -> Pairs:
     """Pairs across a sun's shadow: samples wholly in it with near ones that are wholly lit.
 
@@ -304,23 +317,22 @@ def shadow_pairs(
         normal: (U, 3) unit; partners face alike, so that only visibility differs.
         lit: (U,) wholly lit by the sun.
         dark: (U,) wholly in its shadow.
-        config: How far and how many.
 
     Returns:
         Pairs over the samples; none where the sun casts no shadow.
     """
-    points = np.concatenate([position, config.shadow_normal * normal], axis=1)
+    points = np.concatenate([position, _SHADOW_NORMAL * normal], axis=1)
     lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)
     first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    if min(len(lit_rows), len(dark_rows)) >= config.least_shadow_samples:
+    if min(len(lit_rows), len(dark_rows)) >= _LEAST_SHADOW_SAMPLES:
         # each part of those in shadow has its own part of the lit ones
-        parts = max(config.shadow_parts, round(len(position) / config.largest_part))
-        parts = max(1, min(parts, len(lit_rows) // config.shadow_partners))
+        parts = max(_SHADOW_PARTS, round(len(position) / _LARGEST_PART))
+        parts = max(1, min(parts, len(lit_rows) // _SHADOW_PARTNERS))
         for part in range(parts):
             own, partners = dark_rows[part::parts], lit_rows[part::parts]
-            count = min(config.shadow_partners, len(partners))
+            count = min(_SHADOW_PARTNERS, len(partners))
             distance, index = cKDTree(points[partners]).query(points[own], k=count)
-            near = distance < config.shadow_reach
+            near = distance < _SHADOW_REACH
             first.append(np.repeat(own, count)[near.ravel()])
             second.append(partners[index[near]])
     left, right = np.concatenate(first), np.concatenate(second)

@@ -20,11 +20,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.photometry.config import PhotometryConfig
 from robir.appearance.photometry.robust import Weighing, solve_views
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
+
+_PRIOR = 1.0  # standard deviation of the falloff's strength before anything is seen (log radiance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +57,7 @@ NO_FALLOFF = Falloff()
 """Corners as bright as the middle."""
 
 
-def solve_falloff(
-    log: Array, normals: NDArray[np.float32], off_axis: Codes, config: PhotometryConfig
-) -> Falloff:
+def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:
     """Falloff of all views by the points they share.
 
     Args:
@@ -66,7 +65,6 @@ def solve_falloff(
             point is shown by some view.
         normals: (P, 3) unit.
         off_axis: (P, V) codes as in `Observations.off_axis`.
-        config: How strong it may be, and how observations are weighed.
 
     Returns:
         The falloff, proven or not.
@@ -74,10 +72,10 @@ def solve_falloff(
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
     square = off_axis / 255.0
-    weighing = Weighing(known, normals, config.robust)
+    weighing = Weighing(known, normals)
     strength, gains = 0.0, np.zeros(log.shape[1])
     for _ in weighing.rounds():
-        strength, gains, points = _least_squares(values, square, weighing, config.vignetting.prior)
+        strength, gains, points = _least_squares(values, square, weighing, _PRIOR)
         weighing.renew(np.abs(values + strength * square - gains - points[:, None]))
     return Falloff(strength)
 

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.light.problem import Problem
+from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
 from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
@@ -24,8 +24,12 @@ from robir.appearance.photometry.statistics import (
     texture_weights,
     weighted_radiance,
 )
-from robir.appearance.texture.config import TextureConfig
-from robir.appearance.texture.residual_shading import evened, most_albedo, with_normals
+from robir.appearance.texture.residual_shading import (
+    ALIKE_BRIGHTNESS,
+    evened,
+    most_albedo,
+    with_normals,
+)
 from robir.appearance.texture.shadow_edges import (
     Reference,
     on_edges,
@@ -33,6 +37,9 @@ from robir.appearance.texture.shadow_edges import (
     settle_edges,
 )
 from robir.appearance.texture.texels import (
+    MAX_ALBEDO,
+    MIN_ALBEDO,
+    NORMAL_SCALE,
     Blend,
     TexelAlbedo,
     Texels,
@@ -45,6 +52,17 @@ from robir.steps import Course, Step
 from robir.transport.observe import Observations, observe
 
 Floats = NDArray[np.float32]
+
+# every so manieth texel stands for its neighbours where texels are compared with each other or
+# normals are turned: the atlas is finer than photographs and mesh
+_STEP = 4
+_LEAST_PAINT = 0.1  # least share of a texel's radiance that is the paint's below a specular layer
+_DIM_SHARE = 0.02  # irradiance that hardly tells albedo, over the mean of all texels
+_VIEW_ERROR = 0.05  # error of log albedo that all views have in common
+_EDGE_ERROR = 0.25  # the same at a shadow's edge
+# error of the specular light that is subtracted, over itself: little is known of a dark material in
+# the shade, most of whose light is reflected
+_GLOSS_ERROR = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,11 +150,10 @@ class Painting:
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
         linear = linear_observations(seen, problem.curve, problem.gains, texels.normal)
         observed = seen.weight, seen.positions
-        config = problem.scene.config
         share = texture_weights(observed, texels.position)
-        radiance = weighted_radiance(seen, linear, share, config.photometry.statistics)
+        radiance = weighted_radiance(seen, linear, share)
         shown = display_mean(linear, share, problem.curve)
-        rays, nothing = 2 * config.light.problem.sun_ray_pairs, np.zeros(len(soft), np.float32)
+        rays, nothing = 2 * SUN_RAY_PAIRS, np.zeros(len(soft), np.float32)
         return cls(
             problem=problem,
             light=light,
@@ -155,11 +172,6 @@ class Painting:
         )
 
     @property
-    def config(self) -> TextureConfig:
-        """How they are read."""
-        return self.problem.scene.config.texture
-
-    @property
     def sun(self) -> Floats:
         """(J, 3) irradiance of the suns on what faces them."""
         return self.light.amplitudes.sharp.numpy()
@@ -172,9 +184,7 @@ class Painting:
     @property
     def below(self) -> Floats:
         """(N, 3) radiance of the paint below a specular layer."""
-        return np.maximum(
-            self.total - self.material.floor, self.config.albedo.least_paint * self.total
-        )
+        return np.maximum(self.total - self.material.floor, _LEAST_PAINT * self.total)
 
     @property
     def exitant(self) -> Floats:
@@ -197,9 +207,7 @@ class Painting:
     def values(self) -> TexelAlbedo:
         """All that is known of the texels."""
         smooth = self.albedo if self.smooth is None else self.smooth
-        distance = distance_to_seen(
-            self.texels.position, self.coverage > 0, self.config.uncertainty
-        )
+        distance = distance_to_seen(self.texels.position, self.coverage > 0)
         changed = np.abs(np.log(smooth / self.albedo)).mean(1)
         return TexelAlbedo(
             albedo=smooth.astype(np.float32),
@@ -207,9 +215,7 @@ class Painting:
             disagreement=self.disagreement.astype(np.float32),
             read=self.albedo.astype(np.float32),
             unknown=self.unknown.astype(np.float32),
-            uncertainty=standard_error(
-                self.spread, changed, self.coverage, distance, self.config.uncertainty
-            ),
+            uncertainty=standard_error(self.spread, changed, self.coverage, distance),
             roughness=self.material.roughness.astype(np.float32),
             metallic=self.material.metallic.astype(np.float32),
         )
@@ -250,25 +256,24 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
 
 
 def _divide(state: Painting) -> Painting:
-    config, irradiance, metallic = state.config, state.irradiance, state.material.metallic
-    albedo = state.exitant / np.hypot(irradiance, config.albedo.dim_share * irradiance.mean(0))
+    irradiance, metallic = state.irradiance, state.material.metallic
+    albedo = state.exitant / np.hypot(irradiance, _DIM_SHARE * irradiance.mean(0))
     albedo[metallic] = state.material.metal[metallic]
     sky = float(state.soft.mean())
     edge = on_edges(state.problem, state.light, state.texels, albedo, sky) & ~metallic
     certain = (state.coverage >= 2) & ~edge & ~state.clipped.any(1)
-    shade = state.problem.scene.config.light.shade
-    doubt = irradiance_doubt(torch.from_numpy(irradiance), shade).numpy()
-    common = np.where(edge, config.albedo.edge_error, config.albedo.view_error)
+    doubt = irradiance_doubt(torch.from_numpy(irradiance)).numpy()
+    common = np.where(edge, _EDGE_ERROR, _VIEW_ERROR)
     known = np.sqrt(state.spread**2 + common**2 + doubt**2)
     disagreement = np.where(state.coverage > 0, known, 1.0).clip(0.0, 1.0)
-    reflected = config.albedo.gloss_error * state.material.floor.mean(1) / state.below.mean(1)
+    reflected = _GLOSS_ERROR * state.material.floor.mean(1) / state.below.mean(1)
     return replace(
         state,
         albedo=albedo,
         edge=edge,
         disagreement=disagreement,
         unknown=np.hypot(disagreement, reflected).clip(0.0, 1.0),
-        reference=Reference(state.texels, albedo, certain, config),
+        reference=Reference(state.texels, albedo, certain),
     )
 
 
@@ -291,17 +296,15 @@ def _settle_clipped(state: Painting) -> Painting:
 def _fill_unseen(state: Painting) -> Painting:
     hidden, albedo = state.coverage == 0, state.albedo.copy()
     albedo[hidden] = state.known.nearest_albedo(state.texels, hidden)
-    limits = state.config.texels
-    return replace(state, albedo=np.clip(albedo, limits.min_albedo, limits.max_albedo))
+    return replace(state, albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO))
 
 
 def _even(state: Painting) -> Painting:
-    evening, texels = state.config.residual_shading, state.config.texels
-    points = with_normals(state.texels.position, state.texels.normal, texels.normal_scale)
+    points = with_normals(state.texels.position, state.texels.normal, NORMAL_SCALE)
     reflected = state.total * state.material.kept / state.below
-    most = most_albedo(state.albedo, reflected, state.disagreement, evening.alike_brightness)
-    smooth = np.minimum(evened(state.albedo, state.unknown, points, evening, texels.step), most)
-    return replace(state, smooth=smooth.clip(texels.min_albedo, texels.max_albedo))
+    most = most_albedo(state.albedo, reflected, state.disagreement, ALIKE_BRIGHTNESS)
+    smooth = np.minimum(evened(state.albedo, state.unknown, points, _STEP), most)
+    return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
 
 
 ALBEDO: tuple[Step[Painting], ...] = (

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
-from robir.appearance.texture.config import DetailConfig, TextureConfig
-from robir.appearance.texture.texels import TexelAlbedo
+from robir.appearance.texture.texels import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
 from robir.capture.capture import Bounds, View
 from robir.capture.checks.sharpness import relative_sharpness
 from robir.capture.images.loading import resize_view
@@ -47,6 +46,19 @@ Mask = NDArray[np.bool_]
 BLOCK = 1 << 21
 """Texels that are worked on at a time; each takes some hundred bytes."""
 
+_BEST_VIEWS = 4  # whose detail is blended at a texel
+_STEEPNESS = 4.0  # power of a view's pixels on a unit of surface by which it counts against others
+_DEPTH_SIDE = 400  # longer side of the pictures by which is told what hides a texel (pixels)
+# difference of depth, unit frame, up to which a texel is the surface that a pixel sees
+_DEPTH_TOLERANCE = 0.015
+_LEAST_COSINE = 0.3  # views flatter than this blur all detail
+# of the logarithm of radiance: most that a spot may differ from its surroundings
+_MOST_DETAIL = 1.5
+# difference of detail between views, natural logarithm, from which they count as disagreeing: a
+# highlight's edge is in one of them only
+_DISAGREEMENT = 0.1
+_ROUNDS = 3  # how often the mean is found anew without those that disagree
+
 
 def finer(
     values: TexelAlbedo,
@@ -54,7 +66,6 @@ def finer(
     surface: tuple[Mesh, EmbreeTracer],
     photographs: tuple[Sequence[View], AbstractToneCurve],
     side: int,
-    config: TextureConfig,
 ) -> tuple[Mask, TexelAlbedo]:
     """Texture values with the photographs' detail.
 
@@ -65,7 +76,6 @@ def finer(
         photographs: Views to read, unit frame, and their tone curve.
         side: Texels along a side that are wanted; the values come back as they are where these are
             no more than T.
-        config: Limits of albedo, and how detail is read.
 
     Returns:
         The texels of the finer atlas that hold something, (side, side), and their values.
@@ -85,36 +95,33 @@ def finer(
     area = _area(mesh)
     sizes = (math.sqrt(area / max(1, held.sum())), math.sqrt(area / max(1, inside.sum())))
     lenses = [
-        _Lens(view, tracer, curve, (sizes, float(factor)), config.detail)
+        _Lens(view, tracer, curve, (sizes, float(factor)))
         for view, factor in zip(views, sharp, strict=True)
     ]
-    albedo, limits = fine.albedo.copy(), config.texels
+    albedo = fine.albedo.copy()
     for start in range(0, len(rows), BLOCK):
         part = slice(start, start + BLOCK)
         position, normal = interpolate(mesh, where[0][part], where[1][part].astype(np.float32))
-        detail = detail_of(position, normal, lenses, config.detail)
+        detail = detail_of(position, normal, lenses)
         detail[fine.metallic[part] > 0.5] = 0.0
         made = albedo[part] * np.exp(detail)
-        albedo[part] = made.clip(limits.min_albedo, limits.max_albedo)
+        albedo[part] = made.clip(MIN_ALBEDO, MAX_ALBEDO)
     return held, replace(fine, albedo=albedo)
 
 
-def detail_of(
-    position: Floats, normal: Floats, lenses: Sequence[_Lens], config: DetailConfig
-) -> Floats:
+def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floats:
     """What the best views show at texels against what they show about them.
 
     Args:
         position: (N, 3), unit frame.
         normal: (N, 3), unit.
         lenses: Photographs.
-        config: How many are blended, and how they agree.
 
     Returns:
         (N, 3), natural logarithm; 0 where no view shows the texel well.
     """
-    weight = np.zeros((len(position), config.best_views), np.float32)
-    detail = np.zeros((len(position), config.best_views, 3), np.float32)
+    weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
+    detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
     for lens in lenses:
         texel, counts, own = lens.read(position, normal)
         slot = weight[texel].argmin(1)
@@ -122,16 +129,15 @@ def detail_of(
         texel, slot = texel[better], slot[better]
         weight[texel, slot] = counts[better]
         detail[texel, slot] = own[better]
-    return agreed(weight, detail, config)
+    return agreed(weight, detail)
 
 
-def agreed(weight: Floats, detail: Floats, config: DetailConfig) -> Floats:
+def agreed(weight: Floats, detail: Floats) -> Floats:
     """The detail that views agree on: their mean, those that stand alone counting little.
 
     Args:
         weight: (N, K), 0 where there is none.
         detail: (N, K, 3) natural logarithm.
-        config: From when on views disagree.
 
     Returns:
         (N, 3); 0 where no view counts.
@@ -139,11 +145,11 @@ def agreed(weight: Floats, detail: Floats, config: DetailConfig) -> Floats:
     weight = weight / np.maximum(weight.max(1, keepdims=True), 1e-20)
     share = weight
     mean = np.zeros((len(weight), 3), np.float32)
-    for _ in range(config.rounds):
+    for _ in range(_ROUNDS):
         total = np.maximum(share.sum(1, keepdims=True), 1e-9)
         mean = np.einsum("nk,nkc->nc", share / total, detail)
         apart = np.abs(detail - mean[:, None]).mean(2)
-        share = weight / (1.0 + (apart / config.disagreement) ** 2)
+        share = weight / (1.0 + (apart / _DISAGREEMENT) ** 2)
     return mean
 
 
@@ -226,7 +232,6 @@ class _Lens:
         curve: Its tone curve.
         how: Widths of a fine texel and of a solved one, unit frame; and the photograph's sharpness
             against the others', at most 1.
-        config: What counts as seen.
     """
 
     def __init__(
@@ -235,16 +240,14 @@ class _Lens:
         tracer: EmbreeTracer,
         curve: AbstractToneCurve,
         how: tuple[tuple[float, float], float],
-        config: DetailConfig,
     ) -> None:
         self._view, self._tracer, self._curve = view, tracer, curve
         (self._fine, self._solved), self._sharpness = how
-        self._config = config
 
     @cached_property
     def _depth(self) -> Tensor:
         """(1, 2, h, w) inverse depth, and whether no outline is near, of a small copy."""
-        small = resize_view(self._view, self._config.depth_side)
+        small = resize_view(self._view, _DEPTH_SIDE)
         clean, inverse = clean_pixels(self._tracer, small)
         return torch.from_numpy(np.stack([inverse, clean]).astype(np.float32))[None]
 
@@ -275,9 +278,8 @@ class _Lens:
         logs = [
             (layer[kept, :3] / layer[kept, 3:]).clamp(min=1e-4).log() for layer in (fine, coarse)
         ]
-        most = self._config.most_detail
-        detail = (logs[0] - logs[1]).clamp(-most, most)
-        counts = (density[kept] * self._sharpness**2) ** self._config.steepness
+        detail = (logs[0] - logs[1]).clamp(-_MOST_DETAIL, _MOST_DETAIL)
+        counts = (density[kept] * self._sharpness**2) ** _STEEPNESS
         return texel[kept.numpy()], counts.numpy(), detail.numpy()
 
     def _shown(
@@ -287,7 +289,7 @@ class _Lens:
         camera = self._view.camera
         towards = camera.position.astype(np.float32) - position
         cosine = np.einsum("nd,nd->n", towards, normal) / np.linalg.norm(towards, axis=1)
-        texel = np.flatnonzero(cosine > self._config.least_cosine)
+        texel = np.flatnonzero(cosine > _LEAST_COSINE)
         pixels, depth = camera.project(position[texel].astype(np.float64))
         kept = camera.in_picture(pixels, depth)
         texel, depth = texel[kept], torch.from_numpy(depth[kept]).float()
@@ -297,7 +299,7 @@ class _Lens:
             self._depth, (2.0 * place / size - 1.0)[None, None], align_corners=False
         )[0, :, 0]
         apart = (1.0 / depth - seen[0]).abs() * depth**2
-        near = (seen[1] > 0.99) & (apart < self._config.depth_tolerance)
+        near = (seen[1] > 0.99) & (apart < _DEPTH_TOLERANCE)
         scale = 0.5 * (camera.fx + camera.fy) / depth[near]
         facing = torch.from_numpy(cosine[texel[near.numpy()]])
         return texel[near.numpy()], place[near], scale, facing * scale**2

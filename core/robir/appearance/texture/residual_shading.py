@@ -10,12 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.appearance.texture.config import ResidualShadingConfig
-
 Floats = NDArray[np.float32]
 
 CHUNK = 256
 """Nodes at a time, whose surroundings then stay in the processor's cache."""
+
+_MESH_ERROR = 0.02  # length over which errors of the mesh's normals vary, unit frame
+_REACH = 0.4  # how far the surroundings reach that a texel is compared with, unit frame
+_COUNT = 128  # texels of these
+_ROUNDS = 3  # how often texels are drawn together
+ALIKE_BRIGHTNESS = 0.35  # difference of log albedo within which texels may be one material
+_ALIKE_HUE = 0.17  # the same in hue
+# standard deviation of a texel's hue against that of its brightness: how much sun arrives, which
+# nobody knows at a shadow's edge, changes the one more than the other
+_HUE_DOUBT = 0.5
+_LEAST_DOUBT = 0.03  # adds to the standard deviation of every log albedo where texels are weighed
+_BLURRED = 12  # texels over which corrections are blurred at most
 
 
 def with_normals(position: Floats, normal: Floats, scale: float) -> Floats:
@@ -46,9 +56,7 @@ def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats, alike: 
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
-def evened(
-    albedo: Floats, unknown: Floats, points: Floats, config: ResidualShadingConfig, step: int
-) -> Floats:
+def evened(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
     Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
@@ -61,7 +69,6 @@ def evened(
         albedo: (N, 3), > 0.
         unknown: (N,) one standard deviation of its logarithm.
         points: (N, 6) result of `with_normals`.
-        config: What texels are compared with, and what is alike.
         step: Every so manieth texel stands for its neighbours.
 
     Returns:
@@ -69,26 +76,25 @@ def evened(
     """
     nodes = np.arange(0, len(points), step)
     afar = np.arange(0, len(nodes), step)
-    distance, index = _nearest(points[nodes], points[nodes[afar]], config.count, config.reach)
+    distance, index = _nearest(points[nodes], points[nodes[afar]], _COUNT, _REACH)
     other = afar[index]
     before = smooth = np.log(albedo[nodes].T.astype(np.float32))
     doubt = unknown[nodes].astype(np.float32)
-    certainty = 1 / (config.least_doubt + doubt) ** 2
+    certainty = 1 / (_LEAST_DOUBT + doubt) ** 2
     # not everything resembles the unknown
-    wider = np.stack([doubt, np.minimum(config.hue_doubt * doubt, config.alike_hue)])
-    alike = np.array([[config.alike_brightness], [config.alike_hue]], np.float32)
+    wider = np.stack([doubt, np.minimum(_HUE_DOUBT * doubt, _ALIKE_HUE)])
+    alike = np.array([[ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
     width = 1 / (2 * (alike**2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
     starts = range(0, len(nodes), CHUNK)
-    for _ in range(config.rounds):
+    for _ in range(_ROUNDS):
         parts = []
         for rows in (slice(start, start + CHUNK) for start in starts):
             own = (smooth[:, rows], certainty[rows], width[:, rows])
             parts.append(_drawn_together(own, smooth[:, other[rows]], known[rows]))
         smooth = np.concatenate(parts, axis=1)
-    length = config.mesh_error
-    distance, index = _nearest(points, points[nodes], config.blurred, 3 * length)
-    weight = np.exp(-(distance**2) / (2 * length**2))
+    distance, index = _nearest(points, points[nodes], _BLURRED, 3 * _MESH_ERROR)
+    weight = np.exp(-(distance**2) / (2 * _MESH_ERROR**2))
     change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
     return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
 

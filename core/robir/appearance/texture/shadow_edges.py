@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 
 from robir.appearance.light.problem import Problem, Scene
 from robir.appearance.light.solver import Light
-from robir.appearance.texture.config import ShadowEdgesConfig, TextureConfig
+from robir.appearance.light.sunlight import EDGE_SHARPNESS
 from robir.appearance.texture.residual_shading import with_normals
-from robir.appearance.texture.texels import Texels, sun_transfer
+from robir.appearance.texture.texels import NORMAL_SCALE, Texels, sun_transfer
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.visibility import lobe_transfer
 
@@ -28,6 +28,23 @@ Reals = NDArray[np.floating[Any]]
 
 EDGE_CHUNK = 1 << 13
 """Texels at shadows' edges that are settled at a time: their palettes then stay small."""
+
+_RAY_PAIRS = 6  # pairs of opposite rays by which the share of a sun's wide lobe is told
+_LEAST_SHARE = 0.02  # share of it from which a texel is at an edge, up to as little below 1
+_LEAST_STRENGTH = 0.1  # irradiance of a sun over that of the sky below which it casts no edge
+_MESH_ERROR = 0.02  # error of the mesh along the surface that a shadow may have, unit frame
+# albedo that hardly anything exceeds: a texel in shadow that does was taken for shaded wrongly
+_BRIGHTEST = 0.9
+_REFERENCE_STEP = 8  # every so manieth certain texel is looked up, so that a few reach far
+# certain texels whose albedos one at an edge may have. The nearest few lie on one side of the
+# uncertain band and lack the other paint of a border within it.
+_PALETTE = 128
+_NUM_SHARES = 11  # shares of the sun that are tried, from none to all
+# difference of log albedo, summed over the channels, that a share differing from the traced one by
+# all of the sun is worth
+_TRACED_WEIGHT = 0.3
+_CLIPPED_PALETTE = 8  # certain texels about one that is clipped
+_CLIPPED_QUANTILE = 0.8  # of their albedos, that it takes
 
 
 def on_edges(
@@ -45,23 +62,21 @@ def on_edges(
     if not len(light.axes):
         return np.zeros(len(albedo), bool)
     strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
-    config = problem.scene.config.texture.shadow_edges
-    edge_sharpness = problem.scene.config.light.sunlight.edge_sharpness
-    sharpness = np.full(len(light.axes), edge_sharpness, np.float32)
-    wide = sun_transfer(problem, light, texels, sharpness, 2 * config.ray_pairs)
+    sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
+    wide = sun_transfer(problem, light, texels, sharpness, 2 * _RAY_PAIRS)
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     share = wide / np.maximum(facing, 1e-3)
-    partly = share < 1 - config.least_share
-    unsure = (share > config.least_share) & partly
-    unsure |= _contested(problem.scene, light, texels, config.mesh_error)
-    unsure |= partly & (albedo.max(1) > config.brightest)[:, None]
-    return (unsure & (facing * strength > config.least_strength)).any(1)
+    partly = share < 1 - _LEAST_SHARE
+    unsure = (share > _LEAST_SHARE) & partly
+    unsure |= _contested(problem.scene, light, texels, _MESH_ERROR)
+    unsure |= partly & (albedo.max(1) > _BRIGHTEST)[:, None]
+    return (unsure & (facing * strength > _LEAST_STRENGTH)).any(1)
 
 
 def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) -> NDArray[np.bool_]:
     """Whether points a mesh error away along the surface see a sun differently, (N, J).
 
-    The lobe of `edge_sharpness` spans little where the blocker is near; contact shadows are found
+    The lobe of `EDGE_SHARPNESS` spans little where the blocker is near; contact shadows are found
     by stepping aside instead.
     """
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
@@ -78,42 +93,30 @@ def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) ->
 
 
 class Reference:
-    """Texels whose albedo is certain, to look up what the surroundings are like.
+    """Texels whose albedo is certain, to look up what the surroundings are like."""
 
-    Attributes:
-        config: Of edges, and of what is clipped.
-    """
-
-    def __init__(
-        self,
-        texels: Texels,
-        albedo: Floats,
-        certain: NDArray[np.bool_],
-        config: TextureConfig,
-    ) -> None:
+    def __init__(self, texels: Texels, albedo: Floats, certain: NDArray[np.bool_]) -> None:
         if certain.sum() < 8:
             certain = np.ones(len(albedo), bool)
-        self.config = config.shadow_edges
-        self._scale = config.texels.normal_scale
-        self._points = with_normals(texels.position, texels.normal, self._scale)[certain]
+        self._points = with_normals(texels.position, texels.normal, NORMAL_SCALE)[certain]
         self._albedo = albedo[certain]
-        self._thinned = cKDTree(self._points[:: self.config.reference_step])
+        self._thinned = cKDTree(self._points[::_REFERENCE_STEP])
 
     def nearest_albedo(self, texels: Texels, rows: NDArray[np.bool_]) -> Floats:
         """Mean albedo (M, 3) of the few nearest certain texels."""
         if not rows.any():
             return np.zeros((0, 3), np.float32)
-        query = with_normals(texels.position[rows], texels.normal[rows], self._scale)
+        query = with_normals(texels.position[rows], texels.normal[rows], NORMAL_SCALE)
         # hardly any of them lies next to one that is seen: twice the least distance will do
         index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
         return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.int64], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels; fewer where there are not as many."""
-        query = with_normals(texels.position[rows], texels.normal[rows], self._scale)
+        query = with_normals(texels.position[rows], texels.normal[rows], NORMAL_SCALE)
         count = min(count, self._thinned.n)
         index = self._thinned.query(query, k=np.arange(1, count + 1), eps=0.2)[1]
-        return self._albedo[:: self.config.reference_step][index]
+        return self._albedo[::_REFERENCE_STEP][index]
 
 
 def settle_edges(
@@ -135,7 +138,6 @@ def settle_edges(
         edge: (N,) those at edges.
         reference: Certain texels.
     """
-    config = reference.config
     (albedo, exitant), (soft, narrow, sun) = paint, arriving
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     strongest = int(sun.mean(1).argmax())
@@ -147,19 +149,14 @@ def settle_edges(
     settled = albedo.copy()
     for start in range(0, len(rows), EDGE_CHUNK):
         part = slice(start, start + EDGE_CHUNK)
-        among = reference.palette(texels, rows[part], config.palette)
+        among = reference.palette(texels, rows[part], _PALETTE)
         settled[rows[part]] = _likeliest(
-            exitant[rows[part]], (rest[part], full[part], traced[part]), among, config
+            exitant[rows[part]], (rest[part], full[part], traced[part]), among
         )
     return settled
 
 
-def _likeliest(
-    exitant: Floats,
-    sun: tuple[Reals, Reals, Reals],
-    among: Floats,
-    config: ShadowEdgesConfig,
-) -> Floats:
+def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) -> Floats:
     """Of the albedos that shares of sun would give, the one most like some surroundings'.
 
     Args:
@@ -167,7 +164,6 @@ def _likeliest(
         sun: Irradiance without the sun (M, 3), that of the whole sun (M, 3), and the share (M,) of
             it that the rays say.
         among: (M, K, 3) albedos of the surroundings.
-        config: Shares that are tried, and what the rays count.
 
     Returns:
         (M, 3).
@@ -178,12 +174,12 @@ def _likeliest(
     few = min(3, palette.shape[2])
     best = np.full(len(exitant), np.inf)
     result = np.empty((len(exitant), 3), np.float32)
-    for share in np.linspace(0.0, 1.0, config.num_shares):
+    for share in np.linspace(0.0, 1.0, _NUM_SHARES):
         trial = exitant / np.maximum(rest + share * full, 1e-6)
         log = np.log(np.clip(trial, 1e-3, None)).astype(np.float32)
         distance = sum(np.abs(palette[c] - log[:, c, None]) for c in range(3))
         nearest = np.partition(distance, few - 1, axis=1)[:, :few].mean(1)
-        cost = nearest + config.traced_weight * np.abs(share - traced)
+        cost = nearest + _TRACED_WEIGHT * np.abs(share - traced)
         better = cost < best
         best[better] = cost[better]
         result[better] = trial[better]
@@ -195,9 +191,8 @@ def settle_clipped(
 ) -> Floats:
     """Where a channel was clipped, the brightest certain surroundings, never less than measured."""
     rows = np.flatnonzero(clipped.any(1))
-    config = reference.config
-    palette = reference.palette(texels, rows, config.clipped_palette)
-    around = np.quantile(palette, config.clipped_quantile, axis=1)
+    palette = reference.palette(texels, rows, _CLIPPED_PALETTE)
+    around = np.quantile(palette, _CLIPPED_QUANTILE, axis=1)
     settled = albedo.copy()
     raised = np.maximum(albedo[rows], around)
     settled[rows] = np.where(clipped[rows], raised, albedo[rows])

@@ -13,6 +13,8 @@ from robir.capture.camera import Camera
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport
 
+_MOST_TOGETHER = 8192  # along a side of an atlas of UDIM tiles: what memory is planned for (texels)
+
 
 def solved_side(config: AppearanceConfig, cells: int = 1) -> int:
     """Texels along a side of the atlas that is solved: no more than the textures may have.
@@ -38,7 +40,7 @@ def most_side(config: AppearanceConfig, cells: int = 1) -> int:
     """
     if cells == 1:
         return config.texture_size
-    most = config.texture.texel_size.most_together / cells
+    most = _MOST_TOGETHER / cells
     return cells * 2 ** int(math.log2(min(config.texture_size, most)))
 
 

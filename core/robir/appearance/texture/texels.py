@@ -10,12 +10,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.light.problem import Problem
+from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, specular_towards
 from robir.appearance.texture.residual_shading import with_normals
 
 Floats = NDArray[np.float32]
+
+MIN_ALBEDO = 0.002  # least albedo of a texel
+MAX_ALBEDO = 0.95  # largest
+# how far apart two opposite normals count in searches for neighbours, half of it, unit frame
+NORMAL_SCALE = 0.15
+# of a sample from a texel, spacings of the samples; adds to the distance whose inverse square says
+# what the sample counts
+_LEAST_DISTANCE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,12 +81,10 @@ class Blend:
         """
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
-        config = problem.scene.config.texture.texels
-        scale = config.normal_scale
-        points = with_normals(surfels.position, surfels.normal, scale)[seen]
-        query = with_normals(texels.position, texels.normal, scale)
+        points = with_normals(surfels.position, surfels.normal, NORMAL_SCALE)[seen]
+        query = with_normals(texels.position, texels.normal, NORMAL_SCALE)
         distance, index = cKDTree(points).query(query, k=4, eps=0.1)
-        weight = 1 / (distance + config.least_distance * surfels.spacing) ** 2
+        weight = 1 / (distance + _LEAST_DISTANCE * surfels.spacing) ** 2
         self._index = seen[index]
         self.nearest = self._index[:, 0]
         self._weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
@@ -116,7 +122,7 @@ def radiance_towards(
     (problem, light, gloss), (point, towards), (albedo, metallic) = solved, rays, paint
     blend = Blend(problem, points)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
-    samples = 2 * problem.scene.config.light.problem.sun_ray_pairs
+    samples = 2 * SUN_RAY_PAIRS
     sun = sun_transfer(problem, light, points, light.sharpness, samples)
     irradiance = (soft + sun @ light.amplitudes.sharp.numpy())[point]
     dielectric, metal, through = specular_towards(

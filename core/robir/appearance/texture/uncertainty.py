@@ -24,20 +24,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.appearance.texture.config import UncertaintyConfig
-
 Floats = NDArray[np.float32]
 
 LARGEST = 1.0
 """From here on the albedo is unknown; code 255 of uncertainty.png."""
 
+_FLOOR = 0.14  # what every texel has: light that is wrong makes whole sides of a thing wrong alike
+_SPREAD = 4.3  # factor of the standard error of the views about a texel's brightness
+_CHANGED = 2.4  # factor of how far albedo lay off its surroundings
+_FEW = 0.19  # error by one view; falls with the square root of their number
+# of a texel that no view shows, per unit frame to the nearest seen one. Assumed, not calibrated:
+# test views hardly show what no training view does.
+_DISTANCE = 14.0
+
 
 def standard_error(
-    spread: Floats,
-    changed: Floats,
-    count: NDArray[np.integer[Any]],
-    distance: Floats,
-    config: UncertaintyConfig,
+    spread: Floats, changed: Floats, count: NDArray[np.integer[Any]], distance: Floats
 ) -> Floats:
     """One standard error of log albedo.
 
@@ -47,20 +49,17 @@ def standard_error(
             for, absolute.
         count: (N,) views that show the texel.
         distance: (N,) to the nearest texel that a view shows, unit frame.
-        config: Factors.
 
     Returns:
         (N,) float32 in [floor, LARGEST].
     """
-    variance = config.floor**2 + (config.spread * spread) ** 2 + (config.changed * changed) ** 2
-    variance = variance + config.few**2 / np.maximum(count, 1)
-    variance = variance + (config.distance * distance) ** 2
+    variance = _FLOOR**2 + (_SPREAD * spread) ** 2 + (_CHANGED * changed) ** 2
+    variance = variance + _FEW**2 / np.maximum(count, 1)
+    variance = variance + (_DISTANCE * distance) ** 2
     return np.minimum(np.sqrt(variance), LARGEST).astype(np.float32)
 
 
-def distance_to_seen(
-    position: Floats, seen: NDArray[np.bool_], config: UncertaintyConfig
-) -> Floats:
+def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
     """Distance of every point (N, 3) to the nearest that is seen.
 
     Infinite if none is, and from where it alone makes an albedo unknown: points far from all others
@@ -69,6 +68,6 @@ def distance_to_seen(
     distance = np.where(seen, 0.0, np.inf).astype(np.float32)
     if seen.any() and not seen.all():
         tree = cKDTree(position[seen])
-        reach = LARGEST / config.distance
+        reach = LARGEST / _DISTANCE
         distance[~seen] = tree.query(position[~seen], eps=0.1, distance_upper_bound=reach)[0]
     return distance

@@ -61,8 +61,8 @@ class ToneChoice:
             config=config,
             seed=seed,
             allowed=allowed,
-            evidence=clipping_evidence(observations, config.tone.clipping),
-            beyond=unable(allowed, observations, config.tone.gamut),
+            evidence=clipping_evidence(observations),
+            beyond=unable(allowed, observations),
         )
 
     @property

@@ -8,8 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robir.appearance.tone.config import ClippingConfig
 from robir.transport.observe import Observations
+
+_BRIGHT_CODE = 245  # codes from here to 254 are nearly white
+_CLIPPED_SHARE = 0.004  # share of observations at code 255 from which clipping is plain
+_SPIKE_RATIO = 0.75  # pixels at 255 for each that is nearly white from which they are a spike
+_BRIGHT_SHARE = 0.016  # share of observations nearly white that rolls off if few lie at 255
+# so many at 255 for each that is nearly white are few. In photographs of three cameras it is 0.06
+# to 0.37; a white plate that just clips comes to 0.72.
+_ROLLED_RATIO = 0.5
+# share of observations at code 255 that is no glint any more, if next to none are nearly white
+_FEW_CLIPPED = 3e-4
+_LONE_RATIO = 10.0  # how many times those must outnumber the nearly white ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,27 +29,25 @@ class ClippingEvidence:
     Attributes:
         clipped_share: Observations with a channel at code 255.
         bright_share: Observations with their brightest channel nearly white.
-        config: From when on these tell something.
     """
 
     clipped_share: float
     bright_share: float
-    config: ClippingConfig
 
     @property
     def verdict(self) -> bool | None:
         """True for a clipping curve, False for one that rolls off, None if white does not tell."""
-        config, clipped, bright = self.config, self.clipped_share, self.bright_share
-        if clipped > max(config.clipped_share, config.spike_ratio * bright):
+        clipped, bright = self.clipped_share, self.bright_share
+        if clipped > max(_CLIPPED_SHARE, _SPIKE_RATIO * bright):
             return True
-        if bright > max(config.bright_share, clipped / config.rolled_ratio):
+        if bright > max(_BRIGHT_SHARE, clipped / _ROLLED_RATIO):
             return False
-        if clipped > max(config.few_clipped, config.lone_ratio * bright):
+        if clipped > max(_FEW_CLIPPED, _LONE_RATIO * bright):
             return True
         return None
 
 
-def clipping_evidence(observations: Observations, config: ClippingConfig) -> ClippingEvidence:
+def clipping_evidence(observations: Observations) -> ClippingEvidence:
     """Shares of clipped and of nearly white observations."""
     valid = observations.weight > 0
     brightest = observations.display.max(2)
@@ -47,6 +55,5 @@ def clipping_evidence(observations: Observations, config: ClippingConfig) -> Cli
     total = max(1, int(valid.sum()))
     return ClippingEvidence(
         clipped_share=float((clipped & valid).sum() / total),
-        bright_share=float(((brightest >= config.bright_code) & ~clipped & valid).sum() / total),
-        config=config,
+        bright_share=float(((brightest >= _BRIGHT_CODE) & ~clipped & valid).sum() / total),
     )

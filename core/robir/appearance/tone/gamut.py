@@ -12,20 +12,21 @@ from collections.abc import Iterable
 import numpy as np
 import torch
 
-from robir.appearance.tone.config import GamutConfig
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 
+# by how much a colour may miss what a curve reaches: compression shifts colours (codes)
+_TOLERANCE = 5.0
+_MOST_BEYOND = 1e-3  # share of observations that may lie farther beyond
+_NUM_ASKED = 20000  # observations that are asked
 
-def share_beyond(
-    curve: AbstractToneCurve, observations: Observations, config: GamutConfig
-) -> float:
+
+def share_beyond(curve: AbstractToneCurve, observations: Observations) -> float:
     """Share of the observations whose colour no light gives under a curve.
 
     Args:
         curve: The tone curve.
         observations: What photographs show; clipped codes, which may stand for anything, aside.
-        config: How far it may lie beyond, and how many are asked.
 
     Returns:
         0..1.
@@ -34,16 +35,14 @@ def share_beyond(
         return 0.0
     shown = (observations.weight > 0) & ~observations.clipped.any(2)
     codes = observations.display[shown]
-    codes = codes[:: max(1, len(codes) // config.num_asked)]
+    codes = codes[:: max(1, len(codes) // _NUM_ASKED)]
     display = torch.from_numpy(codes.astype(np.float32) / 255)
     reached = curve.display_from_linear(curve.linear_from_display(display))
     missed = 255 * (reached - display).abs().amax(1)
-    return float((missed > config.tolerance).float().mean()) if len(codes) else 0.0
+    return float((missed > _TOLERANCE).float().mean()) if len(codes) else 0.0
 
 
-def unable(
-    curves: Iterable[AbstractToneCurve], observations: Observations, config: GamutConfig
-) -> dict[str, float]:
+def unable(curves: Iterable[AbstractToneCurve], observations: Observations) -> dict[str, float]:
     """The curves that cannot have made the photographs: their `share_beyond` by name."""
-    shares = {curve.name: share_beyond(curve, observations, config) for curve in curves}
-    return {name: share for name, share in shares.items() if share > config.most_beyond}
+    shares = {curve.name: share_beyond(curve, observations) for curve in curves}
+    return {name: share for name, share in shares.items() if share > _MOST_BEYOND}

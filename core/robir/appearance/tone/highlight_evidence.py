@@ -19,11 +19,19 @@ from robir.appearance.blocks import Table, block_numbers, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
+from robir.appearance.material.gloss import SHARPEST_SKY
 from robir.appearance.material.observed import diffuse_below, seen_along
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share, view_rays
 from robir.appearance.material.segments import clusters
 
 Floats = NDArray[np.floating[Any]]
+
+# that are tried. The error grows on both sides of the right one as it does from the tip of a V, so
+# that wider steps would favour whichever curve has its tip near one.
+_ROUGHNESSES = (0.2, 0.3, 0.38, 0.46, 0.54, 0.61, 0.68, 0.75, 0.82, 0.9)
+_NUM_SAMPLES = 1500  # samples that are looked at
+_LEAST_VIEWS = 100  # views near a sun's mirror direction that these must have to say anything
+_NUM_MATERIALS = 6  # groups of like albedo among them; each has one roughness
 
 
 def highlight_tables(
@@ -42,13 +50,13 @@ def highlight_tables(
         A table for each model; None where hardly any view is near a mirror direction.
     """
     problem, light = models[0]
-    config, transport = problem.scene.config, problem.scene.transport
+    transport = problem.scene.transport
     rows = _near_mirrors(problem, light, np.random.default_rng(seed))
     if not len(rows):
         return None
     log_albedo = log_ratio(problem.rows_radiance(rows).linear, light.irradiance(problem, rows))
-    material = clusters(log_albedo.numpy(), config.tone.highlight_evidence.num_materials, seed)
-    block = block_numbers(transport.surfels.position[rows], config.blocks)
+    material = clusters(log_albedo.numpy(), _NUM_MATERIALS, seed)
+    block = block_numbers(transport.surfels.position[rows])
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
 
@@ -65,15 +73,15 @@ def highlight_tables(
 
 def _near_mirrors(problem: Problem, light: Light, rng: np.random.Generator) -> NDArray[np.int64]:
     """Some samples that a view sees near a sun's mirror direction; none if those views are few."""
-    scene, asked = problem.scene, problem.scene.config.tone.highlight_evidence
-    count = min(asked.num_samples, len(scene.rows))
+    scene = problem.scene
+    count = min(_NUM_SAMPLES, len(scene.rows))
     rows = np.sort(rng.choice(scene.rows, count, replace=False))
     transport = scene.transport
     directions = transport.visibility.directions
     rays = view_rays(transport.surfels, transport.observations, rows, directions)
     reflections = Reflections(problem, light, rows)
     near = rays.sample[reflections.near_highlight(rays).numpy()]
-    return rows[np.unique(near)] if len(near) >= asked.least_views else rows[:0]
+    return rows[np.unique(near)] if len(near) >= _LEAST_VIEWS else rows[:0]
 
 
 def _errors(
@@ -83,22 +91,19 @@ def _errors(
 
     And the number of those views, (U,).
     """
-    config = problem.scene.config
-    statistics, sharpest_sky = config.photometry.statistics, config.material.gloss.sharpest_sky
-    roughnesses = config.tone.highlight_evidence.roughnesses
     reflections = Reflections(problem, light, rows)
     seen = seen_along(problem, rays, rows)
     valid = torch.from_numpy(problem.scene.transport.observations.weight[rows] > 0)
     near = reflections.near_highlight(rays)
     near_seen, sample = seen.of(near), torch.from_numpy(rays.sample)[near]
-    blurred = reflections.from_sky(rays, sharpest_sky)[:, 0]
-    error = torch.zeros(len(roughnesses), len(rows))
-    for index, roughness in enumerate(roughnesses):
-        is_sharp = roughness < sharpest_sky
+    blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
+    error = torch.zeros(len(_ROUGHNESSES), len(rows))
+    for index, roughness in enumerate(_ROUGHNESSES):
+        is_sharp = roughness < SHARPEST_SKY
         sky = blurred if is_sharp else reflections.from_sky(rays, roughness)[:, 0]
         specular = sky + reflections.from_suns(rays, roughness)[:, 0]
         through = 1 - reflected_share(rays, roughness)[:, None]
-        diffuse = diffuse_below(seen, specular, through, (rays, valid), statistics)
+        diffuse = diffuse_below(seen, specular, through, (rays, valid))
         error[index].index_add_(0, sample, near_seen.error((diffuse + specular)[near]))
     count = np.bincount(sample.numpy(), minlength=len(rows)).astype(float)
     return error.T.double().numpy(), count

@@ -24,10 +24,10 @@ from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, Scene, blocks_of, make_problem
+from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
-from robir.appearance.tone.config import ToneConfig
 from robir.appearance.tone.highlight_evidence import highlight_tables
-from robir.appearance.tone.shoulder import PlainLead, mismatch_table
+from robir.appearance.tone.shoulder import CODE_ERROR, PlainLead, mismatch_table
 from robir.maths.tone_curve import AbstractToneCurve
 
 PLAIN = "standard"
@@ -48,6 +48,15 @@ _MARGINS = {"auto": -1.0, "camera": -2.0, "render": 2.0}
 """Standard errors by which a curve without a shoulder must lead one that has one, by where the
 photographs are from: cameras have cameras' responses, renderers mostly a shoulder. Who tells
 nothing mostly brings photographs."""
+
+_ERROR_CAP = 0.08  # display error, 0..1, beyond which a pair is of two materials and says no more
+_LEAST_CONTRAST = 0.3  # difference of log irradiance from which a pair counts, by what exceeds it
+_MOST_CONTRAST = 1.5  # difference from which it counts no more than others
+# standard errors within which the simpler one of two curves of a kind is taken
+SIMPLER_MARGIN = 1.0
+# lead of the plain curve over a shoulder below which their lights need not be settled: that moves
+# it by less (standard errors)
+_SETTLED_BELOW = -1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +85,7 @@ def _lead_error(mine: Table, other: Table, code_error: float) -> float:
 
 def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
     """Display error and weight of every ordered pair, (2 P,) each."""
-    scene, config = problem.scene, problem.scene.config.tone.ranking
+    scene = problem.scene
     irradiance = light.irradiance(problem, scene.rows)
     radiance = problem.rows_radiance(scene.rows)
     albedo = log_ratio(radiance.linear, irradiance).exp()
@@ -87,9 +96,9 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     error = (carried - shown[first]).abs()
     error = error.masked_fill(radiance.clipped[first] | radiance.clipped[second], 0)
     contrast = (irradiance[first].log() - irradiance[second].log()).abs().mean(1)
-    contrast = contrast.clamp(max=config.most_contrast)
-    weight = (contrast - config.least_contrast).clamp(min=0)
-    return error.clamp(max=config.error_cap).mean(1), weight
+    contrast = contrast.clamp(max=_MOST_CONTRAST)
+    weight = (contrast - _LEAST_CONTRAST).clamp(min=0)
+    return error.clamp(max=_ERROR_CAP).mean(1), weight
 
 
 def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
@@ -97,8 +106,7 @@ def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
     log_albedo = log_ratio(radiance.linear, light.irradiance(problem, scene.rows))
-    shade = scene.config.light.shade
-    alike = scene.pairs.likeness(log_albedo, shade.alike_hue, shade.alike_brightness)
+    alike = scene.pairs.likeness(log_albedo, ALIKE_HUE, ALIKE_BRIGHTNESS)
     return torch.cat([alike, alike])
 
 
@@ -147,7 +155,7 @@ class Judged:
             seed: Of what is looked at.
         """
         lead, unsettled = self._compared(index, shoulder, seed), {index, shoulder} - {*self.settled}
-        if lead.total < self.config.tone.ranking.settled_below or not unsettled:
+        if lead.total < _SETTLED_BELOW or not unsettled:
             return lead
         for number in unsettled:
             problem, light = self.models[number]
@@ -159,11 +167,10 @@ class Judged:
     def _compared(self, index: int, shoulder: int, seed: int) -> PlainLead:
         """The same with the lights as they are."""
         two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
-        tone = self.config.tone
         mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
         highlights = highlight_tables((two[0], two[1]), seed)
         names = (two[0][0].curve.name, two[1][0].curve.name)
-        lead = PlainLead.of(names, (mine, other), highlights, tone)
+        lead = PlainLead.of(names, (mine, other), highlights)
         return replace(lead, margin=_MARGINS[self.config.origin])
 
 
@@ -189,7 +196,7 @@ def ranked(
             score=255 * mean_of(table),
             standard_error=0.0
             if index == chosen
-            else _lead_error(table, tables[chosen], config.tone.code_error),
+            else _lead_error(table, tables[chosen], CODE_ERROR),
             light=light,
             problem=problem,
         )
@@ -212,8 +219,8 @@ def chosen_number(
         steps: Further steps that settle the lights of two that are compared closely.
         seed: Of what is looked at.
     """
-    tables, config = judged.tables, judged.config.tone
-    shoulder, plain, lead = best_shoulder(names, tables, config), None, None
+    tables = judged.tables
+    shoulder, plain, lead = best_shoulder(names, tables), None, None
     if PLAIN in names or CAMERA in names:
         plain = _plain_number(judged, names, steps, seed)
     chosen = next((number for number in (shoulder, plain) if number is not None), 0)
@@ -222,7 +229,7 @@ def chosen_number(
         chosen = plain if lead.is_clear else shoulder
     if NEUTRAL in names:
         neutral = names.index(NEUTRAL)
-        leads = _lags(tables[chosen], tables[neutral], config)
+        leads = _lags(tables[chosen], tables[neutral])
         # but for the brightest it is the plain one, and must lead a shoulder as that must
         if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
             chosen = neutral
@@ -243,16 +250,15 @@ def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> in
     return camera if judged.lead(camera, plain, steps, seed).is_clear else plain
 
 
-def best_shoulder(names: list[str], tables: list[Table], config: ToneConfig) -> int | None:
+def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     """Number of the curve with a shoulder that is taken if the plain one is not.
 
-    The simplest within `simpler_margin` of the lowest error; HEDGE only if it leads all others.
+    The simplest within `SIMPLER_MARGIN` of the lowest error; HEDGE only if it leads all others.
     NEUTRAL is none of them: it would pass for the plain one.
 
     Args:
         names: Of the curves, simplest first.
         tables: Of their errors.
-        config: Margins.
 
     Returns:
         Its number; None where there is none.
@@ -262,14 +268,14 @@ def best_shoulder(names: list[str], tables: list[Table], config: ToneConfig) -> 
     if HEDGE in names:
         hedge = names.index(HEDGE)
         others = [table for index, table in enumerate(tables) if index != hedge]
-        if not shoulders or all(_lags(table, tables[hedge], config) for table in others):
+        if not shoulders or all(_lags(table, tables[hedge]) for table in others):
             return hedge
     best = min(shoulders, key=lambda index: mean_of(tables[index]), default=0)
-    near = [i for i in shoulders if not _lags(tables[i], tables[best], config)]
+    near = [i for i in shoulders if not _lags(tables[i], tables[best])]
     return min(near, default=None)
 
 
-def _lags(table: Table, other: Table, config: ToneConfig) -> bool:
+def _lags(table: Table, other: Table) -> bool:
     """Whether the first error is clearly the greater."""
     lead = 255 * (mean_of(table) - mean_of(other))
-    return lead > config.ranking.simpler_margin * _lead_error(table, other, config.code_error)
+    return lead > SIMPLER_MARGIN * _lead_error(table, other, CODE_ERROR)

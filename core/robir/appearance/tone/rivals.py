@@ -7,13 +7,12 @@ import numpy as np
 from torch import Tensor
 
 from robir.appearance.light.lobes import log_ratio
-from robir.appearance.tone.config import RankingConfig
-from robir.appearance.tone.ranking import Candidate
+from robir.appearance.tone.ranking import SIMPLER_MARGIN, Candidate
 
 
-def fits_alike(chosen: Candidate, other: Candidate, config: RankingConfig) -> bool:
+def fits_alike(chosen: Candidate, other: Candidate) -> bool:
     """Whether the photographs do not tell another curve from the chosen one."""
-    return other.score - chosen.score <= config.simpler_margin * other.standard_error
+    return other.score - chosen.score <= SIMPLER_MARGIN * other.standard_error
 
 
 def albedo_apart(chosen: Candidate, other: Candidate) -> float | None:

@@ -25,9 +25,17 @@ from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.tone.config import ToneConfig
 
 Reals = NDArray[np.floating[Any]]
+
+_MISMATCH_CAP = 1.0  # mismatch beyond which a pair is of two materials and says nothing more
+# mismatches by which curves differ for no reason; adds to their standard error. Blocks of one
+# shadow err alike and agree better than they are right.
+_MISMATCH_ERROR = 0.005
+# display codes by which mean errors differ for no reason; adds to their standard error. Photographs
+# hold whole codes, and where highlights are faint the errors of all curves agree too well from
+# block to block.
+CODE_ERROR = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,14 +104,13 @@ class PlainLead:
         names: tuple[str, str],
         shadows: tuple[Table, Table],
         highlights: tuple[Table, Table] | None,
-        config: ToneConfig,
     ) -> PlainLead:
         """From tables of mismatches and of display errors, 0..1, in the order of the names."""
         return cls(
             plain=names[0],
             shoulder=names[1],
-            shadows=Lead.of(shadows, 1.0, config.shoulder.mismatch_error),
-            highlights=Lead.of(highlights, 255.0, config.code_error) if highlights else None,
+            shadows=Lead.of(shadows, 1.0, _MISMATCH_ERROR),
+            highlights=Lead.of(highlights, 255.0, CODE_ERROR) if highlights else None,
             margin=0.0,
         )
 
@@ -135,5 +142,4 @@ def mismatch_table(
     told = weight * np.concatenate([is_known, is_known])
     contrast = float(told @ apart(irradiance.log()).numpy()) / max(told.sum(), 1e-9)
     mismatch = apart(log_albedo) / max(contrast, 1e-9)
-    cap = problem.scene.config.tone.shoulder.mismatch_cap
-    return table_of(blocks, mismatch.clamp(max=cap).numpy(), told)
+    return table_of(blocks, mismatch.clamp(max=_MISMATCH_CAP).numpy(), told)
