@@ -30,7 +30,7 @@ from typing import Any
 
 from robir.errors import ConfigError
 from robir.presets import PRESETS
-from robir.settings import read_toml, settings_from_table
+from robir.settings import parse_assignment, read_toml, settings_from_table
 from robir_bench.paper.config import VARIANTS
 from robir_bench.stability.perturb import Perturbation
 
@@ -212,7 +212,16 @@ def read_sweep(path: Path, out: Path) -> list[BenchRun]:
 def with_constants(runs: Sequence[BenchRun], constants: Sequence[str]) -> list[BenchRun]:
     """The runs with constants changed, items as for `robir.constants`."""
     setting = (f"constants={json.dumps(list(constants))}",) if constants else ()
-    return [replace(run, settings=run.settings + setting) for run in runs]
+    return [replace(run, settings=_joined(run.settings + setting)) for run in runs]
+
+
+def _joined(settings: tuple[str, ...]) -> tuple[str, ...]:
+    """Settings with all constants in one list: of several lists the last would be the only one."""
+    lists = [item for item in settings if item.partition("=")[0].strip() == "constants"]
+    if len(lists) < 2:
+        return settings
+    every = [change for item in lists for change in parse_assignment(item)["constants"]]
+    return (*(i for i in settings if i not in lists), f"constants={json.dumps(every)}")
 
 
 def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
@@ -231,7 +240,7 @@ def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
             preset=preset,
             method=method,
             seed=seed,
-            settings=plan.settings + METHODS[method],
+            settings=_joined(plan.settings + METHODS[method]),
         )
 
 

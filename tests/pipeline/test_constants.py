@@ -18,7 +18,7 @@ from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.stereo.fusion import choose_sources
 from robir.pipeline.ledger import stage_fingerprints
-from robir_bench.plan import BenchRun, with_constants
+from robir_bench.plan import METHODS, BenchRun, with_constants
 
 REVISIONS = dict.fromkeys(("capture", "geometry", "transport", "appearance", "export"), 1)
 
@@ -88,6 +88,16 @@ def test_the_bench_hands_constants_to_its_runs(tmp_path):
         "geometry.fit.optimise._BAND=1",
     )
     assert with_constants([run], []) == [run]
+
+
+def test_a_sweep_keeps_the_constants_of_a_method(tmp_path):
+    (own,) = METHODS["no parsimony prior"]
+    run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=(own,))
+    (swept,) = with_constants([run], ["geometry.fit.descent._DOUBT=1"])
+    assert resolve(RunConfig(), None, swept.settings).constants == (
+        "appearance.light.lobes._PARSIMONY=0.0",
+        "geometry.fit.descent._DOUBT=1",
+    )
 
 
 @pytest.mark.parametrize(
