@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -45,19 +45,6 @@ _WORDS = {
 """What msgspec says of types, for users."""
 
 SettingsT = TypeVar("SettingsT")
-
-
-def Within(low: float, high: float, unit: str = "") -> msgspec.Meta:  # noqa: N802  as a type
-    """The range of a number, or of every member of a tuple.
-
-    It stands beside the type: `reach: Annotated[float, Within(0, 1, "radians")]`.
-
-    Args:
-        low: Least value allowed.
-        high: Largest value allowed.
-        unit: Of the value, empty for a count or a plain ratio.
-    """
-    return msgspec.Meta(ge=low, le=high, description=unit)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -111,34 +98,27 @@ def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: 
     """Build a settings dataclass from a nested table; absent fields keep their defaults.
 
     Args:
-        cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses;
-            `Within` beside the type of a field is its range.
+        cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses.
         table: Values by field name.
         source: Where the table comes from, for messages: a file name or "--set".
 
     Raises:
-        ConfigError: If a key is unknown, a value has the wrong type or is out of its range, or the
-            class refuses it.
+        ConfigError: If a key is unknown, a value has the wrong type, or the class refuses it.
     """
     return _built(cls, checked_table(cls, table, source))
 
 
 @functools.cache
 def _hints(cls: type[Any]) -> dict[str, Any]:
-    return get_type_hints(cls, include_extras=True)
-
-
-@functools.cache
-def _plain_hints(cls: type[Any]) -> dict[str, Any]:
     return get_type_hints(cls)
 
 
 def checked_table(
     cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
 ) -> dict[str, Any]:
-    """The table with every value of the annotated type and in its range.
+    """The table with every value of the annotated type.
 
-    What several fields must be together, their class says when it is built.
+    Which values it takes, the class says when it is built.
 
     Args:
         cls: As for `settings_from_table`.
@@ -147,7 +127,7 @@ def checked_table(
         section: Dotted name of this table within the whole, empty for the root.
 
     Raises:
-        ConfigError: If a key is unknown, or a value has the wrong type or is out of its range.
+        ConfigError: If a key is unknown, or a value has the wrong type.
     """
     hints = _hints(cls)
     names = [field.name for field in fields(cls)]
@@ -172,10 +152,7 @@ def table_from_settings(settings: Any) -> dict[str, Any]:
 
 
 def toml_from_settings(settings: Any) -> str:
-    """TOML text that `settings_from_table` reads back to an equal value.
-
-    Where a field has a range, it stands beside the value.
-    """
+    """TOML text that `settings_from_table` reads back to an equal value."""
     lines: list[str] = []
     _write_section(settings, "", lines)
     return "\n".join(lines).strip() + "\n"
@@ -198,7 +175,7 @@ def changed_settings(
 
 def _built(cls: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     """The dataclass of checked values."""
-    hints = _plain_hints(cls)
+    hints = _hints(cls)
     return cls(
         **{
             key: _built(hints[key], value) if isinstance(value, Mapping) else value
@@ -231,11 +208,10 @@ def _converted(value: Any, hint: Any, dotted: str, source: str) -> Any:
     try:
         if any(isinstance(one, float) and not _is_sane(one) for one in members):
             raise ConfigError(f"{source}: {dotted} is {value!r}; it must be a finite number")
-        return msgspec.convert(value, _of_members(hint))
+        return msgspec.convert(value, hint)
     except msgspec.ValidationError as error:
-        allowed = "".join(f"; it must be in {text}" for text in _ranges(hint))
-        if choices := _choices(hint):
-            allowed = f"; choose one of {', '.join(map(repr, choices))}"
+        choices = _choices(hint)
+        allowed = f"; choose one of {', '.join(map(repr, choices))}" if choices else ""
         text = str(error)
         for theirs, ours in _WORDS.items():
             text = text.replace(theirs, ours)
@@ -250,40 +226,19 @@ def _choices(hint: Any) -> tuple[Any, ...]:
     return _choices(members[0]) if get_origin(hint) is tuple and members else ()
 
 
-def _of_members(hint: Any) -> Any:
-    """A type whose range, where it is a tuple's, is that of its members."""
-    if get_origin(hint) is not Annotated or get_origin(hint.__origin__) is not tuple:
-        return hint
-    members = get_args(hint.__origin__)
-    return tuple[
-        tuple(one if one is ... else Annotated[one, *hint.__metadata__] for one in members)
-    ]
-
-
 def _is_sane(value: float) -> bool:
     """Whether a number is finite, and so is what is divided by it."""
     return math.isfinite(value) and (value == 0 or abs(value) >= sys.float_info.min)
 
 
-def _ranges(hint: Any) -> list[str]:
-    """Ranges that a type carries, as they stand beside the value in a file of settings."""
-    return [
-        f"{note.ge:g} .. {note.le:g} {note.description or ''}".rstrip()
-        for note in getattr(hint, "__metadata__", ())
-        if isinstance(note, msgspec.Meta)
-    ]
-
-
 def _write_section(settings: Any, section: str, lines: list[str]) -> None:
-    hints = _hints(type(settings))
     nested = [field for field in fields(settings) if is_dataclass(getattr(settings, field.name))]
     if section and len(nested) < len(fields(settings)):
         lines += ["", f"[{section}]"]
     for field in fields(settings):
         value = getattr(settings, field.name)
-        beside = "".join(f"  # {text}" for text in _ranges(hints[field.name]))
         if value is not None and field not in nested:
-            lines.append(f"{field.name} = {_toml_value(value)}{beside}")
+            lines.append(f"{field.name} = {_toml_value(value)}")
     for field in nested:
         name = f"{section}.{field.name}" if section else field.name
         _write_section(getattr(settings, field.name), name, lines)
