@@ -126,7 +126,6 @@ def test_metal_that_predicts_worse_than_a_dielectric_goes(trials):
         part=np.where(np.arange(count) % 3 == 0, np.arange(count) % 2, -1),
         base=np.full((2, 3), 0.7, np.float32),
         roughness=np.array([0.2, 0.3], np.float32),
-        read=np.zeros(2, np.float32),
     )
     dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
     kept, choice = proven_parts(parts, trial, dielectric)
@@ -143,7 +142,6 @@ def test_parts_that_one_fold_of_views_alone_shows_are_not_disproven(trials):
         part=np.zeros(count, np.int64),
         base=np.full((1, 3), 0.7, np.float32),
         roughness=np.array([0.2], np.float32),
-        read=np.zeros(1, np.float32),
     )
     dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
     kept, _ = proven_parts(parts, few, dielectric)

@@ -91,11 +91,11 @@ def test_the_bench_hands_constants_to_its_runs(tmp_path):
 
 
 def test_a_sweep_keeps_the_constants_of_a_method(tmp_path):
-    (own,) = METHODS["no parsimony prior"]
+    (own,) = METHODS["no far pairs"]
     run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=(own,))
     (swept,) = with_constants([run], ["geometry.fit.descent._DOUBT=1"])
     assert resolve(RunConfig(), None, swept.settings).constants == (
-        "appearance.light.lobes._PARSIMONY=0.0",
+        "appearance.light.solver._FAR=0.0",
         "geometry.fit.descent._DOUBT=1",
     )
 
