@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -110,15 +110,6 @@ def _bounds(plain: dict[str, Any]) -> Bounds:
     return Bounds(centre=centre, radius=float(plain["radius"]), origin=plain["origin"])
 
 
-def save_turned(paths: JobPaths, cameras: Mapping[str, Camera]) -> None:
-    """Write the poses, by views' names, that later stages shall take instead of the given ones.
-
-    Cameras are turned about their own centres, so that orientation is all that counts.
-    """
-    turned = {name: camera.camera_to_world[:3, :3].tolist() for name, camera in cameras.items()}
-    write_json(paths.turned_cameras, turned)
-
-
 def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
     """Write where later stages shall have the stored capture, and its bounds there.
 
@@ -164,7 +155,7 @@ def save_masks(paths: JobPaths, views: Iterable[View]) -> None:
 
 
 def load_settled(paths: JobPaths) -> Capture:
-    """The stored capture with what the geometry stage found better: cameras turned, masks cut.
+    """The stored capture with what the geometry stage found better: masks that are cut.
 
     It is in its own frame, or in the one that the geometry stage brought it to.
     """
@@ -173,16 +164,7 @@ def load_settled(paths: JobPaths) -> Capture:
         views = tuple(replace(view, mask=_cut_mask(paths, view)) for view in capture.views)
         capture = replace(capture, views=views)
     moved = _load_frame(paths)
-    if moved is not None:
-        capture = replace(capture.moved(moved[0]), bounds=moved[1])
-    if not paths.turned_cameras.exists():
-        return capture
-    try:
-        turned = read_record(paths.turned_cameras, {...: MATRIX})
-        views = tuple(_oriented(view, turned[view.name]) for view in capture.views)
-    except _DAMAGE as fault:
-        raise _unsettled(paths.turned_cameras, fault) from fault
-    return replace(capture, views=views)
+    return capture if moved is None else replace(capture.moved(moved[0]), bounds=moved[1])
 
 
 def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
@@ -195,12 +177,6 @@ def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
             return np.array(picture)
     except _DAMAGE as fault:
         raise _unsettled(path, fault) from fault
-
-
-def _oriented(view: View, rotation: list[list[float]]) -> View:
-    pose = view.camera.camera_to_world.copy()
-    pose[:3, :3] = rotation
-    return replace(view, camera=replace(view.camera, camera_to_world=pose))
 
 
 def view_path(folder: Path, name: str) -> Path:

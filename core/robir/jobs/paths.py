@@ -121,11 +121,6 @@ class JobPaths:
         return self.stage("geometry") / "ground.json"
 
     @property
-    def turned_cameras(self) -> Path:
-        """Poses of the views where the geometry stage found the given ones wrong; else absent."""
-        return self.stage("geometry") / "cameras.json"
-
-    @property
     def frame(self) -> Path:
         """Where the capture was brought to stand as a handed-in mesh does; else absent."""
         return self.stage("geometry") / "frame.json"
