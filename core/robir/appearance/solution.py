@@ -24,9 +24,6 @@ from robir.appearance.material.metal import SOLVED_WITHOUT
 from robir.jobs.choice import Choice
 from robir.steps import Course, Step
 
-_GLOSS_STEP = 2
-"""Every so manieth sample tells of gloss: all of them tell no more, in twice the time."""
-
 # how much more firmly a told level is held than its error asks. In a solve pairs of neighbours
 # speak of it as well, by the light between surfaces, and errors of the mesh are common to many.
 _FIRMNESS = 3.0
@@ -103,7 +100,7 @@ def _by_every_sample(state: Solution) -> Solution:
 
 def _gloss(state: Solution) -> Solution:
     gloss, diffuse = estimate_gloss(
-        state.problem, state.light, state.config.num_materials, state.seed, _GLOSS_STEP
+        state.problem, state.light, state.config.num_materials, state.seed
     )
     matte, rows = state.problem.without_highlights(diffuse), state.problem.scene.rows
     # metal has no diffuse light, so that its brightness tells nothing of what it receives

@@ -194,7 +194,6 @@ def estimate_gloss(
     light: Light,
     num_materials: int,
     seed: int,
-    step: int = 1,
 ) -> tuple[Gloss, Tensor]:
     """Roughness and metal of every sample.
 
@@ -203,14 +202,13 @@ def estimate_gloss(
         light: Solved light.
         num_materials: How many patches of paint have a roughness each.
         seed: Of the clustering.
-        step: Every so manieth of the samples that take part in the light solve is judged.
 
     Returns:
         The gloss and the diffuse radiance (S, V, 3) of every observation.
     """
     surfels = problem.scene.transport.surfels
     seen = np.flatnonzero(problem.radiance.seen.numpy())
-    in_solve = np.isin(seen, problem.scene.rows[::step])
+    in_solve = np.isin(seen, problem.scene.rows)
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
     highlights, dielectric = _costs(looked)
