@@ -33,7 +33,9 @@ LEAST = (
 
 _COSTS = re.compile(r"(.*_)?(seconds|peak_memory_bytes|heartbeat|pid)")
 _TIMES = re.compile(
-    r'<b>\d+ <small>CPU-s</small></b>|<td class="n">[\d.]+</td>(?=<td class="n">[\d.]+</td>)'
+    r"<td>(?:capture|geometry|transport|appearance|export|reconstruction|rendering in Blender, "
+    r'counted apart)</td><td class="n">[\d.]+</td><td class="n">[\d.]+</td>|<dd>\d+ CPU-s</dd>'
+    r'|<td class="n">[\d.]+</td>(?=<td class="n">[\d.]+</td>)'
     r'|<td class="n">[\d.]+</td>(?=<td>)|width:[\d.]+%'
 )
 _HISTORY = (

@@ -123,9 +123,8 @@ def test_the_real_size_is_told_by_two_clicks(window: BlenderWindow) -> None:
         time.sleep(0.4)
     window.picture("real_size")
     window.screen.key("Return")
-    window.wait_until("len(bpy.context.window_manager.operators)", 5.0)
     last = "bpy.context.window_manager.operators[-1]"
-    assert window.get(f"{last}.bl_idname") == "ROBIR_OT_set_real_size"
+    window.wait_until(f"{last}.bl_idname == 'ROBIR_OT_set_real_size'", 10.0)
     clicked = [window.get(f"list({last}.properties.{name})") for name in ("first", "second")]
     across = sum((a - b) ** 2 for a, b in zip(*points, strict=True)) ** 0.5
     for point, wanted in zip(clicked, points, strict=True):

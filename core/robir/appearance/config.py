@@ -43,7 +43,7 @@ class AppearanceConfig:
 
     families: tuple[str, ...] = FAMILIES
     origin: Literal["auto", "camera", "render"] = "auto"
-    num_soft_lobes: int = 128
+    num_soft_lobes: int = 64
     num_sharp_lobes: int = 2
     num_scan_directions: int = 2000
     num_solve_surfels: int = 5000
