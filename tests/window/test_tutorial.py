@@ -67,7 +67,8 @@ STEPS = (
     (
         "placed",
         "In *Size and Place*: *Set Real Size* needs two clicks and a length, *Stand on Floor* "
-        "moves the origin to the foot, *Drop Ground* deletes the ground around the object. "
+        "moves the origin to the foot, *Drop Ground* deletes the ground around the object, "
+        "and what stood stands again. "
         "A newer result keeps size and place.",
     ),
 )
@@ -76,6 +77,8 @@ END = """
 
 - **Photographs** has a tick for each photograph. *Leave Out* removes photographs with findings.
 - **De-light Object** gives your own mesh a texture without light: [delight.md](delight.md).
+- **Good**, **Check this** or **Doubtful**, in *Result*, has one reason and one remedy. *Open
+  Report* turns the asset in your browser.
 - **Compare**, in *Result*, shows photograph, re-render, albedo and roughness; arrow keys change the
   view. **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale
   of brightness: [uncertainty.md](uncertainty.md).
