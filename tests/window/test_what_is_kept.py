@@ -120,7 +120,7 @@ def test_the_real_size_is_told_by_two_clicks(window: BlenderWindow) -> None:
     window.run("bpy.ops.robir.set_real_size('INVOKE_DEFAULT')")
     for place in places:
         window.screen.click(*place)
-        time.sleep(0.4)
+        time.sleep(2.0)  # a redraw by software on a busy machine
     window.picture("real_size")
     window.screen.key("Return")
     last = "bpy.context.window_manager.operators[-1]"
