@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image
-
 from robir.evaluation.level_table import level_notes
 from robir.evaluation.scores import ALBEDO
 from robir.export.page import page_template
+from robir.export.report.pictures import inline_lossless
 from robir.jobs.paths import replacing, write_json
 from robir_bench.ablation import ablation_chart, ablation_table, worths
 from robir_bench.chart import speed_accuracy
@@ -302,6 +299,4 @@ def _lost(case: Case) -> str:
 
 
 def _inline(picture: Path, name: str, names: Sequence[str] = TILES) -> str:
-    stream = io.BytesIO()
-    Image.fromarray(tile(picture, name, names)).save(stream, format="PNG")
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return inline_lossless(tile(picture, name, names))

@@ -127,17 +127,19 @@ def environment_picture(light: RecoveredLight) -> Picture:
 
 def inline_lossless(picture: Picture) -> str:
     """A picture of numbers as a data address."""
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="PNG")
-    return inline_png(stream.getvalue())
+    return data_address("image/png", _encoded(picture, format="PNG"))
 
 
-def inline_png(content: bytes) -> str:
-    """A PNG file as a data address."""
-    return "data:image/png;base64," + base64.b64encode(content).decode("ascii")
+def data_address(kind: str, content: bytes) -> str:
+    """A file of a media type as an address that holds all of it."""
+    return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")
 
 
 def _inline_webp(picture: Picture) -> str:
+    return data_address("image/webp", _encoded(picture, format="WEBP", quality=_QUALITY))
+
+
+def _encoded(picture: Picture, **how: Any) -> bytes:
     stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="WEBP", quality=_QUALITY)
-    return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    Image.fromarray(picture).save(stream, **how)
+    return stream.getvalue()

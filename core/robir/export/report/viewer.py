@@ -7,7 +7,6 @@ addresses, so that the page needs neither a network nor files beside it.
 
 from __future__ import annotations
 
-import base64
 import io
 import math
 from collections.abc import Iterable
@@ -23,6 +22,7 @@ from PIL import Image
 from robir.capture.camera import Camera
 from robir.evaluation.light_scores import RecoveredLight
 from robir.export.gltf import glb_bytes
+from robir.export.report.pictures import data_address
 from robir.export.textures import Codes
 from robir.export.tiles import Part
 from robir.geometry.mesh.triangles import Mesh
@@ -90,7 +90,7 @@ _LIGHTS = (
 
 def embedded_asset(parts: Iterable[Part]) -> str:
     """The asset as a data address, its textures as JPEG and no larger than a page shows."""
-    return _address("model/gltf-binary", glb_bytes(parts, "asset", _jpeg))
+    return data_address("model/gltf-binary", glb_bytes(parts, "asset", _jpeg))
 
 
 def _jpeg(image: Codes) -> tuple[bytes, str]:
@@ -144,8 +144,4 @@ def _radiance(image: Array) -> str:
     done, encoded = cv2.imencode(".hdr", codes)
     assert done
     # the viewer knows the format by the address's end
-    return _address("image/vnd.radiance", encoded.tobytes()) + "#.hdr"
-
-
-def _address(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")
+    return data_address("image/vnd.radiance", encoded.tobytes()) + "#.hdr"

@@ -15,10 +15,10 @@ from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
 from robir.export.page import page_template
 from robir.export.report.numbers import report_numbers
 from robir.export.report.pictures import (
+    data_address,
     environment_picture,
     fine,
     inline_lossless,
-    inline_png,
     own_rerenders,
     row_of_view,
     shown_views,
@@ -61,7 +61,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
     text = page_template("robir.export", "report.html").render(
         rows=rows,
         numbers=numbers,
-        tone_plot=inline_png(paths.tone_plot.read_bytes()),
+        tone_plot=data_address("image/png", paths.tone_plot.read_bytes()),
         environment=inline_lossless(environment_picture(products.light)),
         textures=[
             (name, inline_lossless(picture))
@@ -128,7 +128,7 @@ def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
         head=LEVEL_HEAD,
         rows=level_cells(levels),
         notes=level_notes(levels),
-        strip=inline_png(paths.levels_strip.read_bytes()) if levels["views"] else "",
+        strip=data_address("image/png", paths.levels_strip.read_bytes()) if levels["views"] else "",
     )
     page = paths.report.read_text(encoding="utf-8")
     before, mark, after = page.partition(_LEVELS_START)
