@@ -5,7 +5,6 @@ There no timer fires, so what a window would do by itself is done by `pulse`, st
 """
 
 import os
-import signal
 import time
 from importlib import import_module
 from pathlib import Path
@@ -65,17 +64,6 @@ def attempt(operator, **values):
 def counts():
     kinds = ("objects", "cameras", "images", "collections")
     return {kind: len(getattr(bpy.data, kind)) for kind in kinds}
-
-
-def start_worker():
-    """Start as the button does in a window; there the operator would go on to follow it."""
-    worker, client = module("work.worker"), module("gateway").client
-    request = worker.request_of(settings())
-    engine = module("operators.reconstruct").program(
-        bpy.context.preferences.addons[MODULE].preferences.python
-    )
-    client.start(engine, request, module("command_line").worker_environment())
-    return request.out
 
 
 def look(capture, bad, missing):
@@ -203,29 +191,6 @@ def reconstruct(capture, other, out):
     return answer
 
 
-def killed(capture, out):
-    """Worker killed in the middle; the next goes on from there to the imported object."""
-    settings().capture, settings().out = capture, out
-    root = start_worker()
-    monitor = module("work.monitor")
-    monitor.watch(root)
-    answer = {"told": [told()], "may_look": bpy.ops.robir.look_at_capture.poll()}
-    pulse(lambda: state().stage == "appearance")
-    answer["told"].append(told())
-    lock = module("gateway").JobPaths(root).lock
-    os.kill(int(lock.read_text()), signal.SIGKILL)
-    began = time.monotonic()
-    pulse(lambda: not monitor.is_busy())
-    answer["seconds"] = time.monotonic() - began
-    answer["died"] = told()
-    del os.environ["ROBIR_TEST_SLOWLY"]
-    monitor.watch(start_worker())
-    pulse(lambda: not monitor.is_busy())
-    answer["done"] = told()
-    answer["meshes"] = len(bpy.data.meshes)
-    return answer
-
-
 def lacking(capture, other):
     """A capture with a missing photograph: left out, one more left out, another capture."""
     answer = {"chosen": attempt(bpy.ops.robir.choose_capture, directory=capture)}
@@ -285,70 +250,6 @@ def seen_bounds():
         "cube": bpy.data.objects["Cube"].visible_get(),
         "distances": away,
     }
-
-
-def start_and_wait(capture, out, ready):
-    """A Blender that is going to be killed while its worker works."""
-    settings().capture, settings().out = capture, out
-    module("work.monitor").watch(start_worker())
-    pulse(lambda: state().stage == "geometry")
-    Path(ready).write_text(str(os.getpid()))
-    time.sleep(300.0)
-
-
-def find_again(capture, out):
-    """Another Blender finds the worker by the settings of its file, and stops it."""
-    monitor = module("work.monitor")
-    answer = {"nothing": monitor.attach()}
-    settings().capture, settings().out = capture, out
-    answer["attached"] = monitor.attach()
-    monitor._pulse()
-    answer["told"] = told()
-    began = time.monotonic()
-    answer["cancel"] = attempt(bpy.ops.robir.cancel_reconstruct)
-    answer["answer_seconds"] = time.monotonic() - began
-    answer["stopping"] = told()
-    monitor._work.job.next_look = 0.0
-    monitor._pulse()
-    answer["still"] = state().message
-    pulse(lambda: not monitor.is_busy(), 20.0)
-    answer["end_seconds"] = time.monotonic() - began
-    answer["stopped"] = told()
-    answer["may_cancel"] = bpy.ops.robir.cancel_reconstruct.poll()
-    return answer
-
-
-def choose_as_clicked(capture):
-    """What a click on Choose Capture begins in a window."""
-    look = module("operators.capture")
-    settings().capture = capture
-    engine = bpy.context.preferences.addons[MODULE].preferences.python
-    command = [*look.program(engine), "check", capture, "--json"]
-    taken = look._Look(bpy.context.scene, Path(capture))
-    module("work.monitor").run_task("look", command, taken.take, taken.end_chosen)
-
-
-def unsaved(capture):
-    """Blender was closed without saving, once in the midst of a run and once after its end."""
-    monitor, answer = module("work.monitor"), {}
-    settings().capture = capture
-    root = start_worker()
-    pulse(lambda: module("gateway").client.snapshot(root).state == "running")
-    for name, is_enough in (
-        ("running", lambda: state().task != "look" and (state().stage or not state().task)),
-        ("finished", lambda: not monitor.is_busy()),
-    ):
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
-        choose_as_clicked(capture)
-        pulse(is_enough)
-        answer[name] = told()
-        os.environ.pop("ROBIR_TEST_SLOWLY", None)
-        pulse(lambda: not monitor.is_busy())
-        answer[f"{name} meshes"] = len(bpy.data.meshes)
-    choose_as_clicked(capture)
-    pulse(lambda: not monitor.is_busy())
-    answer["shown already"] = [state().task, len(bpy.data.meshes)]
-    return answer
 
 
 def tasks(python):

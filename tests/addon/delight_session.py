@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import bpy
-from capture_session import attempt, settings, state, told  # taken out before it runs
+from capture_session import attempt, settings, told  # taken out before it runs
 from mathutils import Vector
 
 
@@ -72,60 +72,6 @@ def spot_on(target):
     answer.append([sum(uv[k] for uv in uvs) / len(uvs) for k in range(2)])
     answer.append(attempt(bpy.ops.robir.reconstruct)[1])
     return answer
-
-
-def delight_tiles(capture, ball, box):
-    """The same object with its faces over three UDIM tiles."""
-    bpy.ops.robir.choose_capture(directory=capture)
-    target = figure(ball, box)
-    layer = target.data.uv_layers[0].uv
-    for face in target.data.polygons:
-        column, row = ((0, 0), (2, 0), (1, 1))[face.index % 3]
-        for corner in face.loop_indices:
-            u, v = layer[corner].vector
-            layer[corner].vector = (u + column, v + row)
-    before = [tuple(one.vector) for one in layer]
-    answer = {"done": attempt(bpy.ops.robir.delight)}
-    answer["told"] = told()
-    answer["after"] = state_of(target)
-    answer["uvs kept"] = before == [tuple(one.vector) for one in target.data.uv_layers[0].uv]
-    images = [n.image for n in target.data.materials[1].node_tree.nodes if n.type == "TEX_IMAGE"]
-    answer["tiles"] = [[i.source, [(t.number, *t.size) for t in i.tiles]] for i in images]
-    return answer
-
-
-def delight_alone(capture, radius, place, scale):
-    """Half a boulder that stands anywhere, with photographs that have no cameras."""
-    answer = {"chosen": attempt(bpy.ops.robir.choose_capture, directory=capture)}
-    answer["findings"] = [(f.level, f.text) for f in state().findings]
-    answer["recognised"] = state().recognised
-    target = boulder(radius)
-    target.location, target.scale, target.rotation_euler = place, [scale] * 3, (1.2, -0.4, 2.0)
-    before = state_of(target)
-    bpy.context.view_layer.update()
-    answer["stood"] = [list(row) for row in target.matrix_world]
-    answer["may"] = bpy.ops.robir.delight.poll()
-    answer["done"] = attempt(bpy.ops.robir.delight)
-    answer["told"], answer["before"], answer["after"] = told(), before, state_of(target)
-    answer["stands"] = [list(row) for row in target.matrix_world]
-    answer["view"] = [settings().view_scale, list(settings().view_shift)]
-    answer["world"] = bpy.context.scene.world.name
-    return answer
-
-
-def boulder(radius):
-    """The upper half of a ball, with a layout without overlaps and a material."""
-    bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, segments=48, ring_count=24)
-    target = bpy.context.object
-    target.name = "Boulder"
-    bpy.ops.object.mode_set(mode="EDIT")
-    bpy.ops.mesh.select_all(action="SELECT")
-    bpy.ops.mesh.bisect(plane_co=(0, 0, 1e-4), plane_no=(0, 0, 1), clear_inner=True)
-    bpy.ops.mesh.select_all(action="SELECT")
-    bpy.ops.uv.smart_project(island_margin=0.02)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    target.data.materials.append(bpy.data.materials.new("Baked by the sun"))
-    return target
 
 
 def state_of(target):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from capture_session import attempt, module, pulse, settings, start_worker, state, told
+from capture_session import module, settings, state
 
 NAME = "RobIR growing"
 
@@ -34,37 +34,6 @@ def seen():
             "low": placed.min(0).tolist(),
             "high": placed.max(0).tolist(),
         }
-    return answer
-
-
-def work(capture, out):
-    """A run that is cancelled once its surface is there, and its second part to the end."""
-    attempt(bpy.ops.robir.choose_capture, directory=capture)
-    settings().out = out
-    monitor = module("work.monitor")
-    before = len(bpy.data.objects), len(bpy.data.meshes)
-    monitor.watch(start_worker())
-    answer = {"first": seen()}
-    pulse(lambda: NAME in bpy.data.objects)
-    answer["stage"], answer["shown"] = state().stage, seen()
-    bounds = bpy.data.objects["Bounds of the object"]
-    answer["bounds"] = [list(bounds.location), bounds.empty_display_size]
-    attempt(bpy.ops.robir.cancel_reconstruct)
-    pulse(lambda: not monitor.is_busy(), 20.0)
-    answer["cancelled"] = seen()
-    answer["is_as_before"] = (len(bpy.data.objects), len(bpy.data.meshes)) == before
-    monitor.watch(start_worker())
-    answer["old"] = []
-
-    def look():
-        if state().stage in ("", "capture"):
-            answer["old"].append(seen()["objects"])
-        return state().stage == "transport"
-
-    pulse(look)
-    answer["later"] = seen()
-    pulse(lambda: not monitor.is_busy())
-    answer["done"], answer["told"] = seen(), told()
     return answer
 
 

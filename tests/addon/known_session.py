@@ -189,26 +189,3 @@ def summaries(result):
             changed["light_level"] = told
         facts.append(list(module("result.summary").summary_of(changed).facts))
     return facts
-
-
-def again(capture, out):
-    """A result, a spot of it, and the result with that: which stages were done again."""
-    bpy.ops.robir.choose_capture(directory=capture)
-    settings().out = out
-    answer = {"done": attempt(bpy.ops.robir.reconstruct), "first": stamps(out)}
-    asset = bpy.context.object
-    answer["picked"] = off(asset, asset.data.vertices[50].co, Vector())
-    settings().spot_albedo, settings().tone_curve = (0.3, 0.2, 0.1), "filmic"
-    answer["texel"] = list(settings().spot_texel)
-    answer["again"], answer["second"] = attempt(bpy.ops.robir.reconstruct), stamps(out)
-    answer["kept"] = settings().spot_result
-    settings().preset = "standard"
-    answer["finer"] = attempt(bpy.ops.robir.reconstruct)
-    answer["third"] = stamps(out)
-    return answer
-
-
-def stamps(out):
-    """When each stage was finished, nanoseconds of the clock."""
-    files = sorted((Path(out) / "stages").glob("*/stage.json"))
-    return {file.parent.name: file.stat().st_mtime_ns for file in files}

@@ -4,12 +4,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +15,6 @@ from capture.scene import AIM, cameras, shoot
 from capture.writers import nerf_synthetic, nerfstudio
 from PIL import Image
 
-from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = pytest.mark.blender
@@ -202,70 +197,3 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     # so small a draft fails its own quality check, and is imported all the same
     run = read_json(JobPaths(out).run)
     assert (run["state"], run["exit_code"]) == ("done", 5)
-
-
-def test_a_killed_worker_is_told_and_the_next_goes_on(
-    own_blender, session, capture, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.2")
-    answer = session(own_blender, "killed", capture, tmp_path / "out")
-    first, working = answer["told"]
-    assert (first["task"], first["job"]) == ("reconstruct", str(tmp_path / "out"))
-    assert not answer["may_look"]
-    assert 0.5 < working["fraction"] < 0.9
-    died = answer["died"]
-    assert answer["seconds"] < 2.0
-    assert "killed in appearance" in died["error"]
-    assert died["error_cure"].startswith("Press Reconstruct to go on")
-    assert (died["task"], died["job"], died["result"]) == ("", "", "")
-    assert answer["done"]["error"] == "" and answer["done"]["result"] == str(tmp_path / "out")
-    assert answer["meshes"] == 1
-
-
-def test_a_capture_chosen_again_finds_its_run(own_blender, session, shots, tmp_path, monkeypatch):
-    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
-    capture = nerf_synthetic(tmp_path / AWKWARD, shots, tests=2)
-    out = str(capture.with_name(f"{capture.name}_robir"))
-    answer = session(own_blender, "unsaved", capture)
-    running = answer["running"]
-    assert (running["task"], running["job"], running["error"]) == ("reconstruct", out, "")
-    assert (answer["finished"]["result"], answer["finished meshes"]) == (out, 1)
-    assert answer["shown already"] == ["", 1]
-
-
-def test_a_killed_blender_leaves_the_worker_to_the_next(
-    own_blender, session, capture, extension_zip, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.5")
-    out, ready = tmp_path / "out", tmp_path / "ready.json"
-    program = (
-        f"from addon.blenders import *; import sys\nfrom pathlib import Path\n"
-        f"run(find_blender({own_blender.version[:3]!r}), sys.argv[1], 'start_and_wait', "
-        f"sys.argv[2], sys.argv[3:5], *sys.argv[5:8], user=Path(sys.argv[8]))"
-    )
-    words = [SESSION, extension_zip, *ENGINE, capture, out, ready, tmp_path / "first"]
-    path = os.pathsep.join([str(HERE.parent), str(HERE.parents[1] / "core")])
-    starter = subprocess.Popen(
-        [sys.executable, "-c", program, *map(str, words)],
-        env={**os.environ, "PYTHONPATH": path},
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        end = time.monotonic() + 90.0
-        while not (ready.exists() and ready.read_text()):
-            assert time.monotonic() < end and starter.poll() is None
-            time.sleep(0.1)
-        os.kill(int(ready.read_text()), signal.SIGKILL)
-    finally:
-        starter.wait(60.0)
-    worker = holder(JobPaths(out).lock)
-    assert worker, "the worker went with its Blender"
-    answer = session(own_blender, "find_again", capture, out)
-    assert (answer["nothing"], answer["attached"]) == (False, True)
-    assert (answer["told"]["task"], answer["told"]["stage"]) == ("reconstruct", "geometry")
-    assert answer["cancel"] == [["FINISHED"], ""]
-    assert answer["answer_seconds"] < 1.0 and answer["end_seconds"] < 10.0
-    assert answer["stopping"]["message"] == answer["still"] == "Stopping"
-    assert answer["stopped"]["error"] == "" and answer["stopped"]["message"].startswith("Stopped")
-    assert not answer["may_cancel"]
-    assert holder(JobPaths(out).lock) is None

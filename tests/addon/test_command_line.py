@@ -61,17 +61,6 @@ def test_reconstruct_hands_its_words_on_and_ends_with_the_engine_s_code(python, 
     assert capfd.readouterr().out == "OUT is finished\n"
 
 
-def test_the_engine_is_told_of_the_blender_that_runs(python, tmp_path, monkeypatch):
-    from robir_addon import command_line
-
-    class App:
-        binary_path = "/opt/a blender"
-
-    monkeypatch.setattr(command_line.bpy, "app", App)
-    assert command_line.reconstruct(["capture", "-o", "out", "--engine", str(python)]) == 3
-    assert seen(tmp_path)[1] == ["/opt/a blender", "robir_addon", None]
-
-
 def test_an_engine_that_cannot_serve_is_said_in_one_sentence(tmp_path, capsys):
     from robir_addon.command_line import reconstruct
 

@@ -7,15 +7,12 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from addon.blenders import run
-from capture.poses.room import COUNT, RADIUS, photograph, ring
 from capture.scene import BALL, BOX_HIGH, BOX_LOW, CENTRE, cameras, shoot
 from capture.writers import nerf_synthetic
-from PIL import Image
 
-from robir.jobs.paths import JobPaths, of_tile, read_json
+from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
@@ -64,59 +61,3 @@ def test_an_object_gets_a_material_beside_its_own(own_blender, extension_zip, tm
     assert answer["bare"] == [["FINISHED"], ""]
     assert answer["bare_after"][0] == ["Baked by the sun"], "no layout: its own stays as it is"
     assert "a_figure" in answer["objects"], answer["objects"]
-
-
-def test_an_object_over_udim_tiles_gets_textures_for_each(own_blender, extension_zip, tmp_path):
-    shots = [shoot(camera, samples=2) for camera in cameras(14)]
-    capture = nerf_synthetic(tmp_path / "captures" / "a figure", shots, tests=2)
-    ball, box = [list(CENTRE), BALL], [list(CENTRE + BOX_LOW), list(CENTRE + BOX_HIGH)]
-    answer = run(
-        own_blender, script(), "delight_tiles", str(extension_zip), ENGINE, str(capture), ball, box,
-        user=tmp_path / "user",
-    )  # fmt: skip
-    assert answer["done"] == [["FINISHED"], ""], answer["told"]
-    assert answer["after"][:2] == [["Baked by the sun", "Figure de-lit"], [1]]
-    assert answer["uvs kept"]
-    root = Path(answer["told"]["result"])
-    metrics = read_json(JobPaths(root).manifest("geometry"))["metrics"]
-    assert (metrics["layout"], metrics["tiles"]) == ("own", 3)
-    assert len(answer["tiles"]) >= 2
-    for source, tiles in answer["tiles"]:
-        assert source == "TILED"
-        assert [tile[0] for tile in tiles] == [1001, 1003, 1012]
-        assert {tuple(tile[1:]) for tile in tiles} <= {(32, 32), (64, 64)}
-    # every tile is painted, and by photographs
-    for number in (1001, 1003, 1012):
-        file = of_tile(JobPaths(root).textures / "coverage.png", number)
-        with Image.open(file) as picture:
-            assert (np.array(picture) > 0).mean() > 0.05
-
-
-@pytest.mark.pycolmap
-def test_photographs_without_cameras_come_to_the_object(own_blender, extension_zip, tmp_path):
-    folder, place, scale = tmp_path / "photographs", [4.0, -1.0, 7.0], 0.25
-    (folder / "masks").mkdir(parents=True)
-    for number, camera in enumerate(ring(COUNT)):
-        picture, mask = photograph(camera)
-        Image.fromarray(picture).save(folder / f"p{number:02d}.png")
-        Image.fromarray(mask).save(folder / "masks" / f"p{number:02d}.png")
-    answer = run(
-        own_blender, script(), "delight_alone", str(extension_zip), ENGINE, str(folder), RADIUS,
-        place, scale, user=tmp_path / "user",
-    )  # fmt: skip
-    assert answer["chosen"] == [["FINISHED"], ""], answer["findings"]
-    assert answer["may"]
-    assert answer["done"] == [["FINISHED"], ""], answer["told"]
-    assert answer["before"][:2] == [["Baked by the sun"], [0]]
-    assert answer["after"][:2] == [["Baked by the sun", "Boulder de-lit"], [1]]
-    assert answer["stands"] == answer["stood"], "it is the cameras that move"
-    paths = JobPaths(Path(answer["told"]["result"]))
-    assert answer["world"] == paths.root.name
-    metrics = read_json(paths.manifest("geometry"))["metrics"]
-    assert (metrics["surface"], metrics["layout"]) == ("given", "own")
-    assert metrics["outline_agreement"] > 0.95
-    shown, shift = answer["view"]
-    bounds = read_json(paths.frame)["bounds"]
-    assert shown * bounds["radius"] == pytest.approx(scale * RADIUS, rel=0.15)
-    away = shown * np.array(bounds["centre"]) + shift - place
-    assert np.linalg.norm(away) < scale * RADIUS

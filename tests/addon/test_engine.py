@@ -35,7 +35,6 @@ from robir_addon.engine.remove import remove
 from robir_addon.engine.states import read_record, write_record
 
 UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"
-FAR_INDEX = "http://127.0.0.1:9/"
 
 
 @pytest.fixture(scope="module")
@@ -109,22 +108,8 @@ def test_an_engine_is_made_and_known(made, source):
     assert not place.cache.exists()
 
 
-def test_it_tells_how_far_it_is(made):
-    lines = made[1][1][:-1]
-    shares = [line["progress"] for line in lines]
-    assert shares == sorted(shares)
-    assert 0.0 <= shares[0] < 0.1
-    assert 0.9 < shares[-1] < 1.0
-    assert any("torch 2.13.0" in line["message"] for line in lines)
-
-
 def test_a_folder_of_wheels_leaves_the_network_alone(made):
     assert made[2] == []
-
-
-def test_permission_is_part_of_the_command(made, source):
-    words = command(made[0], source)
-    assert run(words[: words.index("--wheels")])[0] == 2
 
 
 def kill_at(words, message, number, group=True):
@@ -172,30 +157,6 @@ def test_killed_while_the_environment_is_made(source, tmp_path):
     assert "goes on" in found.cure
     assert run(command(place, source))[0] == 0
     assert status(place, source.robir, "CPU").state == "ready"
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_killed_before_the_last_step_it_goes_on_there(copy, source):
-    forget(copy, "robir", "numpy")
-    assert kill_at(command(copy, source), "looking for RobIR", signal.SIGKILL)[0] < 0
-    assert status(copy, source.robir, "CPU").state == "incomplete"
-    assert run(command(copy, source))[0] == 0
-    assert status(copy, source.robir, "CPU").state == "ready"
-    log = copy.log.read_text(encoding="utf-8")
-    assert "Requirement already satisfied: torch" in log
-    assert "Collecting torch" not in log
-
-
-def test_blender_may_be_gone_before_it_is_done(copy, source):
-    """Nobody reads what it says any more."""
-    forget(copy, "robir")
-    process = subprocess.Popen(
-        command(copy, source), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=variables()
-    )
-    process.stdout.close()
-    process.stderr.close()
-    assert process.wait(timeout=120) == 0
-    assert status(copy, source.robir, "CPU").state == "ready"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
@@ -269,15 +230,6 @@ def test_the_network_may_give_the_pinned_versions_and_nothing_else():
     assert needed <= {name for name, _ in listed}
 
 
-def test_no_network_at_all(copy, source):
-    forget(copy, "torch")
-    words = command(copy, source, build="CUDA", wheels="")
-    code, lines, _ = run(words, PIP_INDEX_URL=FAR_INDEX, PIP_RETRIES="1")
-    assert code == 4
-    assert "cannot be reached while torch" in lines[-1]["error"]
-    assert "this machine is online" in lines[-1]["cure"]
-
-
 def test_what_nobody_offers_is_told_before_torch_is_fetched(copy, source, tmp_path):
     forget(copy, "torch", "scipy")
     wheels = tmp_path / "offered"
@@ -292,15 +244,6 @@ def test_what_nobody_offers_is_told_before_torch_is_fetched(copy, source, tmp_pa
     assert "for Python {}.{} on".format(*sys.version_info[:2]) in lines[-1]["error"]
     assert "Python 3.11 to 3.13" in lines[-1]["cure"]
     assert not [path for path in index.asked if "torch" in path], "gigabytes for nothing"
-
-
-def test_a_wheel_that_is_lacking(copy, source, tmp_path):
-    wheels = stand_ins(tmp_path / "few", leave_out=("numpy",))
-    forget(copy, "numpy")
-    code, lines, _ = run(command(copy, source, wheels=wheels))
-    assert code == 4
-    assert "lacks numpy==" in lines[-1]["error"]
-    assert str(wheels) in lines[-1]["cure"]
 
 
 def test_another_version_is_outdated_and_updated(copy, source, tmp_path):
@@ -345,14 +288,6 @@ def test_torch_without_cuda_is_not_taken_for_one_with(copy, source):
     assert status(copy, source.robir, "CUDA").state == "incomplete"
 
 
-def test_a_python_that_is_gone(copy, source):
-    copy.python.unlink()
-    copy.python.symlink_to("/nowhere/python3.11")
-    found = status(copy, source.robir, "CPU")
-    assert found.state == "incomplete"
-    assert "is gone" in found.text
-
-
 def test_a_folder_that_is_not_ours_is_left_alone(source, tmp_path):
     place = Place(tmp_path)
     (tmp_path / "thesis.txt").write_text("mine")
@@ -374,11 +309,6 @@ def test_removal_takes_what_is_ours_and_leaves_the_rest(copy, tmp_path):
     assert remove(copy) == (copy.root / "notes.txt",)
     assert (other / "kept").is_dir()
     assert [path.name for path in copy.root.iterdir()] == ["notes.txt"]
-
-
-def test_removal_leaves_nothing(copy):
-    assert remove(copy) == ()
-    assert not copy.root.exists()
 
 
 def test_a_link_to_an_engine_is_not_followed(copy, tmp_path):

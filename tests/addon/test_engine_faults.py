@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from addon.wheelhouse import CONSTRAINTS, ROOT
+from addon.wheelhouse import CONSTRAINTS
 
 import robir
 from robir_addon.engine import EngineError, Place, inspect, interpreter, places
@@ -80,33 +79,6 @@ def test_an_update_needs_no_room_for_another_torch(
         assert read_record(place) == record
 
 
-MADE = {"CPU": 1.8e9, "CUDA": 5.8e9}
-"""Bytes of engines that were made on Linux."""
-
-
-@pytest.mark.parametrize("build", MADE)
-def test_the_room_that_is_asked_for_holds_all_there_is_at_once(build):
-    torch = installer.TORCH_BYTES[build]  # once in the cache, once where pip unpacks it from
-    assert installer.NEEDED_BYTES[build] > MADE[build] + installer.OTHER_BYTES + 2 * torch
-
-
-def test_the_preferences_tell_how_much_is_downloaded():
-    text = (ROOT / "robir_addon/preferences.py").read_text(encoding="utf-8")
-    told = [float(size) for size in re.findall(r"; ([\d.]+) GB to download", text)]
-    sizes = [installer.TORCH_BYTES[build] + installer.OTHER_BYTES for build in ("CPU", "CUDA")]
-    assert told == [round(size / 1e9, 1) for size in sizes]
-
-
-def test_what_a_stopped_pip_left_is_cleared(words, monkeypatch, tmp_path):
-    place = Place(tmp_path / "engine")
-    installer._take_folder(place)
-    (place.unfinished / "pip-unpack").mkdir(parents=True)
-    monkeypatch.setattr(installer, "_environment_with_pip", begin)
-    with pytest.raises(_Begun):
-        installer.main(words)
-    assert not place.unfinished.exists()
-
-
 def test_a_disk_that_fills_up(words, capsys, monkeypatch):
     def fill(*_):
         raise OSError(28, "No space left on device", "/engine/env/torch.so")
@@ -115,22 +87,6 @@ def test_a_disk_that_fills_up(words, capsys, monkeypatch):
     error, cure = refused(words, capsys)
     assert error == "/engine/env/torch.so cannot be written (No space left on device)"
     assert "goes on where it stopped" in cure
-
-
-def test_a_python_without_ensurepip(words, capsys, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    error, cure = refused(words, capsys)
-    assert "has no ensurepip" in error
-    assert "choose an existing environment" in cure
-    assert "python{}.{}-venv".format(*sys.version_info[:2]) in cure
-
-
-def test_cuda_on_macos(words, capsys, monkeypatch):
-    monkeypatch.setattr(sys, "platform", "darwin")
-    words[words.index("CPU")] = "CUDA"
-    error, cure = refused(words, capsys)
-    assert error == "macOS has no CUDA"
-    assert "choose CPU" in cure
 
 
 @pytest.mark.parametrize("executable", ["", None, "/opt/blender/blender"])
@@ -172,10 +128,6 @@ def test_what_to_install_is_said_where_no_other_python_is_there(too_new):
     ) as fault:
         base_python()
     assert "python3.10-venv" in fault.value.cure
-
-
-def test_blenders_own_python_is_taken_where_it_fits():
-    assert base_python() == Path(sys.executable)
 
 
 CPU_LABEL = ["--no-deps", "--index-url", installer.CPU_INDEX]
@@ -290,17 +242,6 @@ def test_a_stop_while_pip_starts_leaves_no_pip_behind(tmp_path, monkeypatch):
     assert started[0].poll() not in (None, 0)
 
 
-def test_pip_works_in_the_engines_folder(tmp_path, monkeypatch):
-    """The system's place for temporary files may be too small, and keeps what was broken off."""
-    real, code = subprocess.Popen, "import tempfile; print(tempfile.mkdtemp())"
-    monkeypatch.setattr(
-        subprocess, "Popen", lambda _, **more: real([sys.executable, "-c", code], **more)
-    )
-    place = Place(tmp_path)
-    _, said = Pip(place, None)._run(["list"])
-    assert Path(said[-1]).parent == place.unfinished
-
-
 def test_variables_of_blenders_python_are_not_handed_on():
     theirs = {"PYTHONHOME": "/b", "PYTHONPATH": "/b", "PythonUtf8": "1", "PIP_TARGET": "/b"}
     ours = {"PATH": "/bin", "PIP_INDEX_URL": "https://mirror", "SSL_CERT_FILE": "/cert"}
@@ -342,13 +283,6 @@ def test_an_environment_that_lacks_something(tmp_path, facts, error, cure):
 def test_an_environment_that_has_everything(tmp_path):
     assert inspect(pretender(tmp_path, WHOLE), "0.5.0").torch == "2.9.0"
     assert inspect(Path(sys.executable), robir.__version__).robir == robir.__version__
-
-
-def test_a_file_that_cannot_be_run(tmp_path):
-    file = tmp_path / "python"
-    file.write_text("print()")
-    with pytest.raises(EngineError, match="cannot be run"):
-        inspect(file, "0.5.0")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="bin/python")

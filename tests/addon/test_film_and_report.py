@@ -1,18 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Films of a turning light, the choice of what is compared, and reports that name nobody."""
 
-import subprocess
-import sys
-
-import cv2
 import numpy as np
 import pytest
-import trimesh
 from addon.blenders import run
 from addon.test_result_operators import COMMON
-from evaluation.sphere_run import CENTRE, RADIUS, SPHERE, cameras
 from PIL import Image
-from trimesh.exchange.gltf import export_glb
 
 pytestmark = pytest.mark.blender
 
@@ -70,62 +63,6 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
 
 def find_studio_lights(blender):
     return blender.site_packages.glob("bpy/*/datafiles/studiolights/world/*.exr")
-
-
-def frames_of(film):
-    """All frames (T, H, W) of a film, 0 to 1, mean over channels; and how many a second has."""
-    reader = cv2.VideoCapture(str(film))
-    frames = []
-    while (got := reader.read())[0]:
-        frames.append(got[1].mean(2) / 255)
-    return np.array(frames), reader.get(cv2.CAP_PROP_FPS)
-
-
-@pytest.mark.slow
-def test_in_a_film_the_shadow_goes_round(result, tmp_path, request):
-    """The sphere on a table; where a low sun throws its shadow is known."""
-    from robir.export.textures import write_exr
-
-    def headless(*arguments):
-        command = [sys.executable, "-m", "robir_addon.headless", *map(str, arguments)]
-        subprocess.run(command, check=True, capture_output=True)
-
-    contact = CENTRE - [0, 0, RADIUS * SPHERE]
-    table = contact + 10 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    (ball,) = trimesh.load_scene(result.asset).geometry.values()
-    first = len(ball.vertices)
-    both = trimesh.Trimesh(
-        # a GLB's y is up
-        vertices=np.concatenate([ball.vertices, table[:, [0, 2, 1]] * [1, 1, -1]]),
-        faces=np.concatenate([ball.faces, first + np.array([[0, 1, 2], [0, 2, 3]])]),
-        vertex_normals=np.concatenate([ball.vertex_normals, np.tile([0, 1, 0], (4, 1))]),
-        visual=trimesh.visual.TextureVisuals(
-            uv=np.concatenate([ball.visual.uv, np.tile(ball.visual.uv[:1], (4, 1))]),
-            material=ball.visual.material,
-        ),
-        process=False,
-    )
-    before = result.asset.read_bytes()
-    request.addfinalizer(lambda: result.asset.write_bytes(before))
-    result.asset.write_bytes(export_glb(trimesh.Scene({"ball": both}), include_normals=True))
-    sky = np.full((32, 64, 3), 0.1, np.float32)
-    sky[8, 15:17] = 60.0  # about +Y, 42 degrees high
-    write_exr(tmp_path / "low.exr", sky)
-    words = ["--environment", tmp_path / "low.exr", "--views", "held_out_001", "--samples", 8]
-    headless("relight", result.root, *words, "--turntable", 2)
-    frames, rate = frames_of(result.renders / "turntable_low_held_out_001.mp4")
-    assert frames.shape == (2, 64, 64)
-    assert rate == 12
-    throw = RADIUS * SPHERE / np.tan(np.radians(90 - 8.5 * 180 / 32))
-    places = contact + np.array([[0, -throw, 0], [0, throw, 0]])
-    pixels = cameras(3, 0.5)[1].project(places)[0].astype(int)
-    at = np.array(
-        [[frame[y - 1 : y + 2, x - 1 : x + 2].mean() for x, y in pixels] for frame in frames]
-    )
-    # the sun stands at +Y, then at -Y; the shadow lies on the other side
-    assert at[0, 0] < 0.6 * at[0, 1]
-    assert at[1, 1] < 0.6 * at[1, 0]
-    assert 0.2 < at.max() < 0.98
 
 
 def test_what_cycles_rendered_comes_first(result, tmp_path):

@@ -194,28 +194,6 @@ bpy.ops.export_scene.fbx(filepath=folder + "/bumpy.fbx")
 bpy.ops.wm.usd_export(filepath=folder + "/bumpy.usdz")
 """
 
-DELIGHT = """
-import sys
-from pathlib import Path
-from types import SimpleNamespace
-
-import bpy
-from robir_addon.result.delight import mesh_file
-
-folder = Path(sys.argv[1])
-bpy.ops.wm.read_factory_settings(use_empty=True)
-bpy.ops.wm.fbx_import(filepath=str(folder / "scan.fbx"))
-body, lid = (bpy.data.objects[name] for name in ("Body", "Lid"))
-bpy.ops.object.select_all(action="DESELECT")
-body.select_set(True)
-lid.select_set(True)
-bpy.context.view_layer.objects.active = body
-bpy.ops.object.join()
-assert sorted(material.name for material in body.data.materials) == ["Blue", "Red"]
-bpy.context.view_layer.update()
-mesh_file(body, SimpleNamespace(view_shift=(0, 0, 0), view_scale=1), folder / "joined")
-"""
-
 
 def made_by(script: str, folder: Path) -> Path:
     command = [sys.executable, "-c", script, str(folder)]
@@ -283,18 +261,6 @@ def test_objects_and_materials_stand_as_they_stood(scans, tmp_path, suffix):
     assert not {"cameras", "animations", "skins", "extensionsUsed"} & document.keys()
 
 
-@pytest.mark.parametrize("suffix", ["fbx", "usda", "usdz"])
-def test_the_engine_has_what_it_has_of_an_obj(scans, tmp_path, suffix):
-    """An OBJ is taken as it is; this one has Blender's axes."""
-    given = read_mesh(converted(scans / f"scan.{suffix}", tmp_path))
-    known = read_mesh(scans / "scan.obj")
-    ours, theirs = (
-        in_order(np.hstack([mesh.vertices, mesh.uvs])[mesh.faces]) for mesh in (given, known)
-    )
-    by_place = [np.lexsort(one[:, 0, :3].round(3).T) for one in (ours, theirs)]
-    assert ours[by_place[0]] == pytest.approx(theirs[by_place[1]], abs=1e-5)
-
-
 def test_axes_units_instances_and_time_are_as_blender_shows_them(tmp_path):
     (tmp_path / "yard.usda").write_text(YARD)
     given = read_mesh(converted(tmp_path / "yard.usda", tmp_path))
@@ -318,19 +284,6 @@ def test_a_normal_map_goes_along(tmp_path, suffix):
     made_by(BUMPY, tmp_path)
     given = read_mesh(converted(tmp_path / f"bumpy.{suffix}", tmp_path))
     assert given.detail is not None and given.detail.maps[0].shape == (4, 8, 3)
-
-
-def test_in_blender_an_imported_object_can_be_de_lit(scans, tmp_path):
-    (tmp_path / "scan.fbx").write_bytes((scans / "scan.fbx").read_bytes())
-    made_by(DELIGHT, tmp_path)
-    (ply,) = tmp_path.glob("joined_delit_*.ply")
-    given = read_mesh(ply)
-    truth = json.loads((scans / "truth.json").read_text())
-    expected = np.array([corners for _, _, corners in truth])[..., :5].reshape(-1, 5)
-    found = np.hstack([given.vertices, given.uvs])[given.faces].reshape(-1, 5)
-    for one in (expected, found):
-        one[:] = one[np.lexsort(one.round(3).T)]
-    assert found == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["fbx", "usd", "usda", "usdc", "usdz"])

@@ -10,8 +10,6 @@ import pytest
 import trimesh
 from addon.blenders import run
 from addon.test_capture_operators import ENGINE, SESSION
-from capture.scene import cameras, shoot
-from capture.writers import nerf_synthetic
 from PIL import Image
 
 pytestmark = pytest.mark.blender
@@ -114,23 +112,3 @@ def test_only_whole_files_are_shown_and_nothing_is_left_behind(blender, session,
     assert answer["again"] == answer["undone at work"] == shown
     for name in ("gone", "undone later", "opened later", "put away"):
         assert answer[name] == NOTHING, name
-
-
-@pytest.mark.slow
-def test_it_grows_in_the_bounds_and_goes_with_the_work(own_blender, session, tmp_path, monkeypatch):
-    monkeypatch.setenv("ROBIR_TEST_SLOWLY", "0.2")
-    shots = [shoot(camera, samples=2) for camera in cameras(14)]
-    capture = nerf_synthetic(tmp_path / "capture", shots, tests=2)
-    answer = session(own_blender, "work", capture, tmp_path / "out")
-    assert answer["first"] == NOTHING and answer["stage"] == "geometry"
-    shown = answer["shown"]
-    assert (shown["objects"], shown["meshes"]) == (1, 1) and 100 < shown["faces"] <= 5000
-    assert shown["collections"] == ["RobIR capture"] and not shown["is_selected"]
-    centre, radius = answer["bounds"]
-    away = np.abs([np.subtract(shown[end], centre) for end in ("low", "high")])
-    assert away.max() < 1.2 * radius and away.min() > 0.1 * radius
-    assert answer["cancelled"] == NOTHING and answer["is_as_before"]
-    assert not any(answer["old"])
-    assert answer["later"]["objects"] == 1
-    assert answer["done"] == NOTHING
-    assert answer["told"]["result"] == str(tmp_path / "out") and answer["told"]["error"] == ""

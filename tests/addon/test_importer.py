@@ -107,22 +107,6 @@ def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, s
         assert shader.inputs["Specular IOR Level"].default_value == pytest.approx(0.5 * specular)
 
 
-def test_the_view_transform_is_offered_and_never_forced(result, scene):
-    from robir_addon.relighting.view_transform import match_view_transform, view_transform_differs
-    from robir_addon.result.importer import import_result
-
-    settings = scene.view_settings
-    settings.view_transform, settings.look, settings.exposure = "AgX", "AgX - Punchy", 1.5
-    import_result(result.root, scene)
-    assert (settings.view_transform, settings.look) == ("AgX", "AgX - Punchy")
-    curve = read_json(result.tone_curve)
-    assert view_transform_differs(scene, curve)
-    assert match_view_transform(scene, curve) == ()
-    assert (settings.view_transform, settings.look) == ("Standard", "None")
-    assert (settings.exposure, settings.gamma) == (0.0, 1.0)
-    assert not view_transform_differs(scene, curve)
-
-
 @pytest.mark.parametrize("transform", [None, "A Curve of Later Years"])
 def test_a_curve_blender_lacks_is_said(result, scene, transform):
     from robir_addon.relighting.view_transform import match_view_transform
@@ -152,19 +136,6 @@ def census():
     import bpy
 
     return {kind: sorted(b.name for b in getattr(bpy.data, kind)) for kind in KINDS}
-
-
-def test_importing_twice_leaves_one_of_everything(result, scene):
-    from robir_addon.result.importer import import_result
-
-    import_result(result.root, scene)
-    before = census()
-    imported = import_result(result.root, scene)
-    assert census() == before
-    assert len(before["cameras"]) == 9
-    assert before["collections"] == ["sphere run", "sphere run cameras"]
-    assert list(scene.collection.children) == [imported.collection]
-    assert set(imported.collection.all_objects) == set(scene.objects)
 
 
 def test_what_the_user_made_is_left_alone_and_the_world_comes_back(result):
@@ -246,25 +217,6 @@ def test_a_broken_folder_changes_nothing(result, scene, tmp_path):
             import_result(copy.root, scene)
         file.write_bytes(kept)
         assert census() == before
-
-
-def test_an_import_is_one_step_of_undo(result):
-    import bpy
-
-    from robir_addon.result.importer import import_result
-
-    bpy.ops.wm.read_factory_settings()
-    bpy.ops.ed.undo_push(message="start")
-    before, world = census(), bpy.context.scene.world.name
-    import_result(result.root, bpy.context.scene)
-    bpy.ops.ed.undo_push(message="import")
-    after = census()
-    bpy.ops.ed.undo()
-    assert census() == before
-    assert bpy.context.scene.world.name == world
-    bpy.ops.ed.redo()
-    assert census() == after
-    assert bpy.context.scene.world.name == "sphere run"
 
 
 def test_every_camera_projects_as_the_core_does(scene, result):

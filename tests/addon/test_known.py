@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from capture.writers import nerf_synthetic
 from evaluation import sphere_run
 
 from robir.appearance.config import FAMILIES
-from robir.jobs.paths import JobPaths, read_json
 
 pytestmark = pytest.mark.blender
 
@@ -125,17 +123,3 @@ def test_how_well_brightness_is_known_is_said(own_blender, session, result):
     (said,) = set(known) - set(older)
     assert said == "Brightness of albedo known to a factor of 1.46"
     assert empty == older and [fact for fact in known if fact != said] == older
-
-
-def test_only_light_and_what_follows_it_is_found_again(own_blender, session, captures, tmp_path):
-    out = tmp_path / "out"
-    answer = session(own_blender, "again", captures[0], str(out))
-    assert answer["done"] == answer["picked"] == answer["again"] == [["FINISHED"], ""]
-    anew = {stage for stage, time in answer["second"].items() if time != answer["first"][stage]}
-    assert anew == {"appearance", "export"} and len(answer["second"]) == 5
-    paths = JobPaths(out)
-    settings = tomllib.loads(paths.config.read_text(encoding="utf-8"))["appearance"]
-    assert settings["white_point"] == pytest.approx([*answer["texel"], 0.3, 0.2, 0.1], abs=1e-6)
-    assert read_json(paths.tone_curve)["family"] == "filmic"
-    assert answer["kept"] == str(out)
-    assert refused(answer["finer"], "another shape") and answer["third"] == answer["second"]

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -121,14 +119,6 @@ def decompressed(content: bytes) -> bytes:
     return subprocess.run([program, "-dcq"], input=content, capture_output=True, check=True).stdout
 
 
-def test_textures_may_stay_beside_it(result, own_blender, tmp_path):
-    made(result, AssetFacts(textures="relative"))
-    seen = run(own_blender, LOOK, str(result.library_asset), user=tmp_path / "user")
-    assert not any(seen["packed"])
-    assert all(path.startswith("//textures") for path in seen["paths"])
-    assert all(min(size) > 0 for size in seen["sizes"])
-
-
 def test_an_asset_is_current_until_what_is_known_of_it_changes(result, facts):
     made(result, facts)
     assert is_current(result, facts)
@@ -166,10 +156,3 @@ def test_the_panel_registers_the_library_and_lists_its_batch(
     assert seen["order"] == ["lamp", "vase", "cup", "chair"]
     assert "is no folder" in seen["nowhere"][0]
     assert seen["nowhere"][1] == []
-
-
-def test_the_headless_command_says_what_it_makes(result):
-    command = [sys.executable, "-P", "-m", "robir_addon.headless", "asset", str(result.root)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    last = json.loads(done.stdout.splitlines()[-1])
-    assert last["files"] == [str(result.library_asset)]

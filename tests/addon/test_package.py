@@ -338,18 +338,3 @@ def test_a_bad_manifest_builds_nothing(newer_tree, tmp_path, before, after, word
     assert done.stderr.startswith("error: ")
     assert words in done.stderr
     assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_compiled_code_in_the_wheel_is_refused(newer_tree, tmp_path):
-    tree = tmp_path / "tree"
-    shutil.copytree(newer_tree, tree)
-    (tree / "core/robir/fast.so").write_bytes(b"\x7fELF")
-    done = build(tree, "--out", tmp_path / "out")
-    assert done.returncode == 1
-    assert "compiled" in done.stderr
-
-
-def test_install_says_when_there_is_no_such_blender(newer_tree, tmp_path):
-    done = build(newer_tree, "--out", tmp_path, "--install", "/nowhere/blender")
-    assert done.returncode == 1
-    assert done.stderr == "error: /nowhere/blender cannot be run: No such file or directory\n"

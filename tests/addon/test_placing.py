@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A result in its real size and place, without its ground, and what a newer one keeps of that."""
 
-import shutil
-
 import numpy as np
 import pytest
 import trimesh
@@ -144,36 +142,6 @@ def test_a_result_is_sized_placed_and_freed_of_its_ground(
     cropped = answer["cropped"][1]
     assert cropped["low"][0] > -row and cropped["high"][0] == pytest.approx(dropped["high"][0])
     assert answer["undone"] == dropped["faces"]
-
-
-TWO = """
-def main(archive, first, second):
-    install(archive)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.preferences.addon_enable(module=MODULE)
-    objects = {}
-    for folder in (first, second):
-        call("import_result", directory=folder)
-        objects[folder] = bpy.context.object.name
-    mine = bpy.data.objects[objects[first]]
-    bpy.context.view_layer.objects.active = mine
-    answer = {"done": call("stand_on_floor")}
-    answer["stands"] = [bool(bpy.data.objects[objects[f]].get("robir_stands")) for f in objects]
-    answer["removed"] = call("remove_result")
-    answer["left"] = [objects[f] in bpy.data.objects for f in objects]
-    answer["shown"] = bpy.context.scene.robir.result
-    return answer
-"""
-
-
-def test_what_is_done_is_done_to_the_active_object(own_blender, extension_zip, result, tmp_path):
-    other = shutil.copytree(result.root, tmp_path / "another")
-    folders = str(result.root), str(other)
-    answer = run(own_blender, COMMON + TWO, str(extension_zip), *folders, user=tmp_path / "user")
-    assert answer["done"] == answer["removed"] == ["FINISHED"]
-    assert answer["stands"] == [True, False]
-    assert answer["left"] == [False, True]
-    assert answer["shown"] == folders[1]
 
 
 LEVELS = """

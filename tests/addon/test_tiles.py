@@ -20,7 +20,6 @@ from export.tiled_run import SIDE, TILES, make_tiled_run, own_uvs
 from PIL import Image
 
 from robir.export import stage
-from robir.export.textures import write_png
 from robir.jobs.paths import JobPaths, of_tile, write_json
 
 pytestmark = pytest.mark.blender
@@ -84,29 +83,6 @@ def test_an_imported_result_has_the_users_layout_and_tiled_images(tiled, scene):
     assert len(asset.data.vertices) == 48 * 23 + 2
 
 
-def test_a_result_made_anew_takes_tiles_away_and_brings_them_back(tiled, scene):
-    from robir_addon.result.importer import import_result
-
-    asset = import_result(tiled.root, scene).asset
-    layout = tiled.stage("geometry") / "mesh.npz"
-    atlas = tiled.stage("appearance") / "textures.npz"
-    kept = layout.read_bytes(), atlas.read_bytes()
-    sphere_run.sphere_mesh().save(layout)
-    np.savez(atlas, **sphere_run.sphere_textures())
-    stage.run(context(tiled, Recorder(), renders=False))
-    assert import_result(tiled.root, scene).asset == asset
-    (material,) = asset.data.materials
-    assert images_of(material) == {
-        "Base Color": ("FILE", "albedo.png", [], "sRGB"),
-        "Roughness": ("FILE", "roughness.png", [], "Non-Color"),
-    }
-    layout.write_bytes(kept[0])
-    atlas.write_bytes(kept[1])
-    stage.run(context(tiled, Recorder(), renders=False))
-    import_result(tiled.root, scene)
-    assert images_of(material) == TILED
-
-
 def test_a_newer_result_may_have_more_tiles(tiled, scene):
     from robir_addon.result.importer import import_result
 
@@ -163,33 +139,6 @@ def test_pictures_beside_each_other_show_every_tile(tiled):
         shown |= {tuple(row) for row in codes.reshape(-1, 4)[:, :3].tolist()}
     assert {tuple(row) for row in CODES.tolist()} <= shown
     assert {(rough,) * 3 for rough in (51, 102, 153)} <= shown
-
-
-def test_pictures_show_the_place_within_a_tile(tiled):
-    """A ramp from side to side of tile 1003, a part of which the view shows."""
-    from robir_addon.result.comparison import compare
-    from robir_addon.result.importer import read_cameras
-
-    ramp = np.zeros((SIDE, SIDE, 3), np.uint8)
-    ramp[..., 0], ramp[..., 1] = 100 + np.arange(SIDE), 3
-    write_png(of_tile(tiled.textures / "albedo.png", 1003), ramp)
-    codes = np.rint(255 * compare(tiled, read_cameras(tiled), "held_out_000").codes).astype(int)
-    seen = {red for red, green, blue, _ in codes.reshape(-1, 4).tolist() if (green, blue) == (3, 0)}
-    assert len(seen) > 20, seen
-
-
-def test_smaller_textures_are_smaller_in_every_tile_and_come_back(tiled, scene):
-    from robir_addon.result.importer import import_result
-    from robir_addon.result.reducing import reduced
-
-    asset = import_result(tiled.root, scene).asset
-    node = next(n for n in asset.data.materials[0].node_tree.nodes if n.label == "Base Color")
-    whole = node.image
-    with reduced(asset, len(asset.data.polygons), SIDE // 4):
-        assert [tuple(tile.size) for tile in node.image.tiles] == [(SIDE // 4,) * 2] * 3
-        assert node.image.packed_files[2].tile_number == TILES[2]
-    assert node.image == whole
-    assert [tuple(tile.size) for tile in whole.tiles] == [(SIDE, SIDE)] * 3
 
 
 @pytest.mark.parametrize("command", [["scene"], ["asset", "--pack"]])

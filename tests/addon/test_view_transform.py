@@ -82,18 +82,3 @@ def test_another_gamma_is_another_curve(grey):
     match_view_transform(grey, plain)
     assert grey.view_settings.gamma == 1.0
     assert view_name(plain) == "AgX"
-
-
-def test_a_power_of_a_curve_that_blender_lacks_leaves_its_gamma_alone(grey):
-    from robir_addon.relighting.view_transform import (
-        match_view_transform,
-        view_name,
-        view_transform_differs,
-    )
-
-    table = table_of(tone.powered(tone.curve_from_name("robir_aces"), 0.5))
-    (note,) = match_view_transform(grey, table)
-    assert "tone_curve.cube" in note
-    assert (grey.view_settings.view_transform, grey.view_settings.gamma) == ("Standard", 1.0)
-    assert not view_transform_differs(grey, table)
-    assert view_name(table) == "another curve"

@@ -13,8 +13,6 @@ from addon.blenders import ROOT, run
 from addon.test_panels import script
 from addon.texts import texts_of
 
-from robir_addon.engine import EngineError, Sentence
-from robir_addon.errors import AddonError, ResultError
 from robir_addon.words import read_catalogue
 
 pytestmark = pytest.mark.blender
@@ -50,10 +48,6 @@ def entry(key: tuple[str, str], places: list[str]) -> str:
     return "\n".join([*lines, f'msgid "{quoted}"', 'msgstr ""', ""])
 
 
-def test_there_is_a_german_catalogue():
-    assert "de" in [file.stem for file in CATALOGUES]
-
-
 def test_nothing_is_said_that_cannot_be_translated():
     faults = texts_of(ADDON).faults
     assert not faults, "\n".join(faults)
@@ -70,12 +64,6 @@ def test_no_text_is_missing(needed, catalogue):
 def test_no_translation_is_left_over(needed, catalogue):
     unused = [key for key in read_catalogue(catalogue) if key not in needed]
     assert not unused, f"nothing says these texts of {catalogue.name} any more: {unused}"
-
-
-def test_entries_are_sorted(catalogue):
-    """So that two people who add texts seldom touch the same lines."""
-    keys = list(read_catalogue(catalogue))
-    assert keys == sorted(keys, key=lambda key: (key[1], key[0].replace("*", "")))
 
 
 def test_fields_and_cures_survive_the_translation(catalogue):
@@ -113,22 +101,6 @@ def test_a_catalogue_is_read_as_gettext_means_it(tmp_path):
         ("Operator", "one"): "eine",
         ("*", 'long "{name}" text\n'): "lang \\ {name}",
     }
-
-
-def test_errors_remember_what_they_were_made_of():
-    error = ResultError("{file} is missing; export again", file="a{b}.png")
-    assert str(error) == "a{b}.png is missing; export again"
-    (sentence,) = error.sentences
-    assert (sentence.text, sentence.values) == (
-        "{file} is missing; export again",
-        {"file": "a{b}.png"},
-    )
-    assert str(AddonError("said by {another}")) == "said by {another}"
-    engine = EngineError("{python} has no torch", "install it", python="/bin/python")
-    assert str(engine) == "/bin/python has no torch; install it"
-    assert engine.message == "/bin/python has no torch"
-    assert engine.sentences == (engine.message, engine.cure)
-    assert isinstance(engine.cure, Sentence)
 
 
 @pytest.mark.parametrize(

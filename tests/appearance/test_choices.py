@@ -66,15 +66,6 @@ def test_a_flat_sky_is_flat_and_has_no_sun():
     assert float(above.std(0).max()) < 0.1
 
 
-def test_a_sky_brighter_on_one_side_keeps_its_lobes():
-    _, scene = under_a_sky(lambda axes: np.exp(axes[:, 0]))
-    _, _, light, _ = chosen(scene)
-    assert light.axes.shape == (0, 3)
-    axes, _ = soft_lobes(synthetic.NUM_SOFT)
-    middle = axes.T @ light.amplitudes.soft.mean(1)
-    assert float(middle[0] / middle.norm()) > 0.8
-
-
 def test_an_isolated_convex_object_throws_no_light_on_itself():
     parts = halves(synthetic.Material(CLAY, 0.6), synthetic.Material(SLATE, 0.6))
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -17,7 +15,7 @@ from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import looked_at
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import display_mean
-from robir.appearance.proof import EVERY, Proof, fitted_views
+from robir.appearance.proof import EVERY, Proof
 from robir.maths.tone import curve_from_name
 
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)
@@ -53,12 +51,6 @@ def test_one_view_and_one_place_prove_nothing():
     assert not Proof.of(ones, 0 * ones, (several, np.zeros(50, int))).is_given
     assert Proof.of(ones, 0 * ones, (several, several)).is_given
     assert not Proof.of(ones[:0], ones[:0], (several[:0],)).is_given
-
-
-def test_one_view_in_so_many_is_kept():
-    is_fitted = fitted_views(40)
-    assert (~is_fitted).sum() == 40 // EVERY
-    assert np.diff(np.flatnonzero(~is_fitted)).max() == EVERY
 
 
 @pytest.mark.parametrize("family", ["standard", "filmic", "agx"])
@@ -132,17 +124,3 @@ def test_metal_that_predicts_worse_than_a_dielectric_goes(trials):
     assert len(kept.roughness) == len(kept.base) == 0
     assert (kept.part == -1).all()
     assert choice.chosen == "0% of the surface"
-
-
-def test_parts_that_one_fold_of_views_alone_shows_are_not_disproven(trials):
-    trial, count = trials[0]
-    own = torch.from_numpy(np.flatnonzero(trial.rays.view % EVERY == 0))
-    few = replace(trial, rays=trial.rays.of(own), seen=trial.seen.of(own))
-    parts = MetalParts(
-        part=np.zeros(count, np.int64),
-        base=np.full((1, 3), 0.7, np.float32),
-        roughness=np.array([0.2], np.float32),
-    )
-    dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
-    kept, _ = proven_parts(parts, few, dielectric)
-    assert len(kept.roughness) == 1

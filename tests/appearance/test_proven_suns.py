@@ -10,12 +10,11 @@ import pytest
 import torch
 from appearance import synthetic
 
-from robir.appearance import proven_suns
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
 from robir.appearance.proof import Proof
 from robir.appearance.proven_suns import lead_in_errors, with_proven_suns
-from robir.appearance.solution import Solution, solve
+from robir.appearance.solution import solve
 from robir.appearance.tone import shoulder
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import Candidate
@@ -103,22 +102,6 @@ def test_shadows_tell_of_a_sun_on_what_has_no_highlights(is_there):
     # floor and boxes are brighter than paint commonly is, and throw much light on each other
     taken, _, choice = proven(scene, light, 0.0 if is_there else 0.6, without=["level"])
     assert len(taken.light.axes) == is_there, choice.why
-
-
-def test_skies_are_not_asked(monkeypatch):
-    monkeypatch.setattr(proven_suns, "fit", lambda *given: pytest.fail("solved again"))
-    light = synthetic.sun_and_uneven_sky()
-    scene = varnished_ball(light)
-    problem = make_problem(scene, CAMERA)
-    tone = replace(
-        tone_of(scene, ["camera"]),
-        candidates=[
-            Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
-        ],
-    )
-    none = replace(light, axes=light.axes[:0], sharpness=light.sharpness[:0])
-    dark = Solution(problem=problem, matte=problem, light=none, config=CONFIG, seed=0)
-    assert with_proven_suns(tone, dark, Course()) is dark
 
 
 def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():

@@ -65,14 +65,6 @@ def test_edges_stay():
     assert angles(found, true)[beside].max() < 20
 
 
-def test_what_lies_alone_keeps_its_normal():
-    far = np.eye(3, dtype=np.float32)
-    alone = Surfels(position=far, normal=far, spacing=1)
-    # by samples, and where there are none
-    for place in (far, np.float32(0.5) * far):
-        np.testing.assert_allclose(smoothed(place, far, alone), far, atol=1e-6)
-
-
 def test_surfaces_are_freed_of_their_grain(sphere):
     mesh, surfels = sphere
     mesh = replace(mesh, normals=grainy(mesh.normals, 6))

@@ -99,18 +99,6 @@ def test_everything_public_says_what_it_is():
     assert not missing
 
 
-def test_the_word_for_hue_is_never_a_name_of_ours():
-    """`image`, `radiance`, `albedo` say more."""
-    forbidden = "col" + "or"
-    bad = [
-        f"{name(path)}:{node.name}"
-        for path in (ROOT / "core").rglob("*.py")
-        for node in ast.walk(parse(path))
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and forbidden in node.name.lower()
-    ]
-    assert not bad
-
-
 def test_no_stage_knows_which_format_photographs_came_in():
     """There is one path for every capture: the reader's name is said in the report, no more."""
     told = {"core/robir/export/report/numbers.py", "core/robir/commands.py"}

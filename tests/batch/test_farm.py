@@ -13,13 +13,10 @@ from pathlib import Path
 import pytest
 from hostile.tiny_run import contents, scenes
 
-from robir.batch.farm import write_openjd
-from robir.batch.tasks import library_job
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import read_json
 from tests.batch.fakes import variables
-from tests.batch.slurm import cluster
 
 
 def same(one: LibraryPaths, other: LibraryPaths) -> bool:
@@ -75,38 +72,6 @@ def test_open_job_description_makes_the_same_library(shots, at_home, library, tm
     )  # fmt: skip
     assert said.returncode == 0, said.stdout[-3000:] + said.stderr[-2000:]
     assert same(at_home, library)
-
-
-@pytest.mark.slow
-@pytest.mark.blender
-def test_slurm_makes_the_same_library(shots, at_home, library, tmp_path, robir):
-    """From parts of the stages as tasks of their own, the fit where there is a graphics card."""
-    words = ("--on", "slurm", "--split", "--fit-queue", "graphics")
-    with cluster(tmp_path / "slurm") as wait:
-        queued = robir("batch", shots / "plan.toml", "-o", library.root, *words, expect=0).split()
-        about = [waiting(number) for number in queued]
-        wait(queued)
-    read, fit, finish, page = about
-    assert f"afterany:{queued[2]}" in page or f"afterok:{queued[2]}" in page
-    assert (f"aftercorr:{queued[0]}" in fit) and (f"aftercorr:{queued[1]}" in finish)
-    assert "Partition=graphics" in fit and "Partition=all" in read and "Partition=all" in finish
-    assert ["gres/gpu" in one or "gres:gpu" in one for one in (read, fit, finish)] == [
-        False, True, False
-    ]  # fmt: skip
-    assert same(at_home, library)
-
-
-def waiting(number: str) -> str:
-    """What Slurm says of a job."""
-    said = subprocess.run(["scontrol", "show", "job", number], capture_output=True, check=True)
-    return said.stdout.decode()
-
-
-def test_what_is_done_is_not_handed_over_again(library, tmp_path):
-    job = library_job(library, tmp_path / "shots", [0, 1, 2, 5, 7, 8], 3 << 30, None)
-    step = read_json(write_openjd(job, library.openjd) / "template.json")["steps"][0]
-    assert step["parameterSpace"]["taskParameterDefinitions"][0]["range"] == "0-2,5,7-8"
-    assert step["hostRequirements"]["amounts"][1]["min"] == 3072
 
 
 def test_a_task_that_the_plan_lacks_is_refused(shots, library, robir):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -13,21 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from robir.batch.start import batch
-from robir.cli import _parser
 from robir.errors import UsageError
 from robir.jobs.client import snapshot
 from robir.jobs.library import (
     LibraryPaths,
     drop,
-    prefer,
-    preferred,
     read_batch,
     start_batch,
     stop_batch,
 )
 from robir.jobs.lock import holder
-from robir.jobs.paths import JobPaths, write_json
+from robir.jobs.paths import JobPaths
 from tests.batch.fakes import ROOT, make_captures, run_batch, variables
 
 
@@ -186,22 +181,6 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
 
 
-def test_what_the_user_prefers_comes_first(tmp_path, library, template):
-    """Of four the last is preferred while the first is at work, and then the third before it."""
-    go = tmp_path / "go"
-    captures = make_captures(tmp_path / "shots", {"a": f"wait {go}", "b": "", "c": "", "d": ""})
-    running = begun(library, template, captures / "*", "--jobs", 1)
-    until(lambda: snapshot(library.root / "a").state == "running")
-    assert preferred(library) == []
-    prefer(library, "d")
-    prefer(library, "c")
-    assert preferred(library) == ["c", "d"]
-    go.touch()
-    assert running.wait(30) == 0
-    ended = {name: library.result(name).status.stat().st_mtime_ns for name in "abcd"}
-    assert sorted(ended, key=ended.get) == ["a", "c", "d", "b"]
-
-
 def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):
     go = tmp_path / "go"
     # b may be at work beside a; it must not be done before it is dropped
@@ -218,13 +197,6 @@ def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, 
     until(lambda: library.page.exists() and states(library)["c"] == "done")
     until(lambda: holder(library.lock) is None)
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
-
-
-def test_a_folder_of_other_things_is_no_place_for_a_result(tmp_path, library, template):
-    captures = make_captures(tmp_path / "shots", {"a": ""})
-    write_json(library.root / "a" / "thesis.json", {})
-    assert run_batch(template, words(library, captures / "a")) == 2
-    assert "thesis.json" in library.page.read_text()
 
 
 def test_a_library_offers_the_formats_that_are_asked_for(tmp_path, library, template):
@@ -250,24 +222,3 @@ def test_without_a_plan_there_is_nothing_to_go_on_with(library):
         run_batch(Path(), words(library, "--resume"))
     with pytest.raises(UsageError, match="go on with --resume"):
         run_batch(Path(), words(library))
-
-
-@pytest.mark.slow
-def test_hundreds_of_captures_cost_little_to_schedule(tmp_path, library, template):
-    count = 300
-    names = [f"capture_{number:04d}" for number in range(count)]
-    captures = make_captures(tmp_path / "shots", dict.fromkeys(names, ""))
-    status = {"state": "done", "stage": "", "fraction": 1.0, "message": "", "seconds_left": None}
-    write_json(JobPaths(template).status, status | {"exit_code": 0, "pid": 1, "heartbeat": 1.0})
-    # the least engine there is, as only the batch's own time counts
-    copying = ["/bin/sh", "-c", 'cp -R "$0"/. "$4"', str(template)]
-    options = _parser().parse_args(["batch", *words(library, captures / "*", "--jobs", 8)])
-    before = resource.getrusage(resource.RUSAGE_SELF)
-    assert batch(options, copying) == 0
-    after = resource.getrusage(resource.RUSAGE_SELF)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert spent / count < 0.020
-    page = library.page.read_text()
-    assert page.count("<article") == count
-    assert page.count('loading="lazy"') == count
-    assert len(page) < 2000 * count

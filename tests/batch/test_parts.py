@@ -7,8 +7,6 @@ import re
 
 import pytest
 
-from robir.batch.farm import ranges
-from robir.batch.tasks import library_job
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import JobPaths, read_json
@@ -78,14 +76,6 @@ def test_what_the_first_task_refuses_is_told_once(tmp_path, library, template, t
     assert states(library) == ["failed"] and "no photographs" in library.page.read_text()
 
 
-def test_a_batch_here_goes_on_where_a_task_ended(tmp_path, library, template, task):
-    captures = make_captures(tmp_path / "shots", {"a": ""})
-    run_batch(template, [str(captures / "a"), "-o", str(library.root), "--on", "openjd"])
-    assert task("--task", "0", "--stages", "capture") == 1
-    assert task() == 2
-    assert states(library) == ["done"]
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -104,10 +94,3 @@ def test_stages_that_are_none_are_refused(library, text, capsys):
     with pytest.raises(SystemExit):
         run_batch(library.root, ["-o", str(library.root), "--task", "0", f"--stages={text}"])
     assert "names no stages" in capsys.readouterr().err
-
-
-def test_numbers_are_written_as_both_schedulers_read_them(tmp_path):
-    job = library_job(LibraryPaths(tmp_path), tmp_path / "shots", [0, 1, 2, 5], 3 << 30, "gpu")
-    assert [ranges(step.tasks) for step in job.steps] == ["0-2,5"] * 3 + [""]
-    assert [step.queue for step in job.steps] == ["", "gpu", "", ""]
-    assert ranges([0, 1, 2, 5, 7, 8]) == "0-2,5,7-8" and ranges([4]) == "4"

@@ -11,9 +11,8 @@ import pytest
 from bench.fake_robir import scores
 
 from robir import cli
-from robir.evaluation.scores import ALBEDO, RAW_ALBEDO, SUN
-from robir_bench.ablation import ENOUGH, ablated, chosen_trials, trials, worths
-from robir_bench.population import read_population
+from robir.evaluation.scores import ALBEDO, RAW_ALBEDO
+from robir_bench.ablation import ENOUGH, chosen_trials, trials, worths
 from robir_bench.runs import read_scores
 
 CLASSES = {"ground": "ground", "paint": "plain", "metal": "none", "tone": "Filmic", "sun": "sun"}
@@ -47,16 +46,6 @@ def records(gains, classes=lambda number: CLASSES):
     return found, kinds
 
 
-def test_each_capture_is_run_whole_and_without_each_step(population):
-    runs = ablated(read_population(population), trials())
-    assert len(runs) == 2 * (1 + len(trials()))
-    assert len({run.name for run in runs}) == len(runs)
-    whole, first = runs[:2]
-    assert whole.is_relit and not first.is_relit
-    assert first.settings[-1] == f'{TRIAL.stage}.without=["{TRIAL.step.name}"]'
-    assert first.settings[:-1] == whole.settings
-
-
 def test_what_a_step_brings_is_the_mean_of_what_its_absence_costs():
     found = worths(*records([1.0, 2.0, 3.0]))[0]
     gain = found.gain(ALBEDO)
@@ -71,25 +60,6 @@ def test_a_step_that_helps_stays_and_one_that_does_not_goes():
     assert helps.verdict == f"stays: {ALBEDO.title}"
     assert harms.verdict == "goes"
     assert worths(*records([0.0] * ENOUGH))[0].verdict == "goes"
-
-
-def test_a_step_that_gives_with_one_hand_and_takes_with_the_other_is_left_open():
-    found, kinds = records([0.5] * ENOUGH)
-    for record in found:
-        raw = 15.0 if record["method"] == "ours" else 16.0
-        record["scores"]["albedo"]["psnr_linear"]["raw"] = raw
-    (worth, *_) = worths(found, kinds)
-    assert worth.verdict == f"open: {ALBEDO.title} better, {RAW_ALBEDO.title} worse"
-
-
-def test_suns_that_are_wrong_altogether_do_not_hide_what_a_step_does_to_the_others():
-    found, kinds = records([0.0] * ENOUGH)
-    for number, record in enumerate(found):
-        is_whole, is_wrong = record["method"] == "ours", number // 2 % 3 == 0
-        degrees = (130.0 if is_whole else 124.0) if is_wrong else (0.5 if is_whole else 1.0)
-        record["scores"]["light"]["strongest_lobe_degrees"] = degrees
-    (worth, *_) = worths(found, kinds)
-    assert worth.verdict == f"stays: {SUN.title}"
 
 
 def test_a_step_that_a_class_needs_stays_unless_another_pays():

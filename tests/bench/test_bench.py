@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -16,8 +15,7 @@ from evaluation import sphere_run
 from robir import cli
 from robir.config import resolve
 from robir.errors import ConfigError
-from robir.evaluation.scores import score_lines
-from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.presets import PRESETS
 from robir_bench import runs as bench_runs
 from robir_bench.paper.config import VARIANTS
@@ -63,17 +61,6 @@ def test_a_sweep_runs_the_captures_as_they_are_and_then_every_value(tmp_path):
     assert last.facts["capture"] == "b"
     assert planned[2].perturbation.value == 10.0
     assert len({run.name for run in planned}) == 8
-
-
-def test_a_sweep_takes_captures_rendered_otherwise(tmp_path):
-    entry = '[[rendered]]\nof = "a"\nfactor = "ground"\nvalue = "none"\ncapture = "c"\n'
-    planned = read_sweep(write_plan(tmp_path, f'captures = ["a", "b"]\n{entry}'), tmp_path)
-    assert [run.capture.name for run in planned] == ["a", "b", "c"]
-    facts = planned[-1].facts
-    assert (facts["capture"], facts["factor"], facts["value"]) == ("a", "ground", "none")
-    text = f'captures = ["b"]\n{entry}'
-    with pytest.raises(ConfigError, match="'a' is none of the captures"):
-        read_sweep(write_plan(tmp_path, text), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -152,65 +139,6 @@ def test_a_method_starts_from_what_it_shares_with_the_whole(tmp_path, robir, cap
     assert photo["held_out"]["views"] == 3
 
 
-def test_published_methods_share_what_their_curve_does_not_change(
-    tmp_path, robir, capture, monkeypatch
-):
-    methods = ["ours", "paper", "paper without ACES", "paper without RVE", "invrender"]
-    plan = write_plan(tmp_path, f'captures = ["{capture}"]\nmethods = {json.dumps(methods)}')
-    done: dict[str, list[str]] = {}
-
-    def work(paths, config, method, schedule):
-        about = read_json(paths.run)
-        done[method] = [stage for stage in STAGES if not paths.manifest(stage).exists()]
-        for stage in done[method]:
-            about["seconds"][stage] = {"cpu": 7.0}
-            about["peak_memory_bytes"][stage] = 1e9
-            write_json(paths.manifest(stage), {"stage": stage})
-        write_json(paths.run, about)
-        source = JobPaths(tmp_path / "out/runs/good_draft_ours_0")
-        for stage in ("geometry", "appearance"):
-            shutil.copytree(source.stage(stage), paths.stage(stage), dirs_exist_ok=True)
-        return {"psnr": 20.0}
-
-    monkeypatch.setattr("robir_bench.paper.method.reconstruct_published", work)
-    carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
-    assert done == {
-        "paper": ["geometry", "transport", "appearance", "export"],
-        "paper without ACES": ["transport", "appearance", "export"],
-        "paper without RVE": ["appearance", "export"],
-        "invrender": ["appearance", "export"],
-    }
-    record = read_scores(tmp_path / "out")["good_draft_invrender_0"]
-    assert record["cpu_seconds"] == 2.0 + 4 * 7.0
-
-
-def test_a_budget_leaves_runs_for_the_next_call(tmp_path, robir, capture, monkeypatch):
-    clock = iter(range(0, 10**6, 100))
-
-    class Ticking:
-        """Every reading is 100 CPU seconds later."""
-
-        @classmethod
-        def now(cls):
-            self = cls()
-            self.cpu = next(clock)
-            return self
-
-        def seconds_since(self, earlier):
-            return {"cpu": float(self.cpu - earlier.cpu), "wall": 0.0}
-
-    monkeypatch.setattr(bench_runs, "Usage", Ticking)
-    plan = write_plan(tmp_path, f'captures = ["{capture}"]\nseeds = [0, 1, 2, 3]')
-    said: list[str] = []
-    out = tmp_path / "out"
-    carry_out(read_plan(plan), out, 250.0, said.append)
-    assert len(read_scores(out)) == 1  # 100 before the first, 300 before the second
-    assert said[-1] == "300 CPU-s of 250 are spent; 3 runs are left for next time"
-    carry_out(read_plan(plan), out, None, said.append)
-    assert len(read_scores(out)) == 4
-    assert sum(words[0] == "reconstruct" for words in robir.commands) == 4
-
-
 def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
     factors = "views = [1]\nnoise = [0.1]\njpeg = [90]"
     plan = write_plan(tmp_path, f'captures = ["{capture}"]\n[factors]\n{factors}')
@@ -228,15 +156,6 @@ def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
     assert (out / "captures" / "good_noise_0.1_s0" / "truth" / "mesh.ply").samefile(
         capture / "truth" / "mesh.ply"
     )
-
-
-def test_a_capture_that_cannot_be_spoilt_stops_nothing(tmp_path, robir):
-    plan = write_plan(tmp_path, 'captures = ["nowhere"]\n[factors]\njpeg = [90]')
-    carry_out(read_sweep(plan, tmp_path / "out")[1:], tmp_path / "out", None, lambda _line: None)
-    (record,) = read_scores(tmp_path / "out").values()
-    assert record["exit_code"] == 3
-    assert "cannot be spoilt" in record["error"]
-    assert not robir.commands
 
 
 def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):
@@ -271,10 +190,3 @@ def test_worst_follows_the_direction_of_each_score():
     assert median.startswith("| draft, ours: median | 22.0 | 10.0 | 20.0 | 1.10 |")
     assert worst.startswith("| draft, ours: worst | 20.0 | 8.0 | 18.0 | 1.30 |")
     assert median.endswith("| 2/3 |")
-
-
-def test_scores_of_one_result_as_lines():
-    lines = score_lines(scores(21.0, None))
-    assert lines[0].split() == ["albedo,", "per", "channel", "(dB)", "21.0"]
-    assert lines[3].endswith(" -")
-    assert lines[-1].endswith("filmic (true: Filmic)")

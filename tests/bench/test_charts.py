@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 from bench.test_bench import scores
 
-from robir.evaluation.scores import ALBEDO, SCORES, SHADOW
-from robir_bench.chart import medians, pareto_front, speed_accuracy
-from robir_bench.curves import calibration, tone_curves
-from robir_bench.heat import cases, cause, heat_map, heat_table, told, vigilance, worst_cases
-
-SVG = "{http://www.w3.org/2000/svg}"
+from robir_bench.chart import pareto_front, speed_accuracy
+from robir_bench.heat import cases, cause, heat_map, heat_table, vigilance, worst_cases
 
 
 def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", trusted=True, **changes):
@@ -54,21 +50,6 @@ def test_the_front_holds_exactly_what_nothing_beats():
         assert values == set(points) - beaten
         assert len(values) == len(front)
         assert [points[i] for i in front] == sorted(values)
-
-
-def test_medians_are_of_each_method_and_preset_and_skip_what_is_missing():
-    records = [record(20.0), record(23.0, seconds=110.0), record(30.0, seconds=70.0)]
-    records += [record(25.0, preset="standard", seconds=400.0), record(12.0, "photo", 60.0)]
-    found = medians(ALBEDO, records)
-    assert found["ours", "draft"] == (90.0, 23.0)
-    assert found["ours", "standard"] == (400.0, 25.0)
-    assert found["photo", "draft"] == (60.0, 12.0)
-    ratios = [record(albedo) for albedo in (20.0, 21.0)]
-    for each, ratio in zip(ratios, (0.4, 1.6), strict=True):
-        each["scores"]["shadow"]["ratio"] = ratio
-    assert medians(SHADOW, ratios)["ours", "draft"] == (90.0, pytest.approx(0.6))
-    records[-1]["scores"]["albedo"] = {}
-    assert ("photo", "draft") not in medians(ALBEDO, records)
 
 
 def test_the_chart_names_every_method_and_is_the_same_twice():
@@ -121,13 +102,6 @@ def test_a_cause_is_the_score_that_moved(path, value, words):
     assert sentence.count(";") == 0
 
 
-def test_what_was_told_is_the_error_the_warnings_or_the_trust():
-    assert told(failure()) == ["exit code 3: no masks"]
-    assert told(record(warnings=["few views"], trusted=False)) == ["Few views."]
-    assert told(record()) == ["The result is to be trusted."]
-    assert told(record(trust=None)) == []
-
-
 def test_vigilance_counts_against_the_unperturbed_runs():
     sound = [record(value_) for value_ in (22.0, 21.0, 20.0)]  # their median is 21
     noisy = {"factor": "noise", "value": "1"}
@@ -137,41 +111,3 @@ def test_vigilance_counts_against_the_unperturbed_runs():
     elsewhere = record(9.0, **noisy) | {"capture": "b"}
     unjudged = record(9.0, trust=None, **noisy)
     assert vigilance([*sound, *spoilt, elsewhere, unjudged])["wrong"] == 3
-
-
-def told_uncertainty(observed):
-    return {"nominal": [0.5, 0.9], "observed": observed, "share_90": observed[1], "median": 0.1}
-
-
-def test_calibration_draws_every_run_and_their_mean():
-    records = [record(), record()]
-    records[0]["scores"]["uncertainty"] = told_uncertainty([0.6, 0.92])
-    records[1]["scores"]["uncertainty"] = None  # a method that states none
-    drawing = calibration(records)
-    assert "mean of 1 runs" in drawing
-    ET.fromstring(drawing)
-    assert calibration(records[1:]) is None
-
-
-def test_tone_page_has_a_panel_a_true_curve_and_counts_what_was_found():
-    truths = [("Filmic", 1.0), ("Filmic", 1.0), ("AgX", 1.0), ("Filmic", 2.0), ("Raw", 1.0)]
-    records = [record() for _ in truths]
-    for each, (view_transform, power) in zip(records, truths, strict=True):
-        each["scores"]["tone_curve"] = {
-            "family": "filmic",
-            "parameters": {} if power == 1.0 else {"display_power": power},
-            "true_view_transform": view_transform,
-            "true_display_power": power,
-        }
-    drawing = tone_curves(records)
-    texts = [text.text for text in ET.fromstring(drawing).iter(SVG + "text") if text.text]
-    assert sum(text.startswith("true: ") for text in texts) == 3
-    assert "true: Filmic ^ 2" in texts
-    assert "filmic, 2 x, 0.00 stops" in texts
-    assert "filmic (display_power 2), 1 x, 0.00 stops" in texts
-    assert tone_curves(records[-1:]) is None
-
-
-@pytest.mark.parametrize(("share", "badness"), [(0.9, 0.0), (0.95, 0.05), (0.8, 0.1)])
-def test_a_share_is_best_at_nine_tenths(share, badness):
-    assert SCORES[-1].badness(share) == pytest.approx(badness)

@@ -22,7 +22,7 @@ from robir_bench.ablation import ablated, trials
 from robir_bench.crew import Crew
 from robir_bench.paper.config import VARIANTS
 from robir_bench.plan import METHODS, OURS, BenchRun, read_plan, read_sweep
-from robir_bench.runs import Scores, carry_out, do_task, read_scores, scores_file, waits_for
+from robir_bench.runs import Scores, carry_out, read_scores, scores_file, waits_for
 
 ROOT = Path(__file__).parents[2]
 
@@ -91,28 +91,6 @@ def test_borrowers_wait_for_their_lenders(tmp_path):
     # of an ablation each run waits for the whole one alone
     left_out = ablated(runs[:1], trials())
     assert waits_for(left_out) == [set(), *[{0}] * (len(left_out) - 1)]
-
-
-def test_one_run_makes_a_spoilt_capture_and_the_others_wait(tmp_path):
-    plan = write_plan(
-        tmp_path, 'captures = ["a"]\npresets = ["draft", "standard"]\n[factors]\nviews = [10, 5]'
-    )
-    runs = read_sweep(plan, tmp_path / "out")
-    assert [run.preset for run in runs] == ["draft", "standard"] * 3
-    assert waits_for(runs) == [set(), set(), set(), {2}, set(), {4}]
-
-
-def test_tasks_leave_the_scores_of_one_after_another(tmp_path, one_by_one):
-    plan, scores = one_by_one
-    out = tmp_path / "tasks"
-    runs = read_sweep(plan, out)
-    waits = waits_for(runs)
-    # in another order that the waits allow: what waits for nothing first
-    for run in sorted(runs, key=lambda run: (len(waits[runs.index(run)]), -runs.index(run))):
-        do_task(run, out, is_truth_needed=True)
-    assert not scores_file(out).exists()
-    Scores(out, runs)
-    assert scores_file(out).read_text().replace(str(out), str(scores.parent)) == scores.read_text()
 
 
 def test_side_by_side_gives_the_same_file(tmp_path, one_by_one):
@@ -211,28 +189,6 @@ def test_a_crew_that_is_told_to_stop_ends_its_tasks_and_what_they_started(tmp_pa
         time.sleep(0.02)
     assert not is_running(child)
     assert Scores(team.out, team.runs[:1]).missing == [0]
-
-
-def test_a_stop_in_the_moment_of_a_start_leaves_nothing_behind(tmp_path, one_by_one):
-    """It comes when the task is there and the crew has not noted its number yet."""
-    team = Team(tmp_path, *one_by_one)
-    mark = tmp_path / "begun"
-
-    def stop_after_fork(_frame, event, called):
-        if event == "c_return" and called.__name__ == "fork_exec":
-            sys.setprofile(None)
-            while not (mark.exists() and mark.read_text().strip()):
-                time.sleep(0.02)
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    crew = team.crew(team.runs[0], command=["/bin/sh", "-c", f"echo $$ > {mark}; exec sleep 60"])
-    sys.setprofile(stop_after_fork)
-    try:
-        with pytest.raises(CancelledError):
-            crew.work(None)
-    finally:
-        sys.setprofile(None)
-    assert not is_running(Path("/proc", mark.read_text().strip(), "stat"))
 
 
 def is_running(stat: Path) -> bool:

@@ -6,15 +6,14 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-import numpy as np
 from bench.fake_robir import write_plan
 from evaluation import sphere_run
 
 from robir import cli
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir_bench import runs as bench_runs
-from robir_bench.pictures import PHOTOGRAPHED_TILES, clay
-from robir_bench.plan import read_plan, read_sweep
+from robir_bench.pictures import PHOTOGRAPHED_TILES
+from robir_bench.plan import read_plan
 from robir_bench.runs import carry_out, read_scores
 
 
@@ -54,14 +53,6 @@ def test_a_capture_without_truth_is_scored_by_its_held_out_photographs(
     assert page.with_name("chart.svg").exists()
 
 
-def test_a_sweep_needs_truth(tmp_path, robir):
-    plan = write_plan(tmp_path, 'captures = ["photographed"]\n[factors]\njpeg = [90]')
-    runs = read_sweep(plan, tmp_path / "out")[:1]
-    carry_out(runs, tmp_path / "out", None, lambda _line: None, is_truth_needed=True)
-    (record,) = read_scores(tmp_path / "out").values()
-    assert (record["exit_code"], record["error"]) == (3, "robir: no truth")
-
-
 def test_a_fit_that_broke_off_is_no_result(tmp_path, monkeypatch):
     def diverged(*words: str) -> subprocess.CompletedProcess[str]:
         out = JobPaths(Path(words[3]))
@@ -74,17 +65,3 @@ def test_a_fit_that_broke_off_is_no_result(tmp_path, monkeypatch):
     carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
     (record,) = read_scores(tmp_path / "out").values()
     assert (record["exit_code"], record["error"]) == (5, "robir: the fit diverged")
-
-
-def test_clay_is_the_lambert_shading_of_the_surface():
-    camera = sphere_run.cameras(1, 0.0)[0]
-    shown = clay(sphere_run.world_mesh(), camera)
-    assert set(np.unique(shown[..., 3])) == {0, 255}
-    lit = shown[..., 0][shown[..., 3] > 0]
-    assert lit.max() > 200 and lit.min() < 80
-    rows, columns = np.nonzero(shown[..., 3])
-    brightest = shown[rows, columns, 0].astype(float) ** 8
-    centre = (rows.mean(), columns.mean())
-    # the lamp stands above and to the left of the camera
-    assert np.average(rows, weights=brightest) < centre[0] - 2
-    assert np.average(columns, weights=brightest) < centre[1] - 2

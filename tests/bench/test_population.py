@@ -8,19 +8,16 @@ import shutil
 from pathlib import Path
 
 import pytest
-from bench.fake_robir import scores, write_plan
+from bench.fake_robir import scores
 
 from robir import cli
 from robir.errors import ConfigError
-from robir.evaluation.scores import ALBEDO, LEVEL, NORMALS, SHADOW, SUN
+from robir.evaluation.scores import ALBEDO, LEVEL, SHADOW, SUN
 from robir_bench.population import (
     below_photo,
     capture_classes,
-    distribution,
     figure,
-    population_tables,
     read_population,
-    spread,
     verdicts,
 )
 
@@ -93,32 +90,10 @@ def test_a_result_is_shown_under_the_second_light_before_it_is_judged(population
     assert sum(command[0] == "relight" for command in robir.commands) == 1
 
 
-def test_what_leaves_no_asset_is_not_shown_under_it(population, tmp_path, robir):
-    (population / "seed_0000" / "truth" / "second_light.exr").write_bytes(b"a map")
-    plan = write_plan(
-        tmp_path,
-        f'captures = ["{population / "seed_0000"}"]\npresets = ["draft"]\n'
-        'methods = ["ours", "photo"]\nseeds = [0]\n',
-    )
-    cli.main(["bench", str(plan), "-o", str(tmp_path / "out")])
-    shown = [command for command in robir.commands if command[0] == "relight"]
-    assert [Path(command[1]).name for command in shown] == ["seed_0000_draft_ours_0"]
-    records = (tmp_path / "out" / "scores.jsonl").read_text().splitlines()
-    assert len(records) == 2 and not any("error" in json.loads(one) for one in records)
-
-
 @pytest.mark.parametrize("words", [[], ["plan.toml", "--population", "p"]])
 def test_a_plan_or_a_population_not_both(words, tmp_path, capsys):
     assert cli.main(["bench", *words, "-o", str(tmp_path)]) == 2
     assert "either PLAN.toml or --population" in capsys.readouterr().err
-
-
-def test_figures_are_distances_from_what_is_right():
-    light = {"strongest_lobe_degrees": 4.0, "level_log_error": -0.3}
-    one = record("a", 22.0, scores=scores(22.0, shadow=1.25) | {"light": light})
-    assert figure(SHADOW, one, SUNNY) == pytest.approx(0.25)
-    assert figure(LEVEL, one, SUNNY) == pytest.approx(0.3)
-    assert figure(SUN, one, SUNNY) == 4.0
 
 
 def test_without_a_sun_neither_shadow_nor_angle_counts_and_a_missed_sun_does():
@@ -129,33 +104,8 @@ def test_without_a_sun_neither_shadow_nor_angle_counts_and_a_missed_sun_does():
     assert figure(LEVEL, one, SUNNY) is None
 
 
-def test_the_worst_tenth_is_at_the_bad_end():
-    classes = {f"c{k}": SUNNY for k in range(11)}
-    members = [
-        record(f"c{k}", 20.0 + k, scores=scores(20.0 + k) | {"normals": {"mean_degrees": float(k)}})
-        for k in range(11)
-    ]
-    high, low = spread(ALBEDO, members, classes), spread(NORMALS, members, classes)
-    assert (high.median.value, high.worst_tenth.value) == (25.0, 21.0)
-    assert (low.median.value, low.worst_tenth.value) == (5.0, 9.0)
-
-
 def test_a_run_without_a_result_is_below_the_photograph():
     """The photograph stands at 12 dB in these scores."""
     members = [record("a", 11.0), record("b", 13.0), record("c", 30.0), failed("d")]
     found = below_photo(members)
     assert (found.value, found.count) == (0.5, 4)
-
-
-def test_classes_are_told_apart():
-    classes = {"a": SUNNY, "b": DULL, "c": DULL, "d": DULL}
-    members = [record("a", 30.0), record("b", 10.0), record("c", 20.0), failed("d")]
-    found = distribution(members, classes)["classes"]
-    assert found["sun: no sun"][ALBEDO.title]["median"]["value"] == 15.0
-    assert found["sun: no sun"]["captures"] == 3
-    assert found["sun: sun"][ALBEDO.title]["median"] == {
-        "value": 30.0, "low": None, "high": None, "count": 1,
-    }  # fmt: skip
-    titles = [table.title for table in population_tables(members, classes)]
-    assert titles[0] == "All captures"
-    assert titles[-2:] == ["Captures", "Failed"]

@@ -14,7 +14,6 @@ from PIL import Image
 from robir.capture.store import load_capture, save_capture
 from robir.evaluation.level_table import level_lines
 from robir.evaluation.levels import LEVELS, level_scores
-from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 
 
@@ -106,18 +105,6 @@ def test_the_stage_that_spoils_a_level_is_named(paths, name, place, stage):
     assert others == {name}
 
 
-def test_a_wrong_mesh_is_told_from_a_wrong_material(paths):
-    before = level_scores(paths)["chain"]
-    file = paths.stage("geometry") / "mesh.npz"
-    mesh = Mesh.load(file)
-    squeezed = (mesh.vertices * [1.0, 1.0, 0.7]).astype(np.float32)
-    replace(mesh, vertices=squeezed).save(file)
-    after = level_scores(paths)["chain"]
-    assert after["mesh"]["psnr"] < before["mesh"]["psnr"] - 3
-    assert after["mean"]["psnr"] < before["mean"]["psnr"] - 3
-    assert after["material"]["psnr"] == 100.0
-
-
 def test_exposures_are_undone_for_all_levels_alike(paths):
     before = level_scores(paths)["chain"]
     folder, table = paths.stage("capture"), paths.stage("appearance") / "exposure.json"
@@ -165,13 +152,6 @@ def test_what_is_not_there_is_not_measured_and_may_be_at_fault(paths):
     assert "below the plain mean" in lines[-1]
 
 
-def test_photographs_in_another_light_are_left_out(paths):
-    table = paths.stage("appearance") / "exposure.json"
-    write_json(table, read_json(table) | {"other_light": ["held_out_001", "train_000"]})
-    scores = level_scores(paths)
-    assert scores["views"] == 2 and scores["chain"]["cycles"]["views"] == 2
-
-
 def test_without_a_held_out_photograph_there_is_nothing_to_judge_by(paths):
     folder = paths.stage("capture")
     capture = load_capture(folder)
@@ -182,18 +162,3 @@ def test_without_a_held_out_photograph_there_is_nothing_to_judge_by(paths):
     assert all(row["psnr"] is None for row in scores["chain"].values())
     assert level_lines(scores)[-1] == scores["verdict"]
     assert not paths.levels_strip.exists()
-
-
-def test_masks_without_a_common_volume_cost_the_hull_alone(paths):
-    folder = paths.stage("capture")
-    capture = load_capture(folder)
-    cut = np.arange(sphere_run.SIZE) < 4  # slivers that share nothing
-    views = tuple(
-        replace(view, mask=view.mask * 0 + np.uint8(255) * (cut if k % 2 else ~cut[::-1]))
-        if view.split == "train"
-        else view
-        for k, view in enumerate(capture.views)
-    )
-    save_capture(folder, replace(capture, views=views))
-    chain = level_scores(paths)["chain"]
-    assert chain["hull"]["psnr"] is None

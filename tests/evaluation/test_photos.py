@@ -45,11 +45,6 @@ def test_what_the_rerender_lacks_counts_as_black():
     assert abs(scores["psnr"] + 10 * np.log10(power.mean() / 2)) < 0.2
 
 
-def test_without_a_whole_pixel_there_is_no_score():
-    colours, mask = disc()
-    assert photo_scores(np.dstack([colours, mask]), view_of(colours, mask // 2)) is None
-
-
 def srgb(linear):
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
@@ -96,27 +91,3 @@ def test_corners_and_own_exposure_are_undone_and_put_back():
         table | {"steps": {}, "corner_steps": 0.0}, {"family": "standard", "parameters": {}}, wall
     )
     assert plain.evened(view) is view and plain.as_photographed(even, view) is even
-
-
-def test_a_wall_that_faces_the_light_of_one_photograph_is_brighter_in_it():
-    """By a step per unit of the normal, and the wall faces along z."""
-    wall = mesh_of(patch((-9, -9, 0), (18, 0, 0), (0, 18, 0)))
-    table = {
-        "steps": {"a": [0.0, 0.0, 0.0]},
-        "corner_steps": 0.0,
-        "slope_steps": {"a": [7.0, -3.0, 1.0]},
-        "other_light": [],
-    }
-    exposures = Exposures.of(table, {"family": "standard", "parameters": {}}, wall)
-    grey = np.rint(255 * srgb(np.full((SIZE, SIZE, 3), 0.2))).astype(np.uint8)
-    view = View(
-        name="a",
-        image_display=grey,
-        mask=np.full((SIZE, SIZE), 255, np.uint8),
-        camera=looking_at((0, 0, 3), size=SIZE),
-        split="train",
-    )
-    brighter = 255 * srgb(np.full((SIZE, SIZE, 3), 0.4))
-    assert exposures.as_photographed(grey, view) == pytest.approx(brighter, abs=2)
-    darker = 255 * srgb(np.full((SIZE, SIZE, 3), 0.1))
-    assert exposures.evened(view).image_display == pytest.approx(darker, abs=2)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 import pytest
 from evaluation import sphere_run
@@ -12,7 +10,7 @@ from PIL import Image
 
 from robir.evaluation.evaluate import evaluate
 from robir.evaluation.metrics import srgb_from_linear
-from robir.evaluation.relighting import relit_picture, second_light
+from robir.evaluation.relighting import relit_picture
 from robir.evaluation.truth import load_truth
 
 LIGHT = np.array([0.9, 0.5, 0.2])
@@ -66,13 +64,3 @@ def test_pictures_are_undone_by_the_curve_they_went_through(truth, tmp_path):
     file = paths.stage("appearance") / "tone_curve.json"
     file.write_text(file.read_text().replace('"family": "standard"', '"family": "filmic"', 1))
     assert evaluate(paths, truth)["relighting"]["psnr_srgb"]["raw"] < 30
-
-
-def test_nothing_relit_is_no_score(truth, tmp_path):
-    paths = sphere_run.make_run(tmp_path / "out")
-    assert evaluate(paths, truth)["relighting"] is None
-    relight(paths, truth, side=20)  # of another size: not the views of the truth
-    assert evaluate(paths, truth)["relighting"] is None
-    shutil.rmtree(paths.renders)
-    assert second_light(truth) == truth / "truth" / "second_light.exr"
-    assert second_light(tmp_path) is None

@@ -84,25 +84,6 @@ def test_each_photograph_counts_once_in_the_mean_and_by_its_angle_in_the_blend()
     assert np.abs(inner[..., 0] / 255 - greys[0]).max() < 0.01
 
 
-def test_who_sees_nothing_says_nothing():
-    """Below a plate that hides it from all cameras above, the floor has no colour."""
-    mesh = mesh_of(
-        patch((-1, -1, 0), (2, 0, 0), (0, 2, 0), 4),
-        patch((-0.6, -0.6, 0.3), (1.2, 0, 0), (0, 1.2, 0)),
-    )
-    views = photographs(mesh, painted, [(0.1 * k, 0.0, 3.0) for k in range(3)])
-    camera = looking_at((2.4, 0.0, 0.6), target=(0.3, 0, 0), size=96)
-    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    (shown,) = warped_views(mesh, views, [camera], OFFSET)
-    origins, directions = camera.rays(camera.pixel_centres())
-    hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
-    points = origins + np.where(hits.face >= 0, hits.distance, 0)[:, None] * directions
-    hidden = (hits.face >= 0) & (points[:, 2] < 0.01) & (np.abs(points[:, :2]).max(1) < 0.5)
-    assert hidden.sum() > 30
-    assert not shown.nearest.reshape(-1, 4)[hidden].any()
-    assert not shown.mean.reshape(-1, 4)[hidden].any()
-
-
 def test_weights_are_those_of_the_unstructured_lumigraph():
     angle = np.float32([[0.1, 0.2, 0.3, 0.4, 0.5, 0.9], [0.2, np.inf, np.inf, np.inf, np.inf, 0.4]])
     found = nearness(angle)
@@ -114,9 +95,3 @@ def test_weights_are_those_of_the_unstructured_lumigraph():
     assert not found[1, 1:5].any()
     assert not nearness(np.full((2, 6), np.inf, np.float32)).any()
     assert nearness(np.float32([[0.3]])) == pytest.approx(1.0)
-
-
-def test_weights_do_not_jump_where_another_photograph_comes_in():
-    near = np.float32([[0.1, 0.2, 0.3, 0.4, 0.4 + 1e-4], [0.1, 0.2, 0.3, 0.4, 0.4 - 1e-4]])
-    one, other = nearness(near)
-    assert one == pytest.approx(other, abs=1e-3)

@@ -10,7 +10,7 @@ import torch
 from evaluation import sphere_run
 
 from robir.evaluation.light_scores import load_light
-from robir.export.environment import MAX_LAMP_DIAMETER, export_light, light_told, sun_lamps
+from robir.export.environment import export_light, sun_lamps
 from robir.jobs.paths import read_json, write_json
 from robir.maths import spherical_gaussian as sg
 from robir.maths.vectors import equirect_solid_angles
@@ -73,26 +73,6 @@ def test_a_lamp_lights_a_tilted_surface_as_its_lobe_does(tmp_path, sharpness, ti
     assert disc == pytest.approx(float(sg.irradiance(lobes, normal)), rel=2e-4)
 
 
-def test_the_disc_is_as_wide_as_the_lobe(tmp_path):
-    """Mean cosine about the axis; for narrow lobes that is half the mean squared angle."""
-    (lamp,) = sun_lamps(light_of(tmp_path, (2000.0, "sharp")))
-    half = 0.5 * lamp["angular_diameter"]
-    node, weight = np.polynomial.legendre.leggauss(200)
-    low = 1 - 60 / 2000
-    cosine = low + 0.5 * (1 - low) * (node + 1)
-    shape = np.exp(2000 * (cosine - 1)) * weight
-    assert (1 + math.cos(half)) / 2 == pytest.approx(float(shape @ cosine / shape.sum()), abs=1e-9)
-    assert lamp["angular_diameter"] == pytest.approx(4 / math.sqrt(2000), rel=1e-3)
-
-
-def test_only_narrow_sharp_lobes_become_lamps(tmp_path):
-    light = light_of(tmp_path, (100.0, "sharp"), (2000.0, "soft"), (400.0, "sharp"))
-    (lamp,) = sun_lamps(light)
-    assert lamp["lobe"] == 2
-    assert lamp["angular_diameter"] < MAX_LAMP_DIAMETER
-    assert sun_lamps(light_of(tmp_path, (100.0, "sharp"))) == []
-
-
 def energy(file):
     image = next(iter(OpenEXR.File(str(file)).channels().values())).pixels
     solid = equirect_solid_angles(512, dtype=torch.float64).numpy()
@@ -118,23 +98,3 @@ def test_the_environment_without_suns_lacks_the_suns_alone(tmp_path):
     export_light(paths)
     assert read_json(paths.light)["sun_lamps"] == []
     assert not paths.environment_without_sun.exists()
-
-
-def test_what_tells_of_the_light_is_given_as_factors():
-    told = [
-        ("common paints", 1.0 + math.log(2), 0.65),
-        ("exposure", 1.0 - math.log(4), math.log(3)),
-    ]
-    rows = [*told, ("all", 1.0, math.log(1.5))]
-    evidence = [
-        {"of": "level", "by": by, "value": value, "deviation": deviation}
-        for by, value, deviation in rows
-    ]
-    evidence.insert(0, {"of": "hue", "by": "highlights", "value": math.log(5), "deviation": 0.0})
-    assert light_told(evidence, "level") == [
-        {"by": "common paints", "times": 2.0, "within": round(math.exp(0.65), 3)},
-        {"by": "exposure", "times": 0.25, "within": 3.0},
-        {"by": "all", "times": 1.0, "within": 1.5},
-    ]
-    assert light_told(evidence, "hue") == [{"by": "highlights", "times": 5.0, "within": 1.0}]
-    assert light_told([], "level") == []

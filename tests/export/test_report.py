@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import struct
 import subprocess
 import threading
 from html.parser import HTMLParser
@@ -21,11 +20,9 @@ from export.test_stage import Recorder, context
 
 from robir import cli
 from robir.capture.store import load_capture
-from robir.evaluation.levels import level_scores
 from robir.evaluation.light_scores import load_light
 from robir.export import stage
 from robir.export.report.viewer import VIEWER_SCRIPT, embedded_lights, start_orbit
-from robir.export.report.write import show_levels
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.vectors import equirect_directions
 
@@ -89,35 +86,6 @@ def test_a_browser_runs_the_scripts_of_the_page_alone(exported, page):
     assert policy.startswith("default-src 'none'")
     assert policy.count("'sha256-") == 2 == len(page.all("script"))
     assert "unsafe-inline" not in policy.partition("script-src")[2].partition(";")[0]
-
-
-def test_files_to_download_are_there(exported, page):
-    places = [link["href"] for link in page.all("a")]
-    assert "../export/asset.glb" in places
-    assert "../export/textures/albedo.png" in places
-    assert all((exported.report.parent / place).is_file() for place in places)
-
-
-def test_the_viewer_has_the_asset_itself_with_pictures_of_a_page(exported, page):
-    (viewer,) = page.all("model-viewer")
-    shown, file = content(viewer["src"])[1], exported.asset.read_bytes()
-    tables = []
-    for data in (shown, file):
-        length = struct.unpack("<I", data[12:16])[0]
-        tables.append(json.loads(data[20 : 20 + length]))
-        assert struct.unpack("<I", data[8:12])[0] == len(data)
-    assert tables[0]["accessors"] == tables[1]["accessors"]
-    assert [image["mimeType"] for image in tables[0]["images"]] == ["image/jpeg"] * 2
-
-
-def test_all_controls_are_named(page):
-    for field in page.all("input"):
-        assert field["type"] in ("radio", "range")
-        if field["type"] == "range" or field["name"] == "view":  # lights have a label of text
-            assert field["aria-label"]
-    assert all("alt" in image for image in page.all("img"))
-    assert page.all("model-viewer")[0]["alt"]
-    assert page.all("html") == [{"lang": "en"}]
 
 
 def test_the_lights_are_where_the_recovered_one_shows_them(exported):
@@ -251,21 +219,6 @@ def test_a_browser_shows_the_page_without_a_fault(exported, tmp_path, width):
     assert all(said.values()), said
 
 
-def test_report_numbers_have_the_public_keys(exported):
-    numbers = read_json(exported.report_json)
-    for stage_name in ("capture", "geometry", "transport", "appearance", "export", "rendering"):
-        assert set(numbers["seconds"][stage_name]) == {"wall", "cpu"}
-    assert numbers["device"] == "cpu"
-    assert numbers["preset"] == "draft"
-    assert numbers["held_out"]["psnr"] == 100.0
-    assert numbers["held_out"]["ssim"] == pytest.approx(1.0)
-    assert numbers["cycles"]["psnr"] is None
-    assert numbers["tone_curve"]["family"] == "standard"
-    assert numbers["choices"]["tone curve"]["chosen"] == "standard"
-    assert numbers["light"]["sharp"][0]["elevation_degrees"] == pytest.approx(41.81, abs=0.01)
-    assert numbers["missing"]
-
-
 def test_exposures_of_photographs_are_reported(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
     names = [view.name for view in load_capture(paths.stage("capture")).views]
@@ -284,21 +237,6 @@ def test_exposures_of_photographs_are_reported(tmp_path):
     assert "darkens the corners of all photographs by 0.25 steps" in page
     assert f"differ in exposure by {spread:.2f} steps" in page
     assert f'<td>{names[0]}</td><td class="n">+0.10</td>' in page
-
-
-def test_alike_photographs_are_said_to_be_alike(exported):
-    exposure = read_json(exported.report_json)["exposure"]
-    assert exposure == {
-        "is_even": True,
-        "other_light": [],
-        "spread_steps": 0.0,
-        "corner_steps": 0.0,
-        "own_lights": False,
-        "views": {},
-    }
-    page = exported.report.read_text(encoding="utf-8")
-    assert "exposed and balanced alike" in page
-    assert "another light" not in page
 
 
 def test_photographs_under_another_light_are_named_and_not_scored(tmp_path):
@@ -352,17 +290,3 @@ def test_the_levels_come_into_the_report_and_replace_those_before(exported, tmp_
     assert page[start:end].count("data:image/png") == 1
     assert paths.levels_strip.is_file()
     assert not paths.scores.exists()
-
-
-def test_a_report_of_an_older_version_gets_the_levels_too(exported, tmp_path):
-    paths = JobPaths(tmp_path / "out")
-    paths.report.parent.mkdir(parents=True)
-    levels = level_scores(exported, paths.levels_strip)
-    show_levels(paths, levels)  # without a report there is nothing to do
-    assert not paths.report.exists()
-    paths.report.write_text("<p>pictures</p><h2>Light</h2><h2>Time</h2>")
-    show_levels(paths, levels)
-    show_levels(paths, levels)
-    page = paths.report.read_text(encoding="utf-8")
-    assert page.startswith('<p>pictures</p><section id="levels">')
-    assert page.endswith("</section><h2>Light</h2><h2>Time</h2>")

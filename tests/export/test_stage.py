@@ -14,8 +14,7 @@ import PyOpenColorIO as OCIO
 import pytest
 from evaluation import sphere_run
 
-from robir.capture.store import load_capture
-from robir.errors import CancelledError, ConfigError, DeviceError, RobirError, UsageError
+from robir.errors import CancelledError, DeviceError, RobirError, UsageError
 from robir.export import blender, stage
 from robir.export.config import ExportConfig
 from robir.jobs.context import StageContext
@@ -99,18 +98,6 @@ def test_environment_image_has_frame_and_energy(exported):
     assert sun == pytest.approx(sphere_run.SUN, rel=0.02)
 
 
-def test_cameras_are_those_of_the_capture(exported):
-    paths = exported[0]
-    capture = load_capture(paths.stage("capture"))
-    table = read_json(paths.cameras)
-    assert table["bounds"]["radius"] == sphere_run.RADIUS
-    for entry, view in zip(table["views"], capture.views, strict=True):
-        assert (entry["name"], entry["split"]) == (view.name, view.split)
-        assert entry["fx"] == view.camera.fx
-        assert np.array(entry["camera_to_world"]) == pytest.approx(view.camera.camera_to_world)
-        assert (paths.export / entry["image"]).resolve().is_file()
-
-
 def test_look_up_table_is_read_by_opencolorio(exported):
     transform = OCIO.FileTransform(str(exported[0].tone_lut), interpolation=OCIO.INTERP_LINEAR)
     processor = OCIO.Config.CreateRaw().getProcessor(transform).getDefaultCPUProcessor()
@@ -165,14 +152,6 @@ def fake_addon(tmp_path, monkeypatch):
     (package / "headless.py").write_text(FAKE)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(blender, "missing_blender", lambda: None)
-
-
-def test_headless_outcome_progress_and_time(fake_addon):
-    seen = []
-    outcome = blender.run_headless(["go"], lambda f, m: seen.append((f, m)))
-    assert seen == [(0.5, "half")]
-    assert (outcome.files, outcome.notes) == ((Path("a.png"),), ("n",))
-    assert 0.02 < outcome.cpu <= outcome.wall + 0.5
 
 
 def test_headless_errors_keep_their_sentence_and_kind(fake_addon):
@@ -243,8 +222,3 @@ def test_faults_of_a_whole_blender_are_said_in_words(fake_blender):
     fake_blender.unlink()
     with pytest.raises(DeviceError, match="a blender, which is no program"):
         blender.run_headless(["go"], lambda f, m: None)
-
-
-def test_settings_are_checked():
-    with pytest.raises(ConfigError, match=r"export\.render_samples"):
-        ExportConfig(render_samples=0)

@@ -90,14 +90,6 @@ def test_files_carry_their_colour_state(tmp_path):
     assert not coverage[~inside].any()
 
 
-def test_metal_gets_its_own_file(tmp_path):
-    arrays = sphere_run.sphere_textures()
-    arrays["metallic"][arrays["inside"]] = 1.0
-    textures.write_textures(textures.finished_textures(arrays, 12), tmp_path)
-    with Image.open(tmp_path / "metallic.png") as image:
-        assert (np.array(image)[arrays["inside"]] == 255).all()
-
-
 def test_a_normal_map_is_written_and_read_as_it_is(tmp_path):
     bumps = np.random.default_rng(0).integers(0, 256, (16, 24, 3)).astype(np.uint8)
     done = textures.finished_textures(sphere_run.sphere_textures(), 12)

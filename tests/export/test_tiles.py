@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from capture.test_normal_map import rewrite
 from evaluation import sphere_run
 from export.test_gltf import document, embedded, faults_of
 from export.test_stage import Recorder, context
-from export.tiled_run import CORNERS, SHADES, SIDE, TILES, make_tiled_run, own_uvs, tiled_mesh
+from export.tiled_run import CORNERS, SHADES, SIDE, TILES, make_tiled_run, own_uvs
 from export.tiled_run import tiled_textures as arrays
 from PIL import Image
 
@@ -75,32 +74,6 @@ def test_islands_grow_within_their_tile_only():
     assert second.albedo_linear == pytest.approx(np.broadcast_to(SHADES[1], (SIDE, SIDE, 3)))
 
 
-def test_what_one_tile_has_all_have():
-    given = arrays()
-    given["metallic"][:SIDE, :SIDE] = 1.0  # the last tile
-    textures = tiles.tile_textures(given, TILES, 6, Path("none.png"))
-    assert [float(one.metallic.mean()) for one in textures] == [0.0, 0.0, 1.0]
-    assert all(one.metallic is None for one in tiles.tile_textures(arrays(), TILES, 6, Path("no")))
-
-
-def test_normal_maps_go_to_their_tiles(tmp_path):
-    for tile in TILES:
-        bumps = np.full((8, 8, 3), tile % 256, np.uint8)
-        write_png(of_tile(tmp_path / "normal_map.png", tile), bumps)
-    textures = tiles.tile_textures(arrays(), TILES, 6, tmp_path / "normal_map.png")
-    assert [int(one.normal_map[0, 0, 0]) for one in textures] == (TILES % 256).tolist()
-    tiles.write_tiles(textures, TILES, tmp_path / "textures")
-    for tile in TILES:
-        assert (picture(tmp_path / f"textures/normal.{tile}.png") == tile % 256).all()
-
-
-def test_a_mesh_without_tiles_is_one_part_as_it_is():
-    mesh = sphere_run.world_mesh()
-    textures = (finished_textures(sphere_run.sphere_textures(), 6),)
-    (part,) = tiles.parts_of(mesh, textures)
-    assert part.tile is None and part.mesh is mesh and part.textures is textures[0]
-
-
 def test_the_glb_has_a_primitive_and_a_material_for_each_tile(exported):
     table, _ = document(exported.asset)
     (mesh,) = table["meshes"]
@@ -152,14 +125,6 @@ def test_other_names_of_materials_stand_for_no_tile(exported, tmp_path, name):
 def test_the_khronos_validator_finds_no_fault(exported):
     errors, warnings = faults_of(exported.asset)
     assert not errors and not warnings
-
-
-def test_a_tile_without_faces_has_textures_and_no_primitive():
-    mesh = tiled_mesh()
-    faces = np.floor(own_uvs().mean(axis=1))[:, 0] != 2
-    fewer = replace(mesh, faces=mesh.faces[faces], uv_faces=mesh.uv_faces[faces])
-    textures = tiles.tile_textures(arrays(), TILES, 6, Path("none.png"))
-    assert [part.tile for part in tiles.parts_of(fewer, textures)] == [1001, 1011]
 
 
 def test_usd_has_the_users_coordinates_and_names_all_tiles_at_once(exported):

@@ -15,8 +15,8 @@ from export.test_stage import Recorder, context
 
 from robir.errors import ConfigError
 from robir.export import stage
-from robir.export.asset import AssetFacts, is_current, make_asset, read_facts
-from robir.jobs.paths import read_json, write_json
+from robir.export.asset import AssetFacts, make_asset, read_facts
+from robir.jobs.paths import write_json
 
 LOOK = """
 import bpy, json, sys
@@ -96,20 +96,6 @@ def test_no_path_of_this_machine_is_in_the_file_but_its_author_is(result):
     assert str(result.root.parent) not in text
     assert 'string author = "Ann \\"A\\" Smith"; string licence = "CC0-1.0"' in text
     assert 'def Xform "_2_balls"' in text
-
-
-def test_what_is_made_in_more_formats_is_current_in_fewer(result):
-    facts = made(result)
-    assert is_current(result, facts)
-    assert is_current(result, AssetFacts(formats=()))
-    assert not is_current(result, AssetFacts(formats=("blend", "usd")))
-    write_json(
-        result.library_facts, read_json(result.library_facts) | {"formats": ["usd", "blend"]}
-    )
-    assert is_current(result, facts)
-    assert not is_current(result, AssetFacts(formats=("blend",)))  # the file is not there
-    result.usd.unlink()
-    assert not is_current(result, facts)
 
 
 def test_unknown_formats_are_named(tmp_path):

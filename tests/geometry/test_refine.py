@@ -12,7 +12,6 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
-from robir.geometry import selection as selection_module
 from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -30,7 +29,7 @@ from robir.geometry.refine.correlation import (
     seen_by,
 )
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.selection import FIELD, HULL, STEREO, Selection, bending, refined
+from robir.geometry.selection import STEREO, Selection, bending, refined
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Course
 
@@ -134,15 +133,6 @@ def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
         assert np.median(shift[count > 0]) / pixel == pytest.approx(-off, abs=0.5)
 
 
-def test_how_grazing_a_view_must_be_decides_what_an_outline_is(photos, monkeypatch):
-    mesh, pixel = sphere(), pixel_size([photo.camera for photo in photos])
-    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    all_ = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
-    monkeypatch.setattr("robir.geometry.refine.correlation._GRAZING", 0.05)
-    few = outline_shifts(mesh, tracer, photos, pixel)[1].sum()
-    assert 0 < few < 0.7 * all_
-
-
 def test_the_thin_plate_is_that_of_a_dense_solve():
     solid = trimesh.creation.icosphere(subdivisions=1)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
@@ -234,36 +224,6 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     off = replace(CONFIG, stereo_side=0)
     silent = Selection(capture.train, photos, (hull, hull), off)
     assert not silent.beats(field)
-
-
-def test_masks_alone_win_where_they_show_the_thing_and_the_rest_is_dented(
-    capture, photos, monkeypatch
-):
-    lattice, radius = lattice_and_radius()
-    dented = Sampled(lattice, radius - RADIUS + 0.05 * waves(lattice))
-    monkeypatch.setattr("robir.geometry.selection.stereo_surface", lambda *_: dented)
-    hulls = dented, Sampled(lattice, radius - RADIUS)
-    rival = Selection(capture.train, photos, hulls, CONFIG)
-    assert rival.beats(dented)
-    assert rival.best.name == HULL and rival.best.cell == lattice.cell
-    (choice,) = rival.choices
-    assert choice.chosen == HULL and set(choice.alternatives) == {STEREO, FIELD}
-    assert roughness(rival.best.mesh) < 0.01
-
-
-BENT = selection_module._BENT
-
-
-@pytest.mark.parametrize(("ahead", "wins"), [(-BENT + 0.1, True), (-BENT - 0.1, False)])
-def test_a_surface_that_bends_more_must_lead(capture, photos, monkeypatch, ahead, wins):
-    lattice, radius = lattice_and_radius()
-    hull = Sampled(lattice, radius - 0.63)
-    rival = Selection(capture.train, photos, (hull, hull), CONFIG)
-    bends = iter([np.e, 1.0, 2 * np.e])  # the fit, depth maps, masks alone
-    monkeypatch.setattr("robir.geometry.selection.lead", lambda *_: ahead)
-    monkeypatch.setattr("robir.geometry.selection.bending", lambda mesh: next(bends))
-    assert rival.beats(Sampled(lattice, radius - RADIUS)) == wins
-    assert rival.choices[0].chosen == (STEREO if wins else FIELD)
 
 
 def test_how_much_a_sphere_and_a_box_bend():

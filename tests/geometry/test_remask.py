@@ -80,11 +80,6 @@ def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
     assert heard[-1] == 1.0
 
 
-def test_only_what_we_cut_is_cut_again(guessed):
-    assert guessed.has_guessed_masks
-    assert not replace(guessed, findings=()).has_guessed_masks
-
-
 def test_the_hull_of_guessed_masks_ends_above_the_table(guessed, monkeypatch):
     capture = guessed.normalised()
     photos = [reduce_view(view, 160) for view in capture.train]

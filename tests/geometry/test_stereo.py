@@ -16,10 +16,7 @@ from robir.geometry.rays import reduce_view
 from robir.geometry.stereo.fusion import (
     angles_between,
     choose_sources,
-    confirmed,
-    depth_maps,
     fuse,
-    points_at,
     stereo_surface,
 )
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
@@ -28,7 +25,6 @@ from robir.geometry.stereo.sweep import (
     DepthMap,
     Picture,
     correlation,
-    plane_depths,
     seen_through_planes,
     sweep,
 )
@@ -148,12 +144,6 @@ def test_planes_are_seen_where_the_cameras_project_them():
         )
 
 
-def test_planes_lie_a_pixel_of_parallax_apart():
-    depths = plane_depths(2.0, 4.0, 0.5, 200.0)
-    assert (depths[0], depths[-1]) == pytest.approx((2.0, 4.0))
-    np.testing.assert_allclose(0.5 * 200 * -np.diff(1 / depths), 1, atol=0.05)
-
-
 def test_sources_lie_at_a_good_angle_on_different_sides(monkeypatch):
     monkeypatch.setattr("robir.geometry.stereo.fusion._SOURCES", 2)
     angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
@@ -179,20 +169,6 @@ def test_a_sphere_has_its_depths(sphere, monkeypatch):
     off = np.abs(found.depth - true)[sure]
     assert np.median(off) < 0.015
     assert np.quantile(off, 0.9) < 0.04
-
-
-def test_depths_without_witnesses_are_dropped(sphere):
-    lattice, outer = hull_of_radius(0.68)
-    maps = depth_maps(sphere, extract(lattice, outer))
-    assert len(maps) == 30
-    kept = confirmed(maps, 0.02)
-    points = np.concatenate(
-        [points_at(one, *np.nonzero(np.isfinite(one.depth))) for one in kept if one is not None]
-    )
-    off = np.abs(np.linalg.norm(points, axis=1) - RADIUS)
-    assert np.quantile(off, 0.95) < 0.025
-    assert confirmed(maps[:2], 0.02)[0].depth[48, 48] != maps[0].depth[48, 48]
-    assert confirmed([], 0.02) == []
 
 
 def test_fused_distances_are_those_of_the_sphere(sphere):
@@ -227,18 +203,6 @@ def test_the_smoothest_grid_is_that_of_a_dense_solve():
     wanted = torch.linalg.solve(matrix, (weight * measured).reshape(-1).double())
     found = smoothest(measured, weight, 0.3)
     np.testing.assert_allclose(found.reshape(-1), wanted, atol=1e-4)
-
-
-def test_what_is_known_at_few_places_is_bent_least_between_them():
-    """A tilted plane that is measured at few nodes is found again at all, over many cells."""
-    axes = torch.meshgrid(*(torch.arange(n).float() for n in (49, 46, 44)), indexing="ij")
-    true = 0.3 * axes[0] - 0.2 * axes[1] + 0.1 * axes[2]
-    weight = torch.full(true.shape, 1e-6)
-    weight[::8, ::8, ::8] = 1.0
-    measured = torch.where(weight > 0.5, true, 0.0)
-    inner = np.s_[12:-12, 12:-12, 12:-12]
-    off = (smoothest(measured, weight, 0.02) - true)[inner].abs()
-    assert float(off.max()) < 0.25
 
 
 def test_stereo_finds_a_sphere_in_a_wide_hull(sphere):

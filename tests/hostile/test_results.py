@@ -15,11 +15,9 @@ from hostile.damage import NASTY, WHOLE, damage_file, places, replaced
 
 from robir.capture.arrays import stored_arrays
 from robir.capture.store import load_capture, view_path
-from robir.config import RunConfig
 from robir.errors import (
     CaptureError,
     ConfigError,
-    QualityError,
     RobirError,
     StorageError,
     UsageError,
@@ -34,11 +32,9 @@ from robir.jobs.context import StageContext
 from robir.jobs.folder import create
 from robir.jobs.names import UnsafeNameError, file_in
 from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
-from robir.jobs.records import DamagedFileError, check
 from robir.jobs.status import StatusWriter
-from robir.pipeline.faults import translated
-from robir.pipeline.folder import capture_facts, new_run, read_config, read_run
-from robir.pipeline.ledger import clear_for_rerun, stage_state
+from robir.pipeline.folder import read_config, read_run
+from robir.pipeline.ledger import stage_state
 from robir.pipeline.reporter import RunReporter
 from tests.pipeline.fakes import Silent
 
@@ -135,12 +131,6 @@ def test_a_snapshot_never_raises(tmp_path):
         file.write_bytes(content)
 
 
-def test_a_clock_that_was_set_back_kills_nobody(tmp_path):
-    paths = live_folder(tmp_path / "out")
-    write_json(paths.worker, {"started": 4e9, "pid": None, "status_before": 4e9})
-    assert client.snapshot(paths.root).state == "done"
-
-
 def test_run_json_without_its_fields_is_damaged(tmp_path):
     paths = JobPaths(tmp_path)
     facts = {"fingerprint": "0", "name": "c", "place": "0", "masks": None}
@@ -162,13 +152,6 @@ def test_a_manifest_that_is_none_makes_the_stage_stale(tmp_path, outputs):
     assert stage_state(paths, "capture", "f") == "stale"
     paths.manifest("capture").write_text("")
     assert stage_state(paths, "capture", "f") == "stale"
-
-
-def test_a_fingerprint_is_no_path(tmp_path):
-    paths = JobPaths(tmp_path)
-    write_json(paths.manifest("capture"), {"fingerprint": "/../../x", "outputs": {}})
-    clear_for_rerun(paths, "capture", "stale")
-    assert [path.name for path in paths.stale.iterdir()] == ["capture-damaged"]
 
 
 def test_links_out_of_a_result_are_refused(tmp_path):
@@ -215,11 +198,6 @@ def test_what_is_read_can_be_written_again(tmp_path, text):
     (tmp_path / "a.json").write_text(f'{{"a": {text}}}')
     with pytest.raises(ValueError, match=r"surrogates|no number"):
         read_json(tmp_path / "a.json")
-
-
-def test_numbers_that_are_none_are_not_written(tmp_path):
-    with pytest.raises(QualityError, match=r"a\.json would hold numbers that are not finite"):
-        write_json(tmp_path / "a.json", {"a": [1.0, float("nan")]})
 
 
 FORMS = {"a": "f V 3", "b?": "i V", "c": "u1 + * 3|4"}
@@ -276,41 +254,6 @@ def test_a_truth_of_other_things(truth, tmp_path, file, make):
     make(path)
     with pytest.raises(CaptureError, match="cannot be read"):
         load_truth(copy)
-
-
-def test_a_full_disk_is_named_whatever_came_of_it(tmp_path):
-    try:
-        try:
-            raise OSError(28, "No space left on device", "x.npz")
-        finally:
-            raise ValueError("seek of closed file")
-    except ValueError as error:
-        fault = translated(error, "geometry", tmp_path)
-    assert isinstance(fault, StorageError)
-    assert "No space left" in str(fault)
-
-
-def test_forms_are_checked():
-    form = {"a": [float], "b?": (None, str), "c": {...: int}}
-    check({"a": [1, 2.5], "c": {"x": 1}, "more": 3}, form, "it")
-    for wrong in ({"a": [True], "c": {}}, {"a": [], "c": {"x": 1.5}}, {"c": {}}, [], {"a": 1}):
-        with pytest.raises(DamagedFileError, match="it"):
-            check(wrong, form, "it")
-    with pytest.raises(DamagedFileError):
-        check({"a": [], "b": 3, "c": {}}, form, "it")
-
-
-def test_new_runs_are_read_again(tmp_path):
-    from robir.pipeline.device import Execution
-
-    paths = JobPaths(tmp_path)
-    execution = Execution(device="cpu", threads=1)
-    run = new_run(
-        capture=capture_facts(tmp_path, None, tmp_path / "a.ply", ("0", "1")), preset="draft",
-        config=RunConfig(), execution=execution,
-    )  # fmt: skip
-    write_json(paths.run, run)
-    assert read_run(paths) == run
 
 
 def test_a_full_disk_under_blender_stops_the_export(whole, tmp_path, monkeypatch):

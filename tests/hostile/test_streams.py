@@ -12,11 +12,9 @@ import pytest
 
 from robir import cli
 from robir.config import RunConfig
-from robir.errors import CaptureError, ConfigError, DeviceError
+from robir.errors import ConfigError
 from robir.export.asset import AssetFacts
 from robir.jobs.paths import JobPaths
-from robir.pipeline.faults import translated
-from robir.settings import settings_from_table
 from robir.specimen import write_specimen
 
 ROOT = Path(__file__).parents[2]
@@ -58,21 +56,6 @@ def test_a_working_folder_that_is_gone(tmp_path):
     assert "the working folder has been deleted" in done.stderr
 
 
-def test_a_damaged_installation_is_no_full_disk(tmp_path):
-    """OUT is not there yet, so nothing can be asked of its disk."""
-    fault = translated(ImportError("No module named 'skimage.transform'"), "", tmp_path / "a" / "b")
-    assert isinstance(fault, DeviceError)
-    assert "skimage.transform" in str(fault)
-    bug = ZeroDivisionError()
-    assert translated(bug, "", tmp_path / "a" / "b") is bug
-
-
-def test_files_that_may_not_be_read(tmp_path):
-    fault = translated(PermissionError(13, "Permission denied", "cap/train/x"), "", tmp_path)
-    assert isinstance(fault, CaptureError)
-    assert "cap/train/x cannot be read: Permission denied" in str(fault)
-
-
 @pytest.mark.parametrize("word", ["caf\udce9", "a\ud800"])
 def test_names_that_are_no_text(word, capsys):
     with pytest.raises(SystemExit) as ending:
@@ -88,13 +71,6 @@ def test_names_that_are_no_text(word, capsys):
 def test_facts_of_an_asset_are_lines_of_text(facts):
     with pytest.raises(ConfigError):
         AssetFacts(**facts)
-
-
-def test_numbers_that_are_hardly_there():
-    tiny = {"white_point": [0.5, 0.5, 1e-320, 1e-320, 1e-320], "sun": [1e-320, 0.0, 0.0]}
-    for name, value in tiny.items():
-        with pytest.raises(ConfigError, match="finite number"):
-            settings_from_table(RunConfig, {"appearance": {name: value}}, "--set")
 
 
 def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):

@@ -95,13 +95,6 @@ def test_a_run_is_followed_from_start_to_end(request_, out):
         time.sleep(0.02)
 
 
-def test_a_result_that_failed_its_own_check_is_done_all_the_same(request_, out):
-    client.start(program("doubtful"), request_, os.environ)
-    last = until(out, ended)
-    assert (last.state, last.exit_code, last.fraction) == ("done", 5, 1.0)
-    assert "failed its own quality check" in last.message
-
-
 def test_a_killed_worker_is_noticed_and_the_next_goes_on(request_, out):
     client.start(program(0.1), request_, os.environ)
     until(out, lambda now: now.stage == "transport")
@@ -182,50 +175,12 @@ def test_a_deaf_worker_is_ended_with_its_children(request_, out):
         time.sleep(0.05)
 
 
-def test_a_deleted_capture_is_said(request_, out):
-    shutil.rmtree(request_.capture)
-    client.start(program(0.0), request_, os.environ)
-    failed = until(out, ended)
-    assert (failed.state, failed.exit_code) == ("failed", 3)
-    assert "does not exist" in failed.message and AWKWARD in failed.message
-
-
-def test_a_folder_of_another_capture_is_said_and_kept(request_, out, tmp_path):
-    client.start(program(0.0), request_, os.environ)
-    until(out, ended)
-    other = make_capture(tmp_path / "other", content="[]")
-    client.start(program(0.0), client.Request(capture=other, out=out), os.environ)
-    failed = until(out, ended)
-    assert (failed.state, failed.exit_code) == ("failed", 2)
-    assert "holds the result of" in failed.message
-    assert read_json(JobPaths(out).run)["state"] == "done"
-
-
-def test_a_folder_with_other_things_is_refused_untouched(request_, out):
-    out.mkdir()
-    (out / "holiday.jpg").touch()
-    with pytest.raises(UsageError, match=r"holiday\.jpg"):
-        client.start(program(0.0), request_, os.environ)
-    assert [path.name for path in out.iterdir()] == ["holiday.jpg"]
-
-
 def test_an_engine_that_does_not_run_is_said(request_, out):
     with pytest.raises(DeviceError, match="check the engine"):
         client.start([str(out / "absent" / "python")], request_, os.environ)
     client.start([sys.executable, "-I", "-S", "-m", "robir"], request_, os.environ)
     died = until(out, ended)
     assert died.state == "died" and "No module named robir" in died.message
-
-
-def test_half_written_files_never_raise(request_, out):
-    out.mkdir()
-    for text in ("", "{", "[]", "null", '{"state": "running"}'):
-        for path in (JobPaths(out).status, JobPaths(out).worker, JobPaths(out).run):
-            path.write_text(text)
-        client.snapshot(out)
-    client.start(program(0.02), request_, os.environ)
-    JobPaths(out).status.write_text("{")
-    assert until(out, ended).state in ("done", "failed")
 
 
 def test_a_number_used_again_is_no_worker(tmp_path):

@@ -18,8 +18,8 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
 from robir.capture.images.preview import BACKGROUND, save_preview
 from robir.geometry.fit.preview import Preview
-from robir.jobs.paths import JobPaths, read_json, write_json
-from robir.jobs.status import StatusWriter, read_status
+from robir.jobs.paths import JobPaths, read_json
+from robir.jobs.status import read_status
 from robir.pipeline.runner import reconstruct
 from tests.pipeline.fakes import Silent, fake_stages, make_capture, request
 
@@ -42,24 +42,6 @@ def test_status_carries_the_latest_metrics_live_and_of_finished_stages(tmp_path)
     assert seen[0]["mean"] == means[0]
     last = read_status(JobPaths(out).status).metrics
     assert (last["held_out_psnr"], last["mean"]) == (20.0, means[-1])
-
-
-def test_a_finished_folder_keeps_its_metrics(tmp_path):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    reconstruct(request(capture, out), Silent(), fake_stages())
-    reconstruct(request(capture, out), Silent(), fake_stages())
-    mean = read_json(JobPaths(out).manifest("export"))["metrics"]["mean"]
-    assert read_status(JobPaths(out).status).metrics["mean"] == mean
-
-
-def test_a_status_of_another_version_is_read(tmp_path):
-    paths = JobPaths(tmp_path)
-    StatusWriter(paths).status("running", stage="export", fraction=0.9, message="soon")
-    plain = read_json(paths.status)
-    del plain["metrics"]
-    write_json(paths.status, plain | {"colour_of_the_sky": "blue"})
-    status = read_status(paths.status)
-    assert (status.stage, status.metrics) == ("export", {})
 
 
 def test_a_preview_is_the_photograph_and_the_rendering_side_by_side(tmp_path):

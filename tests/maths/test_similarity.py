@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.camera import Camera
 from robir.capture.support import Plane
-from robir.maths.similarity import Similarity, turn_in_words
+from robir.maths.similarity import Similarity
 
 
 def some(seed: int) -> Similarity:
@@ -39,11 +39,6 @@ def test_outside_it_does_the_same_to_what_the_unit_sphere_stands_for():
     place, centre, radius = some(3), np.array([1.0, -2.0, 0.5]), 3.0
     moved = place.outside(centre, radius)(centre + radius * POINTS)
     assert moved == pytest.approx(centre + radius * place(POINTS))
-
-
-def test_its_words():
-    turn = Rotation.from_rotvec([0.0, 0.0, 90.0], degrees=True).as_matrix()
-    assert turn_in_words(turn) == "90.00 degrees about (0.000, 0.000, 1.000)"
 
 
 def test_a_moved_camera_sees_moved_points_where_it_saw_them():

@@ -107,17 +107,6 @@ def test_round_trip_of_all_grey_codes(curve):
 
 
 @pytest.mark.parametrize("curve", tone.families(), ids=identifier)
-def test_round_trip_of_eight_bit_colours(curve):
-    """Rounding leaves the gamut of a curve: nine in ten codes must still come back."""
-    exact = curve.display_from_linear(random_colours(50_000, -8.0, 1.0))
-    code = (exact * 255.0).round() / 255.0
-    again = curve.display_from_linear(curve.linear_from_display(code))
-    error = (again - code).abs().amax(dim=-1)
-    assert (error > 4e-3).float().mean() < 0.1
-    assert error.mean() < 1e-3
-
-
-@pytest.mark.parametrize("curve", tone.families(), ids=identifier)
 def test_every_code_has_a_sane_inverse(curve):
     axis = torch.linspace(0.0, 1.0, 18)
     codes = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1)
@@ -152,14 +141,6 @@ def test_gradients_of_both_ways_are_inverse(curve):
     black = torch.zeros(2, 3, requires_grad=True)
     curve.display_from_linear(black).sum().backward()
     assert black.grad.isfinite().all()
-
-
-def test_clipping_families():
-    clipping = {curve.name: curve.is_clipping for curve in tone.families()}
-    assert clipping["standard"]
-    assert not any(clipping[name] for name in ("filmic", "agx", "khronos_pbr_neutral"))
-    assert tone.AcesToneCurve(0.01).is_clipping
-    assert not tone.AcesToneCurve(1.0).is_clipping
 
 
 def test_aces_values_worked_by_hand():
@@ -240,13 +221,6 @@ def test_cube_file_is_read_by_opencolorio(curve, tmp_path):
         error = (torch.from_numpy(pixels) - curve.display_from_linear(linear)).abs()
         assert error.max() < bar
         assert error.mean() < 0.003
-
-
-def test_tables_are_small_and_hold_no_objects():
-    path = Path(tone.__file__).with_name("tone_tables.npz")
-    assert path.stat().st_size < 600_000
-    with np.load(path, allow_pickle=False) as tables:
-        assert "agx_lattice" in tables.files
 
 
 def test_log_is_the_sigmoid_of_log_radiance_and_inverts():

@@ -75,19 +75,6 @@ def test_a_result_that_failed_its_own_check_is_whole_and_exits_with_5(
     assert paths.report.exists()
 
 
-def test_a_result_that_passed_its_own_check_says_so(stages, capture, tmp_path, capsys):
-    stages["export"].metrics = {"is_trusted": True}
-    assert reconstruct(capture, tmp_path / "out") == 0
-    assert capsys.readouterr().err.endswith("quality check passed\n")
-    assert read_json(JobPaths(tmp_path / "out").run)["exit_code"] == 0
-
-
-def test_rich_progress_ends_well(stages, capture, tmp_path, capsys):
-    stages["geometry"].mischief = lambda context: context.reporter.warn("few [views]")
-    assert reconstruct(capture, tmp_path / "out", "--progress", "rich") == 0
-    assert "warning: few [views]" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("error", "code"),
     [
@@ -188,14 +175,6 @@ def test_a_resumed_run_is_given_its_mesh_again(stages, capture, tmp_path, capsys
     assert "gone.glb does not exist" in capsys.readouterr().err
 
 
-def test_what_is_not_finished_is_neither_judged_nor_relit(tmp_path, capsys):
-    assert cli.main(["evaluate", str(tmp_path)]) == 2
-    environment = tmp_path / "sky.exr"
-    environment.touch()
-    assert cli.main(["relight", str(tmp_path), "--environment", str(environment)]) == 2
-    assert capsys.readouterr().err.count("is not a finished result folder") == 2
-
-
 def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("no photographs here")
     assert cli.main(["check", str(tmp_path)]) == 3
@@ -209,26 +188,6 @@ def test_check_knows_the_settings_of_the_capture(tmp_path, capsys):
     assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'[' * 100_000}"]) == 2
     assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'9' * 5000}"]) == 2
     assert "the sides above 0" in capsys.readouterr().err
-
-
-def test_relight_hands_everything_asked_for_to_blender(
-    stages, capture, tmp_path, monkeypatch, capsys
-):
-    from robir.export import blender
-
-    out = tmp_path / "out"
-    assert reconstruct(capture, out) == 0
-    asked: list[str] = []
-
-    def run_headless(words, _show):
-        asked.extend(words)
-        return blender.Outcome(files=(tmp_path / "a.png",), notes=(), wall=1.0, cpu=1.0)
-
-    monkeypatch.setattr(blender, "run_headless", run_headless)
-    words = ["--environment=city", "--views=r_000,r_001", "--max-side=64"]
-    assert cli.main(["relight", str(out), *words]) == 0
-    assert asked == ["relight", str(out), *words]
-    assert capsys.readouterr().out.endswith(f"{tmp_path / 'a.png'}\n")
 
 
 @pytest.mark.parametrize("word", ["x" * 5000, "x" * 300, "a\0b", "\ud800"])

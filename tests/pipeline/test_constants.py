@@ -5,17 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import trimesh
 
 from robir import constants
 from robir.config import RunConfig, resolve
 from robir.constants import changed, of_setting
 from robir.errors import ConfigError
 from robir.geometry import hull
-from robir.geometry.fit import optimise
 from robir.geometry.ground import backdrop
-from robir.geometry.mesh.isosurface import plain_mesh
-from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.stereo.fusion import choose_sources
 from robir.pipeline.ledger import stage_fingerprints
 from robir_bench.plan import METHODS, BenchRun, with_constants
@@ -39,16 +35,6 @@ def test_a_shared_constant_changes_wherever_it_was_imported():
     assert hull.HULL_VIEWS == backdrop.HULL_VIEWS == 48
 
 
-def test_a_constant_reaches_the_process_that_makes_charts():
-    box = trimesh.creation.box()
-    mesh = plain_mesh(np.asarray(box.vertices), np.asarray(box.faces))
-    usual = unwrap(mesh, 60.0, pytest.fail)
-    with changed(["geometry.mesh.charts.GUTTER=40"]):
-        wide = unwrap(mesh, 60.0, pytest.fail)
-    sides = [np.abs(np.diff(one.uvs[one.uv_faces], axis=1)).mean() for one in (wide, usual)]
-    assert sides[0] < 0.95 * sides[1], "more gutter leaves less room for charts"
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -65,12 +51,6 @@ def test_what_is_no_constant_is_refused(change, words):
         pass
 
 
-def test_what_was_changed_before_a_refusal_is_as_it_was():
-    with pytest.raises(ConfigError), changed(["geometry.fit.optimise._BAND=1", "nothing.X=1"]):
-        pass
-    assert optimise._BAND == 5.0
-
-
 def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
     usual = stage_fingerprints(RunConfig(), REVISIONS, "capture")
     config = resolve(RunConfig(), None, ['constants=["geometry.fit.optimise._BAND=1"]'])
@@ -79,15 +59,6 @@ def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
     config = resolve(RunConfig(), None, ['constants=["maths.vectors.X=1"]'])
     found = stage_fingerprints(config, REVISIONS, "capture")
     assert not [stage for stage in usual if usual[stage] == found[stage]]
-
-
-def test_the_bench_hands_constants_to_its_runs(tmp_path):
-    run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=("seed=1",))
-    (swept,) = with_constants([run], ["geometry.fit.optimise._BAND=1"])
-    assert resolve(RunConfig(), None, swept.settings).constants == (
-        "geometry.fit.optimise._BAND=1",
-    )
-    assert with_constants([run], []) == [run]
 
 
 def test_a_sweep_keeps_the_constants_of_a_method(tmp_path):

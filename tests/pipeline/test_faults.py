@@ -8,13 +8,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robir.config import RunConfig
 from robir.errors import (
     CancelledError,
     CaptureError,
@@ -23,10 +21,8 @@ from robir.errors import (
     StorageError,
     UsageError,
 )
-from robir.jobs.lock import folder_lock
-from robir.jobs.paths import STAGES, JobPaths, read_json
+from robir.jobs.paths import JobPaths, read_json
 from robir.jobs.status import read_status
-from robir.pipeline.faults import _MEMORY_CURES
 from robir.pipeline.runner import reconstruct
 from tests.pipeline.fakes import Silent, fake_stages, make_capture, request
 
@@ -69,19 +65,6 @@ def test_faults_are_told_in_words(tmp_path, error, expected, words):
     reconstruct(
         request(tmp_path / "capture", tmp_path / "out", is_resume=True), Silent(), fake_stages()
     )
-
-
-def test_the_setting_named_against_lack_of_memory_exists():
-    assert set(_MEMORY_CURES) == set(STAGES)
-    for dotted in _MEMORY_CURES.values():
-        section, _, key = dotted.partition(".")
-        assert hasattr(getattr(RunConfig(), section), key)
-
-
-def test_a_bug_stays_a_bug(tmp_path):
-    with pytest.raises(ZeroDivisionError):
-        run_with_mischief(tmp_path, raising(ZeroDivisionError("division by zero")))
-    assert read_status(JobPaths(tmp_path / "out").status).exit_code == 1
 
 
 def test_a_nan_stops_the_stage_that_made_it(tmp_path):
@@ -140,14 +123,6 @@ def python_path() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "core")}
 
 
-def test_a_lock_is_free_after_an_error(tmp_path):
-    path = tmp_path / "lock"
-    with pytest.raises(ZeroDivisionError), folder_lock(path):
-        raise ZeroDivisionError
-    with folder_lock(path):
-        assert path.read_text() == f"{os.getpid()}\n"
-
-
 @pytest.mark.parametrize("what", ["capture", "masks"])
 def test_a_missing_capture_is_refused_before_anything_is_made(tmp_path, what):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
@@ -160,13 +135,6 @@ def test_a_missing_capture_is_refused_before_anything_is_made(tmp_path, what):
     assert not out.exists()
 
 
-def test_an_output_that_cannot_be_made_is_refused(tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    asked = request(make_capture(tmp_path / "capture"), tmp_path / "file" / "out")
-    with pytest.raises(StorageError, match="cannot be made"):
-        reconstruct(asked, Silent(), fake_stages())
-
-
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
     (out / "lock").mkdir(parents=True)
@@ -174,25 +142,6 @@ def test_an_output_that_cannot_be_written_is_refused(tmp_path):
         StorageError, match=r"out/lock cannot be read or written.*then continue with"
     ):
         reconstruct(request(capture, out), Silent(), fake_stages())
-
-
-def test_progress_tells_the_time_left(tmp_path):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    seen = []
-
-    class Watcher:
-        def event(self, event, fraction, seconds_left):
-            seen.append((fraction, seconds_left))
-
-    begin = time.monotonic()
-    reconstruct(request(capture, out), Watcher(), fake_stages(pause=0.01))
-    total = time.monotonic() - begin
-    fractions = [fraction for fraction, _ in seen]
-    assert fractions == sorted(fractions)
-    assert fractions[-1] == pytest.approx(1.0)
-    lefts = [left for _, left in seen if left is not None]
-    assert lefts[-1] == pytest.approx(0.0, abs=1e-6)
-    assert max(lefts) < 60 * total
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EIO])
@@ -206,36 +155,3 @@ def test_a_library_that_met_a_failing_disk_is_understood(tmp_path, number):
 def test_a_disk_that_went_away_is_told_where_no_file_is_named(tmp_path):
     with pytest.raises(StorageError, match="geometry: Stale file handle"):
         run_with_mischief(tmp_path, raising(OSError(errno.ESTALE, os.strerror(errno.ESTALE))))
-
-
-def test_a_log_that_cannot_be_written_says_nothing_more(tmp_path, monkeypatch, capsys):
-    """The run itself has told of the full disk; logging would print its own traceback."""
-    import logging
-
-    def full(handler, record):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(logging.FileHandler, "flush", lambda handler: full(handler, None))
-    run_with_mischief(tmp_path, lambda context: context.reporter.warn("few views"))
-    assert "Logging error" not in capsys.readouterr().err
-
-
-def test_a_lock_that_cannot_be_removed_hides_no_error(tmp_path, monkeypatch):
-    def refused(path, missing_ok=False):
-        raise OSError(errno.EROFS, "Read-only file system", str(path))
-
-    path = tmp_path / "lock"
-    with pytest.raises(ZeroDivisionError), folder_lock(path):
-        monkeypatch.setattr(Path, "unlink", refused)
-        raise ZeroDivisionError
-    monkeypatch.undo()
-    with folder_lock(path):
-        pass
-
-
-def test_a_folder_whose_first_file_could_not_be_written_is_still_ours(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    for name in ("status.json", "events.jsonl", ".run-x.json", ".status-y.json", "log.txt"):
-        (out / name).touch()
-    reconstruct(request(make_capture(tmp_path / "capture"), out), Silent(), fake_stages())

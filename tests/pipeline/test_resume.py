@@ -63,34 +63,6 @@ def test_what_a_killed_process_had_half_written_goes(tmp_path):
     assert {path for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_a_run_says_who_made_it_and_what_it_cost(tmp_path):
-    out = tmp_path / "out"
-    reconstruct(request(make_capture(tmp_path / "capture"), out), Silent(), fake_stages(0.01))
-    paths = JobPaths(out)
-    run = read_json(paths.run)
-    assert run["state"] == "done"
-    assert set(run["seconds"]) == set(STAGES)
-    assert run["seconds"]["geometry"]["wall"] >= 0.04
-    manifest = read_json(paths.manifest("geometry"))
-    assert set(manifest["outputs"]) == {f"stages/geometry/{i}.npz" for i in range(4)}
-    assert manifest["metrics"].keys() == {"mean"}
-    assert not paths.lock.exists()
-
-
-def test_an_unfinished_folder_is_refused_without_resume(tmp_path):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    stages = fake_stages()
-
-    def fail(_context):
-        raise CaptureError("no")
-
-    stages["transport"].mischief = fail
-    with pytest.raises(CaptureError):
-        reconstruct(request(capture, out), Silent(), stages)
-    with pytest.raises(UsageError, match="--resume"):
-        reconstruct(request(capture, out), Silent(), fake_stages())
-
-
 def test_resume_skips_what_is_done_and_equals_an_unbroken_run(tmp_path):
     capture = make_capture(tmp_path / "capture")
     reconstruct(request(capture, tmp_path / "whole"), Silent(), fake_stages())
@@ -136,15 +108,6 @@ def test_parts_of_the_stages_one_after_another_equal_one_run(tmp_path, cuts):
     assert sum(calls(stages).values()) == len(STAGES) - 1 - STAGES.index(cuts[-1])
     assert contents(out) == contents(tmp_path / "whole")
     assert read_json(JobPaths(out).run)["state"] == "done"
-
-
-def test_a_whole_result_is_none_the_less_whole_for_a_part(tmp_path):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    reconstruct(request(capture, out), Silent(), fake_stages())
-    stages = fake_stages()
-    reconstruct(request(capture, out, until="geometry"), Silent(), stages)
-    assert not any(calls(stages).values())
-    assert read_status(JobPaths(out).status).state == "done"
 
 
 def test_a_changed_setting_makes_its_stage_and_the_later_ones_stale(tmp_path):
@@ -215,14 +178,6 @@ def test_another_capture_is_refused_by_both_names(tmp_path):
     assert contents(out) == before
 
 
-def test_a_moved_capture_is_the_same_capture(tmp_path):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    reconstruct(request(capture, out), Silent(), fake_stages())
-    stages = fake_stages()
-    reconstruct(request(capture.rename(tmp_path / "moved"), out), Silent(), stages)
-    assert calls(stages) == dict.fromkeys(STAGES, 0)
-
-
 def test_a_folder_of_other_things_is_refused(tmp_path):
     capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
     out.mkdir()
@@ -230,15 +185,6 @@ def test_a_folder_of_other_things_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"thesis\.doc"):
         reconstruct(request(capture, out), Silent(), fake_stages())
     assert [path.name for path in out.iterdir()] == ["thesis.doc"]
-
-
-def test_results_inside_the_capture_do_not_change_it(tmp_path):
-    capture = make_capture(tmp_path / "capture")
-    out = capture / "result"
-    reconstruct(request(capture, out), Silent(), fake_stages())
-    stages = fake_stages()
-    reconstruct(request(capture, out), Silent(), stages)
-    assert calls(stages) == dict.fromkeys(STAGES, 0)
 
 
 def run_and_kill(capture: Path, out: Path, after: float) -> bool:
@@ -290,21 +236,3 @@ def test_a_mesh_belongs_to_the_folder_it_went_into(tmp_path):
         with pytest.raises(UsageError, match=r"scan\.ply"):
             reconstruct(request(capture, out, mesh=other, is_resume=True), Silent(), stages)
     assert calls(stages) == dict.fromkeys(STAGES, 1)
-
-
-def test_a_mesh_that_was_refused_may_be_mended(tmp_path):
-    capture, out, mesh = make_capture(tmp_path / "capture"), tmp_path / "out", tmp_path / "scan.ply"
-    mesh.write_bytes(b"misplaced")
-    stages = fake_stages()
-
-    def refuse(context):
-        if context.mesh.read_bytes() == b"misplaced":
-            raise CaptureError("it does not fit")
-
-    stages["geometry"].mischief = refuse
-    with pytest.raises(CaptureError):
-        reconstruct(request(capture, out, mesh=mesh), Silent(), stages)
-    mesh.write_bytes(b"mended")
-    reconstruct(request(capture, out, mesh=mesh, is_resume=True), Silent(), stages)
-    assert calls(stages) == dict.fromkeys(STAGES, 1) | {"capture": 2, "geometry": 2}
-    assert read_json(JobPaths(out).run)["state"] == "done"

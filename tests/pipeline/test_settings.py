@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from robir.errors import ConfigError
 from robir.settings import (
     changed_settings,
-    merge,
     parse_assignment,
     read_toml,
     settings_from_table,
@@ -43,16 +42,6 @@ class Outer:
 
 def read(**inner) -> Inner:
     return settings_from_table(Outer, {"inner": inner}, "file.toml").inner
-
-
-def test_absent_keys_keep_their_defaults():
-    assert settings_from_table(Outer, {}, "file.toml") == Outer()
-
-
-def test_an_integer_becomes_a_float():
-    value = read(learning_rate=2).learning_rate
-    assert value == 2.0
-    assert type(value) is float
 
 
 @pytest.mark.parametrize(
@@ -90,11 +79,6 @@ def test_wrong_settings_are_refused_in_words(inner, words):
         read(**inner)
 
 
-def test_a_value_is_no_section():
-    with pytest.raises(ConfigError, match="inner is a section"):
-        settings_from_table(Outer, {"inner": 3}, "--set inner=3")
-
-
 @pytest.mark.parametrize(
     ("text", "table"),
     [
@@ -114,13 +98,6 @@ def test_assignments_are_toml_or_bare_words(text, table):
 def test_what_is_no_assignment_is_refused(text):
     with pytest.raises(ConfigError, match=r"section\.key=value"):
         parse_assignment(text)
-
-
-def test_merging_keeps_what_is_not_named():
-    assert merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 4}}) == {
-        "a": {"x": 1, "y": 4},
-        "b": 3,
-    }
 
 
 names = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=8)

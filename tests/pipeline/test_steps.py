@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -63,16 +62,3 @@ def test_names_are_unique_and_every_step_says_what_it_is_for(steps):
     assert len(set(names)) == len(names)
     assert all(step.purpose and step.source for step in steps)
     check_left_out(steps, [step.name for step in steps if step.is_on_trial], "-")
-
-
-def test_what_a_step_costs_is_added_up_over_its_rounds():
-    def work(state):
-        started = time.process_time()
-        while time.process_time() - started < 0.02:
-            pass
-        return state
-
-    step = Step(name="works", purpose="-", source="-", run=work)
-    course = Course()
-    course.carry_out((step,), course.carry_out((step,), 0))
-    assert 0.04 <= course.plain((step,))["cpu_seconds"]["works"] < 0.2

@@ -13,10 +13,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from blender_scenes import textures
 from blender_scenes.environment import LUMINANCE, map_directions
 from blender_scenes.format import ViewTruth, read_view
-from blender_scenes.request import SceneRequest, random_stream
 from blender_scenes.view_transform import display_from_linear
 
 pytestmark = [
@@ -27,7 +25,6 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).parents[2]
-GROUND_RADIUS = 0.98
 SMALL = ("--resolution", "32", "--views", "2", "--test-views", "1", "--samples", "4")
 
 
@@ -104,47 +101,6 @@ def test_mesh_is_what_the_cameras_see(capture: Path, views: list, scene: dict) -
     assert reach == pytest.approx(scene["scene_radius"], rel=1e-6)
 
 
-def test_albedo_of_the_ground_is_that_of_its_texture(views: list) -> None:
-    """Where a pixel lies within one square of the checker, the base colour is that square's."""
-    request = SceneRequest(scene="truck", ground="checker", light="lamp")
-    texture = textures.ground("checker", random_stream(request, "ground"))
-    checked = []
-    for pose, focal, truth in views:
-        ground = (truth.hit > 0.5) & (np.abs(truth.position[..., 2]) < 1e-4) & (truth.mask > 0.999)
-        position = truth.position[ground]
-        ray = pose[:3, 3] - position
-        distance = np.linalg.norm(ray, axis=1)
-        reach = distance / focal / (ray[:, 2] / distance)
-        place = position[:, :2] / (2.0 * GROUND_RADIUS) + 0.5
-        to_line = np.abs((place * 8.0 + 0.5) % 1.0 - 0.5).min(axis=1) * 2.0 * GROUND_RADIUS / 8.0
-        # a quarter of a unit off the lorry, so that no pixel mixes wheel and ground
-        inside = (to_line > reach) & (np.linalg.norm(position[:, :2], axis=1) > 0.72)
-        texel = (place[inside] * len(texture)).astype(int)
-        checked.append(truth.albedo[ground][inside] - texture[texel[:, 1], texel[:, 0]])
-    difference = np.abs(np.concatenate(checked))
-    assert len(difference) > 5
-    assert np.median(difference) < 5e-4
-    assert (difference.max(axis=1) < 5e-3).mean() > 0.9
-
-
-def test_normals_are_unit_and_up_on_the_ground(views: list) -> None:
-    for _, _, truth in views:
-        hit = truth.hit > 0.5
-        np.testing.assert_allclose(np.linalg.norm(truth.normal[hit], axis=-1), 1.0, atol=2e-3)
-        radius = np.hypot(truth.position[..., 0], truth.position[..., 1])
-        flat = hit & (np.abs(truth.position[..., 2]) < 1e-4) & (radius < 0.9)
-        assert np.median(truth.normal[flat][:, 2]) > 0.9999
-
-
-def test_material_values_are_those_of_the_scene(views: list) -> None:
-    truth = views[0][2]
-    whole = truth.mask > 0.999
-    ground = whole & (truth.hit > 0.5) & (truth.position[..., 2] < 1e-4)
-    assert np.median(truth.roughness[ground]) == pytest.approx(0.75, abs=0.01)
-    assert truth.metallic[whole].max() == pytest.approx(1.0, abs=0.01)
-    assert truth.metallic[ground].max() < 0.6
-
-
 def test_sun_is_seen_from_the_open_side_and_not_from_below(
     capture: Path, views: list, scene: dict
 ) -> None:
@@ -182,21 +138,6 @@ def test_lit_ground_has_the_radiance_of_the_stated_light(
     per_albedo = float(np.median(np.concatenate(ratio)))
     assert 0.42 < 0.5 * per_albedo < 0.65
     assert 0.6 < lamp / np.pi / per_albedo < 0.85
-
-
-def test_second_tone_mapping_renders_nothing(capture: Path, cache: Path, tmp_path: Path) -> None:
-    before = {p: p.stat().st_mtime_ns for p in cache.rglob("*.exr")}
-    out = tmp_path / "standard"
-    done = run(
-        "truck", out, *SMALL, "--cache", cache, "--view-transform", "Standard", "--exposure", "0.5"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "0 views rendered" in done.stderr
-    assert {p: p.stat().st_mtime_ns for p in cache.rglob("*.exr")} == before
-    truth = read_view(out / "truth" / "test" / "r_000.exr")
-    codes = np.asarray(Image.open(out / "test" / "r_000.png"))[..., :3]
-    expected = 255.0 * display_from_linear(truth.radiance * 2.0**0.5, "Standard")
-    assert np.abs(codes - expected)[truth.mask > 0.0].max() <= 0.51
 
 
 def test_interrupted_rendering_goes_on_and_gives_the_same_views(
@@ -287,20 +228,6 @@ def test_bad_arguments_end_with_code_2_and_a_sentence(
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert not out.exists()
-
-
-def test_unreadable_files_are_named(tmp_path: Path, cache: Path) -> None:
-    noise, soup = tmp_path / "noise.hdr", tmp_path / "soup.obj"
-    noise.write_bytes(b"this is no picture")
-    soup.write_text("v 0 0 0\n")
-    for arguments in (
-        ["truck", tmp_path / "a", "--hdri", noise],
-        ["asset", tmp_path / "b", "--asset", soup],
-    ):
-        done = run(*arguments, *SMALL, "--cache", cache)
-        assert done.returncode == 2
-        assert Path(str(arguments[-1])).name in done.stderr
-        assert "Traceback" not in done.stderr
 
 
 def test_folder_of_another_capture_is_refused_and_left_alone(

@@ -2,7 +2,6 @@
 """What is drawn for a capture of photographs, and what a camera makes of radiance."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from blender_scenes.photographs.developing import (
 from blender_scenes.photographs.matting import mask, wavy_mask
 from blender_scenes.photographs.posing import erroneous, placed, walked_poses
 from blender_scenes.photographs.recipe import Developing, Frame, PhotoRecipe
-from blender_scenes.photographs.response import is_monotone, response
+from blender_scenes.photographs.response import is_monotone
 from blender_scenes.population import photo_ranges as table
 from blender_scenes.population.draw import Sources
 from blender_scenes.population.photo_draw import draw_photographs
@@ -46,20 +45,6 @@ def drawn(sources: Sources) -> list[PhotoRecipe]:
 def test_a_seed_says_everything(sources: Sources, drawn: list[PhotoRecipe]) -> None:
     assert [draw_photographs(seed, sources) for seed in range(20)] == drawn[:20]
     assert len({stock.fingerprint(one) for one in drawn[:8]}) == 8
-
-
-def test_the_fingerprint_knows_files_by_content(drawn: list[PhotoRecipe]) -> None:
-    one = next(d for d in drawn if d.thing.kind == "asset")
-    before, file = stock.fingerprint(one), one.thing.file
-    assert file is not None
-    text = file.read_text()
-    try:
-        file.write_text("another shape")
-        assert stock.fingerprint(one) != before
-    finally:
-        file.write_text(text)
-    assert stock.fingerprint(one) == before
-    assert stock.fingerprint(replace(one, samples=one.samples + 1)) != before
 
 
 @pytest.mark.parametrize(
@@ -100,28 +85,6 @@ def test_everything_lies_in_its_range(drawn: list[PhotoRecipe]) -> None:
             assert all(0.02 <= c <= 0.9 for colour in finish.colours for c in colour)
 
 
-def test_seeds_with_a_known_fault_are_what_they_are_named_for(sources: Sources) -> None:
-    for seed, kind in table.SHOWCASES.items():
-        assert seed < 30
-        assert draw_photographs(seed, sources).thing.kind == kind
-    (egg,) = [seed for seed, kind in table.SHOWCASES.items() if kind == "egg"]
-    strong = draw_photographs(egg, sources)
-    assert strong.light.kind == "sun"
-    assert strong.thing.body.pattern == "plain"
-
-
-def test_responses_rise_from_nothing_to_white_about_the_mean(drawn: list[PhotoRecipe]) -> None:
-    x = np.linspace(0.0, 1.0, 301)
-    np.testing.assert_allclose(response(x, (0.0, 0.0, 0.0)), measured_response(x), atol=1e-6)
-    curves = np.array([response(x, one.developing.response) for one in drawn])
-    assert (np.diff(curves, axis=1) > 0.0).all()
-    np.testing.assert_array_equal(curves[:, [0, -1]], [[0.0, 1.0]] * MANY)
-    # the spread is widest in the darker half and never absurd
-    spread = curves.std(axis=0)
-    assert 0.03 < spread.max() < 0.1
-    assert 0.05 < x[spread.argmax()] < 0.4
-
-
 def camera(**changes: object) -> Developing:
     plain = Developing(
         response=(0.0, 0.0, 0.0), iso=400.0, full_well=8000.0, read_noise=4.0, quality=90,
@@ -149,12 +112,6 @@ def test_noise_is_of_shots_and_of_reading() -> None:
     slope = (measured_response(np.array(0.251)) - measured_response(np.array(0.249))) / 0.002
     assert shown.std() == pytest.approx(np.sqrt(516.0) / 2000.0 * slope, rel=0.02)
     assert shown.mean() == pytest.approx(clean.mean(), abs=2e-3)
-
-
-def test_exposure_and_white_balance_multiply_what_the_response_is_given() -> None:
-    grey = np.full((2, 2, 3), 0.1)
-    shown = display(grey, Shot(1.0, (0.9, 1.0, 1.1)), camera(), Frame(2, 2, 50.0), None)
-    np.testing.assert_allclose(shown[0, 0], measured_response(np.array([0.18, 0.2, 0.22])), 1e-6)
 
 
 def test_white_is_the_light_times_how_the_camera_is_off_and_jitter_stays_in_its_range() -> None:
@@ -218,14 +175,3 @@ def test_masks_that_are_off_are_off_by_so_many_pixels_in_waves(growth: float) ->
     assert np.abs(edge - radius).max() < 3.0
     assert set(np.unique(drawn)) == {0, 255}
     assert ((mask(disc) > 0) == (disc > 0)).all()
-
-
-def test_a_photographed_population_is_asked_for_by_a_word(tmp_path: Path, monkeypatch) -> None:
-    from blender_scenes.population import command
-
-    made = []
-    monkeypatch.setattr(command, "_maps", lambda _folder: ())
-    monkeypatch.setattr(command, "_make_photographs", lambda _out, seed, _s: made.append(seed))
-    words = [str(tmp_path), "--photographs", "--count", "2", "--seed", "4"]
-    assert command.main(words) == 0
-    assert made == [4, 5]

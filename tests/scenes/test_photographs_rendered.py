@@ -175,25 +175,3 @@ def test_codes_are_the_truth_developed(population: Path) -> None:
             assert np.sqrt((off.mean(axis=-1) ** 2).mean()) < 12.0
             assert 0.01 < view.mask.mean() < 0.9
             assert np.abs(view.albedo[view.hit < 0.5][view.mask[view.hit < 0.5] == 0.0]).max() == 0
-
-
-def test_masks_are_the_things_own(population: Path) -> None:
-    folder = capture(population, NONE)
-    file = next((folder / "truth" / "test").glob("*.exr"))
-    view = read_view(file)
-    with Image.open(folder / "masks" / f"{file.stem}.png") as picture:
-        given = np.asarray(picture) > 0
-    np.testing.assert_array_equal(given, view.mask > 0.5)
-    # the table is no part of it: nothing of the thing lies below its upper side
-    assert view.position[view.hit > 0.5][:, 2].min() > -1e-3
-
-
-def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path: Path) -> None:
-    again = tmp_path / "a folder with a longer name"
-    run(again, NONE, EXACT)
-    for seed in (NONE, EXACT):
-        files = {p.relative_to(population) for p in capture(population, seed).rglob("*.*")}
-        assert files == {p.relative_to(again) for p in capture(again, seed).rglob("*.*")}
-        for file in files:
-            assert (population / file).read_bytes() == (again / file).read_bytes()
-    assert "already there" in run(again, NONE)

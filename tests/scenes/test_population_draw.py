@@ -2,14 +2,12 @@
 """What is drawn for a capture of the population, and how its exposure is held."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from blender_scenes.environment import LUMINANCE, SOFTENED, softened, texel_solid_angles
 from blender_scenes.format import ToneMapping, ViewTruth, picture
-from blender_scenes.population import command, ranges
+from blender_scenes.population import ranges
 from blender_scenes.population.draw import Drawn, Sources, draw
 from blender_scenes.population.exposing import held
 from blender_scenes.request import fingerprint
@@ -95,22 +93,6 @@ def test_everything_lies_in_its_range(drawn: list[Drawn]) -> None:
             assert 0.0 < sun.share < 1.0
 
 
-def test_things_of_a_heap_keep_their_distance(drawn: list[Drawn]) -> None:
-    for one in drawn:
-        parts = one.request.recipe.parts
-        for i, part in enumerate(parts):
-            for other in parts[:i]:
-                apart = np.hypot(*np.subtract(part.place, other.place))
-                assert apart >= ranges.CLUTTER_GAP * (part.size + other.size) - 1e-9
-
-
-def test_without_assets_there_are_none(sources: Sources) -> None:
-    bare = Sources((), sources.maps)
-    things = [draw(seed, bare) for seed in range(60)]
-    assert all(part.file is None for one in things for part in one.request.recipe.parts)
-    assert {one.thing for one in things} == set(ranges.THINGS) - {"asset"}
-
-
 def view(radiance: np.ndarray) -> ViewTruth:
     """A view that shows nothing but a radiance (H, W)."""
     flat = np.ones(radiance.shape, dtype=np.float32)
@@ -134,13 +116,6 @@ def test_a_black_picture_is_brightened() -> None:
     assert ranges.LEAST_CODE <= shown.max() < 1.25 * ranges.LEAST_CODE
 
 
-def test_brightening_ends_where_it_would_clip() -> None:
-    radiance = np.full((10, 10), 0.0005)
-    radiance[:2] = 0.9
-    found = held([view(radiance)], ToneMapping("Standard", -0.2))
-    assert found.exposure < 0.3
-
-
 @pytest.mark.parametrize(("backdrop", "code"), [("black", 0), ("white", 255)])
 def test_on_a_backdrop_pictures_have_no_alpha_and_mix_by_coverage(backdrop: str, code: int) -> None:
     mask = np.array([[0.0, 0.5, 1.0]], dtype=np.float32)
@@ -149,33 +124,3 @@ def test_on_a_backdrop_pictures_have_no_alpha_and_mix_by_coverage(backdrop: str,
     whole = 255.0 * display_from_linear(np.full((1, 3), 0.2), "Standard")[0, 0]
     assert shown.shape == (1, 3, 3)
     assert shown[0, :, 0] == pytest.approx([code, 0.5 * (code + whole), whole], abs=0.51)
-
-
-def test_a_softened_map_keeps_all_but_its_sun() -> None:
-    sky = np.full((32, 64, 3), [0.2, 0.4, 0.8])
-    sky[5, 7] = [900.0, 800.0, 700.0]
-    found = softened(sky)
-    mean = ((sky @ LUMINANCE) * texel_solid_angles(32)).sum() / (4.0 * np.pi)
-    assert found[5, 7] @ LUMINANCE == pytest.approx(SOFTENED * mean)
-    assert found[5, 7] / found[5, 7, 0] == pytest.approx(sky[5, 7] / 900.0)
-    found[5, 7] = sky[5, 7]
-    np.testing.assert_array_equal(found, sky)
-
-
-@pytest.mark.parametrize(("first", "is_said"), [(998, False), (999, True), (1000, True)])
-def test_verdict_seeds_are_announced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, first: int, is_said: bool
-) -> None:
-    made = []
-    monkeypatch.setattr(command, "_maps", lambda _folder: ())
-    monkeypatch.setattr(command, "_make", lambda _out, seed, _sources: made.append(seed))
-    assert command.main([str(tmp_path), "--count", "2", "--seed", str(first)]) == 0
-    assert made == [first, first + 1]
-    assert ("for verdicts" in capsys.readouterr().err) == is_said
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path, capsys) -> None:
-    nowhere = tmp_path / "nowhere"
-    words = [str(tmp_path), "--count", "1", "--seed", "0", "--assets", str(nowhere)]
-    assert command.main(words) == 2
-    assert f"{nowhere}: no such folder" in capsys.readouterr().err

@@ -33,15 +33,6 @@ def test_shape_is_closed_and_has_its_volume(name: str) -> None:
     assert mesh.volume == pytest.approx(volume, rel=0.01)
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_texture_coordinates_match_the_corners_and_the_picture(name: str) -> None:
-    shape, _ = PARTS[name]
-    assert [len(f) for f in shape.faces] == [len(uv) for uv in shape.uvs]
-    every = np.concatenate(shape.uvs)
-    assert every.min() >= 0.0
-    assert every.max() <= 1.0
-
-
 def test_box_faces_show_the_texture_upright_and_unmirrored() -> None:
     shape = shapes.box((1.0, 1.0, 1.0))
     for face, uv in list(zip(shape.faces, shape.uvs, strict=True))[:4]:
@@ -51,11 +42,3 @@ def test_box_faces_show_the_texture_upright_and_unmirrored() -> None:
         np.testing.assert_allclose(up, [0.0, 0.0, 1.0])
         outward = np.cross(right, up)
         assert outward @ points.mean(axis=0) > 0.0
-
-
-def test_smooth_profile_keeps_its_ends_on_the_axis() -> None:
-    profile = shapes.smooth_profile([(0.0, 0.0), (0.3, 0.0), (0.2, 0.5), (0.0, 0.6)], 40)
-    assert profile[0].tolist() == [0.0, 0.0]
-    assert profile[-1, 0] == 0.0
-    assert profile[1:-1, 0].min() > 0.0
-    assert as_mesh(shapes.lathe(profile)).volume > 0.0

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import cKDTree
 from transport.shapes import box, looking_at, mesh_of, patch, photograph
 
 from robir.errors import StorageError
-from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.baked import Transport, bake
@@ -25,16 +23,6 @@ def uneven_mesh() -> Mesh:
         patch((0, -1, 0), (1, 0, 0), (0, 2, 0), 30),
         *box((-0.3, -0.3, 0.2), (0.3, 0.3, 0.6)),
     )
-
-
-def test_samples_of_a_ball_are_as_many_as_wanted():
-    ball = trimesh.creation.icosphere(subdivisions=4)
-    mesh = plain_mesh(np.asarray(ball.vertices), np.asarray(ball.faces))
-    surfels = sample_surfels(mesh, 2000, np.random.default_rng(0))
-    assert len(surfels) == pytest.approx(2000, rel=0.15)
-    octant = (surfels.position > 0) @ [1, 2, 4]
-    assert np.bincount(octant).min() > 0.9 * np.bincount(octant).max()
-    np.testing.assert_allclose(surfels.normal, surfels.position, atol=0.02)
 
 
 def test_samples_are_even_whatever_the_triangles():

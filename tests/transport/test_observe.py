@@ -85,16 +85,6 @@ def test_no_point_takes_its_colour_across_an_outline(scene):
         assert not (wrong[near, index][seen.weight[near, index] > 0] > 2.5 / 255).any()
 
 
-def test_clipped_is_said_of_white_and_of_nothing_else(scene):
-    tracer, views, position, normal = scene
-    seen = observe(tracer, position, normal, views, 1e-4)
-    valid = seen.weight > 0
-    white = (position[:, 0] > 0.63)[:, None] & valid
-    painted_only = (position[:, 0] < 0.55)[:, None] & valid
-    assert white.sum() > 100 and seen.clipped[white].all()
-    assert painted_only.sum() > 100 and not seen.clipped[painted_only].any()
-
-
 def test_points_seen_too_flat_or_from_behind_are_not_read(scene):
     tracer, views, position, normal = scene
     below = observe(tracer, position, -normal, views, 1e-4)

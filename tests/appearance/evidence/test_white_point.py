@@ -64,10 +64,6 @@ def test_a_texel_beside_the_object_is_refused(quad):
         KnownPaint.of(quad, (0.5, 0.75, 0.5, 0.5, 0.5))
 
 
-def test_without_a_spot_nothing_is_known(quad):
-    assert KnownPaint.of(quad, ()) is None
-
-
 def test_the_texels_about_a_spot(quad):
     known = KnownPaint.of(quad, (0.25, 0.125, 0.5, 0.5, 0.5))
     inside = np.zeros((8, 8), bool)
@@ -100,19 +96,6 @@ def spot_of(*albedo):
     """A spot of some paint."""
     nowhere = np.zeros(3, np.float32)
     return KnownPaint(texel=(0, 0), position=nowhere, normal=nowhere, albedo=np.float32(albedo))
-
-
-def test_grey_paint_tells_level_and_hue_as_they_are():
-    read = np.float32([[0.16, 0.18, 0.2], [0.2, 0.22, 0.24]])
-    told = np.log(read.mean(0) / 0.18)
-    assert spot_of(0.18, 0.18, 0.18).off(read) == pytest.approx(told, abs=0.01)
-
-
-def test_of_dark_channels_a_sheen_is_not_taken_for_hue():
-    paint = np.float32([0.5, 0.03, 0.02])
-    # read as twice as bright as it is, and a sheen above
-    read = 2 * paint[None] + np.float32(0.02)
-    assert spot_of(*paint).off(read) == pytest.approx(np.log([2.0] * 3), abs=0.08)
 
 
 @pytest.mark.parametrize("albedo", [(0.18, 0.18, 0.18), (0.5, 0.03, 0.02), (0.05, 0.3, 0.6)])

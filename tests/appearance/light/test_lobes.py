@@ -26,7 +26,7 @@ from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.problem import make_problem, with_hidden
 from robir.appearance.light.solver import fit, refit
 from robir.appearance.light.sun import SunProblem, refine, scan
-from robir.appearance.light.sun_search import find_suns, polish
+from robir.appearance.light.sun_search import find_suns
 from robir.appearance.light.told import NOTHING_TOLD
 from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
 from robir.maths.daylight import hue
@@ -99,19 +99,6 @@ def test_unevenness_counts_the_lobes_that_carry_the_sky(carriers):
     assert float(unevenness(soft, hidden)) == pytest.approx(np.log(24 / carriers), abs=1e-4)
 
 
-def test_a_bright_lobe_costs_nothing_where_all_samples_see_it():
-    soft, hidden = torch.full((24, 3), 0.2), torch.full((24,), 0.5)
-    soft[3], hidden[3] = 5.0, 0.0
-    assert float(unevenness(soft, hidden)) == 0.0
-    assert float(unevenness(soft, hidden.roll(1))) > 1.0
-
-
-def test_an_even_sky_alone_is_even():
-    soft = torch.ones(1, 3, requires_grad=True)
-    unevenness(soft, torch.zeros(1)).backward()
-    assert soft.grad is not None and not soft.grad.any()
-
-
 def test_paint_that_a_light_from_below_would_explain_stays_paint(stage):
     axes, _ = soft_lobes(synthetic.NUM_SOFT)
     below = int((axes[:, 2] + 0.5).abs().argmin())
@@ -162,16 +149,6 @@ def test_the_pair_loss_and_its_gradient_are_those_of_plain_look_ups():
     torch.testing.assert_close(gradient, 3 * expected, rtol=1e-4, atol=1e-5)
 
 
-def test_many_losses_at_once_are_those_of_each():
-    generator = torch.Generator().manual_seed(6)
-    first, second = torch.randint(40, (2, 300), generator=generator)
-    pairs = Pairs(first=first, second=second, weight=torch.rand(300, generator=generator))
-    weights = PairWeights.of(pairs, torch.rand(40, 3, generator=generator) < 0.2)
-    every = torch.randn(40, 4, 3, generator=generator)
-    expected = torch.stack([weights.loss(one) for one in every.unbind(1)])
-    torch.testing.assert_close(weights.losses(every.reshape(40, 12)), expected)
-
-
 @pytest.mark.parametrize("count", [1, 2, 100, 101])
 def test_what_is_too_bright_is_judged_by_a_quantile(monkeypatch, count):
     monkeypatch.setattr(lobes, "_BRIGHTEST", 0.1)
@@ -181,34 +158,6 @@ def test_what_is_too_bright_is_judged_by_a_quantile(monkeypatch, count):
     expected = 2 * (brightest - np.log(0.1)).clamp(min=0)
     every = torch.arange(count)
     torch.testing.assert_close(range_loss(log_albedo, (nothing, every), priors), expected)
-
-
-def test_what_is_too_bright_is_judged_where_the_sun_is_sure():
-    log_albedo = torch.full((100, 3), -1.0)
-    log_albedo[:20] = 0.7
-    every, sure, priors = torch.arange(100), torch.arange(20, 100), Priors()
-    others = range_loss(log_albedo[20:], (every[:0], every[:80]), priors)
-    torch.testing.assert_close(range_loss(log_albedo, (every[:0], sure), priors), others)
-    assert float(range_loss(log_albedo, (every[:0], every), priors)) > float(others) + 1
-
-
-def test_walls_that_a_sun_grazes_do_not_set_the_level_of_the_light(stage):
-    # a sun along the walls: by a mesh some degrees off they would get none of its light
-    axis = np.float32([[0.6, 0.08, 0.79]]) / np.linalg.norm([0.6, 0.08, 0.79])
-    curve = curve_from_name("filmic")
-    direct = 3 * synthetic.sun_transfer(stage, axis[0])[:, None] + synthetic.direct(stage, 0, SKY)
-    known = make_problem(synthetic.lit(stage, direct, curve), curve)
-    rows = known.scene.rows
-    along = np.abs(stage.surfels.normal @ axis[0]) < 0.15
-    assert 0.1 < along[rows].mean() < 0.4
-    radiance = known.radiance.linear.clone()
-    radiance[along] *= 5
-    misled = replace(known, radiance=replace(known.radiance, linear=radiance))
-    level = [
-        fit(one, axis, np.float32([synthetic.SUN_SHARPNESS]), 90).irradiance(one, rows).mean()
-        for one in (known, misled)
-    ]
-    assert level[1] / level[0] == pytest.approx(1, abs=0.15)
 
 
 def test_sun_against_sky_is_recovered():
@@ -290,15 +239,6 @@ def degrees(first, second) -> float:
     return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
 
-@pytest.mark.parametrize("aside", [(-0.02, 0.02, 0.0), (0.02, -0.02, 0.0), (0.04, 0.0, -0.02)])
-def test_a_sun_is_polished_by_where_its_shadows_lie(problem, aside):
-    axis = synthetic.SUN + np.float32(aside)
-    start = replace(synthetic.true_light(SUN, SKY), axes=axis[None] / np.linalg.norm(axis))
-    found = polish(problem, start, replace(CONFIG, iterations=20), 0).axes[0]
-    # from 1.6 to 2.6 degrees
-    assert np.degrees(np.arccos(found @ synthetic.SUN)) < 0.5
-
-
 def test_one_sun_is_found_where_there_is_one(problem):
     light = find_suns(problem, CONFIG, 0)
     assert len(light.axes) == 1 and len(light.history) == 2
@@ -324,34 +264,11 @@ def test_the_sun_is_found_beside_what_mirrors_a_sky(stage, sky, away):
     assert [degrees(axis, synthetic.SUN) < 2 for axis in light.axes] == [True]
 
 
-def test_candidates_are_lights_not_the_slopes_about_one(stage):
-    """Two lamps: the second is the next candidate, not a direction beside the first."""
-    other = unit(-0.5, 0.6, 0.62)
-    second = 0.8 * synthetic.sun_transfer(stage, other)[:, None]
-    candidates = scan(sun_problem_of(problem_under(stage, SUN, SKY, second)), 1000, 2)
-    assert degrees(candidates[0].axis, synthetic.SUN) < 8
-    assert degrees(candidates[1].axis, other) < 8
-
-
-def test_a_soft_box_below_the_ground_is_no_sun():
-    """It lights two sides of a box alone, whose albedo a strong lamp there would even out."""
-    stage = synthetic.boxes_on_a_floor(boxes=(((-0.15, -0.15, 0.0), (0.15, 0.15, 0.6)),))
-    below = synthetic.sun_transfer(stage, unit(-0.6, -0.79, -0.15), sharpness=20.0)[:, None]
-    problem = problem_under(stage, 0.0, 0.2, below)
-    candidates = scan(sun_problem_of(problem), 1000, 10)
-    assert candidates and all(candidate.axis[2] > 0 for candidate in candidates)
-    assert len(find_suns(problem, replace(CONFIG, num_scan_directions=2000), 0).axes) == 0
-
-
 def problem_under(stage, sun, sky, lamp):
     """What is known under sun, sky and a lamp of some irradiance (S, 1) more."""
     curve = curve_from_name("filmic")
     irradiance = synthetic.direct(stage, sun, sky) + lamp
     return make_problem(synthetic.lit(stage, irradiance, curve), curve)
-
-
-def unit(*direction) -> np.ndarray:
-    return np.float32(direction) / np.linalg.norm(np.float32(direction))
 
 
 def test_no_sun_is_found_under_an_even_sky(stage):
@@ -387,14 +304,3 @@ def test_what_no_camera_sees_is_as_dark_as_its_corner(stage, problem):
         emitted = albedo[:, c] * median[c] * open_sky[:, 0] + share[:, seen] @ total.linear[seen, c]
         wanted = torch.linalg.solve(torch.eye(len(share)) - share[:, ~seen], emitted)
         torch.testing.assert_close(found[~seen, c], wanted, rtol=0.01, atol=1e-4)
-
-
-def test_what_is_hidden_beside_something_white_is_white(stage, problem):
-    scene, total = problem.scene, problem.radiance
-    position, normal = stage.surfels.position, stage.surfels.normal
-    hidden = torch.from_numpy((np.abs(normal[:, 2]) < 0.5) & (position[:, 2] < 0.2))
-    side = torch.from_numpy(np.sign(position[:, 0]))
-    shades = torch.where(side[:, None] > 0, 2.0, 0.4).expand(-1, 3).contiguous()
-    found = with_hidden(scene, Radiance(linear=shades, clipped=total.clipped, seen=~hidden))
-    bright, dark = (found[hidden & (side == sign)].median() for sign in (1, -1))
-    assert float(bright) > 2 * float(dark)

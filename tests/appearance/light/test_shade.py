@@ -2,15 +2,12 @@
 """Which pairs across a shadow count, by hand-made samples."""
 
 import numpy as np
-import pytest
 import torch
 
-from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.shade import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
 from robir.appearance.photometry.statistics import Pairs
 
 DEEP, OPEN = 60, 40
-CONFIG = AppearanceConfig()
 
 
 def shaded_pairs() -> tuple[Pairs, torch.Tensor, torch.Tensor]:
@@ -56,12 +53,3 @@ def test_another_material_hardly_counts():
     clipped = torch.zeros_like(log, dtype=torch.bool)
     told = of_one_material(well_lit([pairs], irradiance), log, clipped)
     assert float(told.weight[DEEP]) < 0.01 * float(told.weight[DEEP + 1])
-
-
-def test_every_sun_has_its_own_step():
-    pairs, log, _ = shaded_pairs()
-    deep, light = pairs.of(pairs.first < DEEP), pairs.of(pairs.first >= DEEP)
-    clipped = torch.zeros_like(log, dtype=torch.bool)
-    told = of_one_material([deep, light], log, clipped)
-    assert len(told.first) == DEEP + OPEN
-    assert float(told.weight[:DEEP].sum()) == pytest.approx(DEEP / (DEEP + OPEN), abs=1e-5)

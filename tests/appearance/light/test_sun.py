@@ -74,18 +74,6 @@ def test_leaps_of_the_loss_do_not_move_its_lowest_point(seed):
     assert degrees(lowest_point(lowest, tried, leaping), synthetic.SUN) < 0.15
 
 
-def test_without_a_lowest_point_the_best_trial_stays():
-    tried = synthetic.SUN + 0.01 * np.random.default_rng(0).normal(size=(60, 3))
-    tried = np.float32(tried / np.linalg.norm(tried, axis=1, keepdims=True))
-    losses = -np.square(tried[:, 0] - synthetic.SUN[0]).astype(float)
-    stays = lowest_point(tried[3], tried, losses)
-    np.testing.assert_array_equal(stays, tried[3])
-    # a slope without end is followed a little
-    slope = tried[:, 0] + 1e-3 * tried[:, 2] ** 2
-    followed = lowest_point(synthetic.SUN, tried, slope)
-    assert degrees(followed, synthetic.SUN) < 0.65
-
-
 def test_a_sun_is_polished_by_all_samples():
     stage, curve = synthetic.boxes_on_a_floor(), curve_from_name("filmic")
     some = make_problem(synthetic.scene_of(stage, SUN, SKY, curve, num_rows=200), curve)

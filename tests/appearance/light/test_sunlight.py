@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 from appearance import synthetic
 
 from robir.appearance.light.sunlight import _GRAZING_COSINE, Sunlight
@@ -40,9 +39,3 @@ def test_where_hardly_anything_is_sure_all_counts(problem):
     sunlight = Sunlight.of(problem, axes)
     assert (np.abs(sunlight.cosine) < _GRAZING_COSINE).any(1).mean() > 0.5
     assert bool(sunlight.is_sure().all())
-
-
-def test_without_suns_all_is_sure_and_no_shadow_has_sides(problem):
-    sunlight = Sunlight.of(problem, np.zeros((0, 3), np.float32))
-    assert sunlight.across_shadows() == []
-    assert torch.equal(sunlight.is_sure(), torch.ones(len(problem.scene.rows), dtype=torch.bool))

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from appearance import synthetic
@@ -95,19 +93,3 @@ def test_what_the_textures_subtract_is_what_their_views_show(ball):
     expected = (diffuse.numpy() * share).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)
     assert np.quantile(np.abs(below / expected - 1), 0.9) < 0.03
-
-
-def test_roughness_of_metal_does_not_grow_with_the_errors_of_its_mesh(ball):
-    problem, light, is_gold, _ = ball
-    transport = problem.scene.transport
-    # dents of 6 degrees, a few samples wide, under pictures of the round ball
-    position = transport.surfels.position
-    dents = 0.105 * np.stack([np.sin(25 * position[:, k]) for k in (1, 2, 0)], axis=1)
-    normal = transport.surfels.normal + dents.astype(np.float32)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    surfels = replace(transport.surfels, normal=normal)
-    scene = replace(problem.scene, transport=replace(transport, surfels=surfels))
-    gloss, _ = estimate_gloss(make_problem(scene, problem.curve), light, 4, 0)
-    gold = problem.radiance.seen.numpy() & is_gold
-    assert (gloss.metallic[gold] > 0.5).mean() > 0.9
-    assert np.median(gloss.roughness[gold]) == pytest.approx(GOLD.roughness, abs=0.08)

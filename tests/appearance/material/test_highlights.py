@@ -18,7 +18,6 @@ from robir.appearance.material.highlights import (
     pooled,
     read,
 )
-from robir.constants import changed
 
 HEIGHT = np.array([0.55, 0.5, 0.45, 0.36, 0.2, 0.1, 0.04])
 """Brightest view under a highlight of each level, display."""
@@ -93,14 +92,6 @@ def test_a_bright_highlight_beside_its_place_is_no_rough_one():
     assert roughness_of(patch_of(BESIDE, 0.035, 0.02))[0] > 0.8
 
 
-def test_views_away_from_highlights_tell_what_is_no_highlight():
-    fit = np.full(len(LEVELS), 0.03)
-    clear, _ = roughness_of(patch_of(fit, 0.03, 0.1))
-    hidden, _ = roughness_of(patch_of(fit, 0.03, 0.1, noise=0.1))
-    assert clear == pytest.approx(0.72, abs=0.05)
-    assert hidden > clear + 0.08
-
-
 def test_samples_that_show_another_surface_do_not_speak_for_the_patch():
     # a few lie beside an outline: what is bright there is no highlight, and errs everywhere
     whole = patch_of(IN_PLACE, 0.03, 0.2)
@@ -126,20 +117,6 @@ def test_few_views_say_little_and_fewer_nothing():
     assert not len(read(fewer, np.zeros(1, np.int64), 1).patch)
 
 
-def test_patches_are_read_apart():
-    both = [patch_of(IN_PLACE, 0.03, 0.2), patch_of(BESIDE, 0.035, 0.45)]
-    alone = [roughness_of(one)[0] for one in both]
-    whole = patches(both)
-    patch = np.repeat([2, 0], 40)
-    readings = read(whole, patch, 3)
-    np.testing.assert_array_equal(readings.patch, [0, 2])
-    np.testing.assert_allclose(readings.roughness, alone[::-1])
-    # some of the samples keep their own views
-    np.testing.assert_allclose(
-        read(whole.of(patch == 0), patch[patch == 0], 1).roughness, alone[1:]
-    )
-
-
 def test_what_is_not_read_goes_by_what_is_like_it():
     features = np.array([[0.0, 0.0], [6.0, 0.0], [0.2, 0.1], [6.0, 0.3], [0.0, 9.0]])
     readings = Readings(np.array([0, 1]), np.array([0.3, 0.8]), np.full(2, _READING_ERROR**2))
@@ -149,12 +126,6 @@ def test_what_is_not_read_goes_by_what_is_like_it():
     nothing = Readings(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     np.testing.assert_array_equal(pooled(nothing, features), UNKNOWN)
     assert nothing.weighted_mean(UNKNOWN) == UNKNOWN
-
-
-def test_a_constant_moves_what_is_not_read():
-    nothing = Readings(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    with changed(["appearance.material.highlights.UNKNOWN=0.7"]):
-        np.testing.assert_array_equal(pooled(nothing, np.zeros((2, 1))), 0.7)
 
 
 def test_an_unsure_reading_gives_way_to_sure_ones_beside_it():

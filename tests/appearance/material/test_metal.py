@@ -14,7 +14,6 @@ from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.material.metal import (
     likely_base,
     metal_errors,
-    metal_odds,
     metal_parts,
 )
 from robir.appearance.material.reflections import Reflections, view_rays
@@ -71,20 +70,6 @@ def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
     assert is_metal[seen & ~is_gold].mean() < 0.1
 
 
-def test_each_figure_speaks_for_metal_by_itself():
-    around = np.zeros((1, 1), np.int64)
-
-    def odds(paint: float, free: float, bright: float) -> float:
-        errors = [np.full((1, len(LEVELS)), value, np.float32) for value in (paint, free, bright)]
-        return float(metal_odds(errors[0], (errors[1], errors[2]), around)[0])
-
-    usual = odds(0.03, 0.03, 0.04)
-    assert odds(0.04, 0.04, 0.04 * 4 / 3) > usual  # paint explains it worse
-    assert odds(0.03, 0.025, 0.025 * 4 / 3) > usual  # metal explains it better
-    assert odds(0.03, 0.03, 0.03) > usual  # bright metal does as well
-    assert odds(0.001, 1.0, 1.0) == -metal._MOST_ODDS
-
-
 def read_of(problem, light, odds, shown):
     """Parts of the seen samples in two halves far apart; `shown` (M, 3) of white metal is seen."""
     transport, rows = problem.scene.transport, np.flatnonzero(problem.radiance.seen.numpy())
@@ -102,20 +87,6 @@ def read_of(problem, light, odds, shown):
         (reflections, rays, white * torch.from_numpy(shown(rays.sample, len(rows))).float()),
         errors,
     )
-
-
-def test_parts_are_what_is_certain_on_the_whole(gold):
-    problem, light = gold
-
-    def odds(count):
-        doubtful = np.full(count, metal._CERTAIN - 0.01)
-        doubtful[count // 2 :] = metal._CERTAIN + 0.01
-        return doubtful
-
-    found = read_of(problem, light, odds, lambda sample, count: np.full((len(sample), 3), 0.5))
-    half = len(found.part) // 2
-    assert (found.part[:half] == -1).all() and (found.part[half:] == 0).all()
-    assert found.roughness.tolist() == pytest.approx([LEVELS[0]])
 
 
 def test_a_part_that_is_misread_is_of_the_other_parts_metal(gold):

@@ -12,7 +12,6 @@ from appearance import synthetic
 
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.gloss import Gloss, specular_towards
 from robir.appearance.material.reflections import _SHARPEST_KERNEL, Reflections, as_rays, view_rays
 from robir.maths import microfacet
 from robir.maths.tone import curve_from_name
@@ -68,37 +67,6 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
         weight = np.exp(sharpness * (directions @ directions[rays.mirror[ray]] - 1))
         expected = (weight @ arriving) / (weight @ above) * float(scale[ray] + bias[ray])
         np.testing.assert_allclose(reflected[ray], expected, rtol=2e-4)
-
-
-def test_reflections_come_back_in_the_order_they_are_asked_in(problem, light):
-    transport = problem.scene.transport
-    count, rng = len(transport.surfels), np.random.default_rng(0)
-    flat, colour = np.zeros(count, np.float32), np.zeros((count, 3), np.float32)
-    gloss = Gloss(
-        roughness=flat + np.float32(0.4),
-        metallic=flat,
-        metal=colour,
-        floor=colour,
-        kept=flat[:, None],
-        has_highlights=True,
-        table=(),
-        choices=(),
-    )
-    sample = rng.integers(0, count, 60)
-    towards = transport.surfels.normal[sample] + rng.normal(0, 0.3, (60, 3)).astype(np.float32)
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    together = specular_towards(problem, light, gloss, sample, towards)
-    for one in range(60):
-        alone = specular_towards(problem, light, gloss, sample[[one]], towards[[one]])
-        for many, single in zip(together, alone, strict=True):
-            np.testing.assert_allclose(many[[one]], single, rtol=1e-4)
-
-
-def test_rays_without_samples_reflect_nothing(problem, light):
-    none = np.zeros(0, np.int64)
-    nowhere = np.zeros((0, 3), np.float32)
-    rays = as_rays(none, none, nowhere, nowhere, problem.scene.transport.visibility.directions)
-    assert Reflections(problem, light, np.arange(5)).from_sky(rays, 0.3).shape == (0, 2, 3)
 
 
 def test_a_sample_may_be_seen_by_more_rays_than_there_are_directions(problem, light):

@@ -141,9 +141,3 @@ def test_without_highlights_there_are_none(material):
     specular, kind, roughness, _ = answers(highlights, position, material)
     assert (specular, kind) == (DULL, ONE)
     np.testing.assert_array_equal(roughness, MATTE)
-
-
-def test_where_photographs_do_not_tell_there_is_a_specular_layer(material):
-    """As of any dielectric."""
-    highlights, position = surface(np.full(1500, 0.9), 0.004, 0.0)
-    assert answers(highlights, position, material)[0] == GLOSSY

@@ -41,17 +41,6 @@ def test_two_hues_that_touch_and_blend_at_the_border_are_two():
     assert number[0] != number[-1]
 
 
-def test_three_hues_are_three():
-    at = board(30)
-    hue = hues(np.zeros(len(at)), 0.03)
-    hue[at[:, 0] >= 10] += [0.0, 1.0, -1.0]
-    hue[at[:, 0] >= 20] += [-1.0, 0.0, 1.0]
-    number = pieces(at, hue, 1.5, 8)
-    assert len(np.unique(number)) == 3
-    for third in range(3):
-        assert len(set(number[at[:, 0] // 10 == third])) == 1
-
-
 @pytest.mark.parametrize("spread", [0.0, 0.1])
 def test_a_hue_that_changes_evenly_is_one(spread):
     at = board(20)
@@ -63,8 +52,3 @@ def test_a_few_of_another_hue_are_no_piece(fewest, count):
     at = board(20)
     number = pieces(at, hues(1.0 * (np.arange(len(at)) < 10), 0.02), 1.5, fewest)
     assert len(np.unique(number)) == count
-
-
-def test_one_hue_without_any_noise_is_one():
-    at = board(4)
-    assert not pieces(at, np.tile(GOLD, (len(at), 1)), 1.5, 8).any()

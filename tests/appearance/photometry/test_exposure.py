@@ -109,24 +109,6 @@ def test_gloss_alone_is_no_exposure(glossy):
     assert np.sqrt((feigned**2).mean()) / np.log(2) < 0.05
 
 
-def test_small_gains_of_dull_points_are_taken(rng):
-    """All orientations tell the same."""
-    normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
-    linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.exp(jitter(rng, 0.07, 0.0))
-    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    assert share_of(seen, normals, NO_FALLOFF) > 0.8
-
-
-def test_the_sheen_of_one_orientation_is_no_exposure(rng):
-    """All of a wall's points are brighter in some photographs, and none of the other points."""
-    normals = np.where(rng.random(POINTS)[:, None] < 0.5, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    linear = rng.uniform(0.1, 0.5, (POINTS, 1, 3)) * np.ones((1, VIEWS, 1))
-    sheen = np.exp(jitter(rng, 0.4, 0.0))
-    linear = np.where(normals[:, 2, None, None] > 0.5, linear * sheen, linear)
-    seen = photographed(linear, "standard", np.ones((POINTS, VIEWS)))
-    assert share_of(seen, normals.astype(np.float32), NO_FALLOFF) < 0.05
-
-
 def test_a_polished_thing_is_no_exposure(rng):
     """Mirrors differ between photographs by more than exposures ever do, each point its own way."""
     normals = fibonacci_sphere(POINTS).numpy().astype(np.float32)
@@ -148,18 +130,6 @@ def test_highlights_of_one_photograph_are_not_its_exposure(rng):
     assert abs(gains[8]).max() < 0.03
 
 
-def test_a_photograph_that_shares_no_points_is_left_alone(glossy, rng):
-    linear, weight, normals = glossy
-    weight[:, 5] = 0
-    true = jitter(rng, 0.4, 0.0)
-    seen = photographed(linear * np.exp(true), "standard", weight)
-    gains = gains_of(seen, "standard", normals)
-    assert gains[5] == pytest.approx(0, abs=1e-9)
-    others = np.delete(np.arange(VIEWS), 5)
-    expected = true[others] - true[others].mean(0)
-    assert np.abs(gains[others] - expected).max() < 0.05
-
-
 def test_two_photographs_of_few_points_have_a_closed_form():
     """Of n points d apart under a prior of weight q, each gain is n d / (2 (n + q)), opposite."""
     for count, prior in ((2, 3.0), (40, 3.0), (5, 0.1)):
@@ -168,25 +138,6 @@ def test_two_photographs_of_few_points_have_a_closed_form():
         expected = 0.8 * count / (2 * (count + prior))
         assert gains == pytest.approx(expected * np.array([[1.0] * 3, [-1.0] * 3]))
         assert points == pytest.approx(values.mean(1))
-
-
-def test_without_any_deviation_the_common_gain_is_still_nought():
-    values = np.repeat(np.linspace(-1, 1, 30)[:, None, None] + np.zeros((1, 6, 1)), 3, 2)
-    values[:, 4] += 0.5
-    gains, _ = _least_squares(values, np.ones((30, 6)), 0.0)
-    expected = np.where(np.arange(6) == 4, 5 / 12, -1 / 12)
-    assert gains == pytest.approx(np.repeat(expected[:, None], 3, 1), abs=1e-12)
-
-
-def test_photographs_are_compared_along_chains():
-    """Each photograph shares points with the next alone; errors do not add up to a drift."""
-    values = np.full((200, 11, 3), np.nan)
-    true = np.linspace(-1, 1, 11)
-    for point, first in enumerate(np.repeat(np.arange(10), 20)):
-        values[point, first : first + 2] = (true[first : first + 2] + 0.1 * point)[:, None]
-    weight = np.isfinite(values[..., 0]).astype(float)
-    gains, _ = _least_squares(np.nan_to_num(values), weight, 1e-9)
-    assert gains[:, 0] == pytest.approx(true, abs=1e-5)
 
 
 def test_alike_photographs_decode_to_the_very_same_values(glossy):
@@ -209,14 +160,6 @@ def test_what_one_exposure_clips_another_shows():
     evened = linear_observations(seen, curve_from_name("standard"), gains, up)
     assert evened.numpy() == pytest.approx(0.8, rel=0.01)
     assert diffuse_radiance(seen, evened).linear.numpy() == pytest.approx(0.8, rel=0.01)
-
-
-def test_gains_are_named_and_told_in_steps():
-    gains = Gains({"a": np.array([2.0, 1.0, 0.5])})
-    assert gains.plain()["steps"] == {"a": [1.0, 0.0, -1.0]}
-    up, middle = np.array([[0, 0, 1]] * 2, np.float32), np.zeros(2, np.uint8)
-    found = gains.at(("b", "a"), middle, up, torch.tensor([0, 1]))
-    assert found.tolist() == [[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]
 
 
 def walk(rng) -> tuple[np.ndarray, np.ndarray]:

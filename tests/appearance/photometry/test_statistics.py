@@ -91,34 +91,6 @@ def test_a_shadow_is_compared_with_the_lit_ground_beside_it(floor):
     assert float(pairs.weight.sum()) == pytest.approx(1, rel=1e-4)
 
 
-def test_partners_of_a_shadow_are_not_all_at_its_edge(floor):
-    position, normal = floor.position, floor.normal
-    lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
-    pairs = shadow_pairs(position, normal, lit, dark)
-    second = pairs.second.numpy()
-    # the twelve nearest of every sample in shadow lie within .15 of the middle, a tenth of the lit
-    assert 0.2 < (position[second, 0] > 0.15).mean() < 0.5
-    assert len(np.unique(second)) > 0.2 * lit.sum()
-
-
-def test_partners_of_a_shadow_lie_as_far_from_its_edge_where_samples_are_dense():
-    rng = np.random.default_rng(0)
-    away = []
-    for count in (5000, 15000):
-        position = np.c_[rng.uniform(-1, 1, (count, 2)), np.zeros(count)].astype(np.float32)
-        normal = np.tile(np.float32([0, 0, 1]), (count, 1))
-        lit, dark = position[:, 0] > 0.05, position[:, 0] < -0.05
-        pairs = shadow_pairs(position, normal, lit, dark)
-        away.append(position[pairs.second.numpy(), 0].mean())
-    assert away[1] == pytest.approx(away[0], rel=0.1)
-
-
-def test_a_sun_without_a_shadow_has_no_pairs(floor):
-    everywhere = np.ones(2000, bool)
-    pairs = shadow_pairs(floor.position, floor.normal, everywhere, ~everywhere)
-    assert len(pairs.first) == len(pairs.second) == len(pairs.weight) == 0
-
-
 def test_pairs_are_alike_by_hue_and_brightness_but_for_a_step():
     step = torch.tensor([-0.6, -0.4, -0.3])
     red = torch.tensor([0.2, -0.1, -0.1])
@@ -175,32 +147,3 @@ def test_of_steps_about_as_common_the_lights_is_the_one_that_lights_have(paints,
     )
     step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]))
     torch.testing.assert_close(step, steps[int(is_lights)], rtol=0, atol=0.02)
-
-
-def test_a_pair_is_unclipped_where_no_channel_of_either_end_is_clipped():
-    clipped = torch.zeros(4, 3, dtype=torch.bool)
-    clipped[2, 1] = True
-    pairs = Pairs(
-        first=torch.tensor([0, 2, 1]),
-        second=torch.tensor([1, 0, 2]),
-        weight=torch.full((3,), 1 / 3),
-    )
-    assert pairs.unclipped(clipped).tolist() == [True, False, False]
-
-
-def test_joined_lists_of_pairs_count_by_their_length():
-    ends = torch.arange(4)
-    long = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))
-    short = long.of(ends > 2)
-    both = Pairs.joined([long, short])
-    assert both.first.tolist() == [0, 1, 2, 3, 3]
-    torch.testing.assert_close(both.weight, torch.tensor([0.08, 0.16, 0.24, 0.32, 0.2]))
-    assert len(Pairs.joined([]).weight) == 0
-
-
-def test_weights_of_chosen_pairs_sum_to_one_again():
-    ends = torch.arange(4)
-    pairs = Pairs(first=ends, second=ends.flip(0), weight=torch.tensor([0.1, 0.2, 0.3, 0.4]))
-    part = pairs.of(ends > 1).weighted(torch.tensor([4.0, 1.0]))
-    torch.testing.assert_close(part.weight, torch.tensor([0.75, 0.25]))
-    assert part.first.tolist() == [2, 3] and part.second.tolist() == [1, 0]

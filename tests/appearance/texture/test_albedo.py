@@ -15,7 +15,6 @@ from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss
-from robir.appearance.texture import residual_shading
 from robir.appearance.texture.albedo import _STEP, texel_albedo
 from robir.appearance.texture.residual_shading import evened, with_normals
 from robir.appearance.texture.shadow_edges import Reference, settle_clipped, settle_edges
@@ -96,15 +95,6 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
     assert np.quantile(wrong, 0.9) < 0.16  # the shares tried are a tenth apart
 
 
-def test_without_edges_nothing_changes(shadow):
-    texels, light, _, exitant, irradiance, parts, edge = shadow
-    albedo = exitant / irradiance[:, None]
-    reference = Reference(texels, albedo, ~edge)
-    none = np.zeros_like(edge)
-    same = settle_edges((albedo, exitant), parts, light, texels, none, reference)
-    np.testing.assert_array_equal(same, albedo)
-
-
 def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     texels, _, paint, _, _, _, _ = shadow
     clipped = np.zeros(paint.shape, bool)
@@ -145,21 +135,6 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     assert np.abs(left[edge] - stripes[edge]).mean() < 0.12
     middle = unknown & (np.abs(x - 0.2) < 0.01) & (np.abs(y + 0.3) < 0.01)
     assert np.abs(left[middle]).max() < 0.3
-
-
-def test_the_edge_of_a_shadow_keeps_its_hue_beside_paler_paint():
-    steps = np.arange(-0.5, 0.5, 0.006)
-    x, y = (grid.ravel().astype(np.float32) for grid in np.meshgrid(steps, steps))
-    up = np.tile(np.float32([0, 0, 1]), (len(x), 1))
-    points = with_normals(np.stack([x, y, 0 * x], axis=1), up, NORMAL_SCALE)
-    mat, tray = np.float32([0.58, 0.38, 0.19]), np.float32([0.47, 0.38, 0.4])
-    paint = np.where(x[:, None] < 0, mat, tray)
-    edge = (x < 0) & (x > -0.25)
-    result = evened(paint, np.where(edge, 0.3, 0.05).astype(np.float32), points, _STEP)
-    hue = result / result.mean(1, keepdims=True)
-    inner = (x < -0.06) & (x > -0.12)
-    # with a `hue_doubt` of 1 and an `alike_hue` of .2 it was .63: the tray's
-    assert np.abs(np.log(hue[inner] / (mat / mat.mean()))).max() < 0.3
 
 
 @pytest.mark.parametrize(("doubt", "share_left"), [(0.8, 0.25), (0.05, 0.75)])
@@ -244,23 +219,6 @@ def test_texels_of_a_lit_floor_have_their_paint():
     np.testing.assert_allclose(
         again.disagreement[inner & ~unseen], values.disagreement[inner & ~unseen], atol=1e-6
     )
-
-
-def test_a_dark_polished_part_stays_darker_than_its_light_without_any_reflection():
-    """Most of its light is taken for reflected, its paint is hardly known, all about is bright."""
-
-    def in_disc(points, radius=0.2):
-        return np.hypot(points[:, 0], points[:, 1]) < radius
-
-    paints = np.float32([[0.6, 0.5, 0.4], [0.24, 0.2, 0.16]])
-    problem, light, texels, views, matte, tracer = lit_floor(paints, in_disc)
-    dark = in_disc(problem.scene.transport.surfels.position, 0.25)[:, None]
-    floor = np.where(dark, 0.75, 0.0).astype(np.float32) * problem.radiance.linear.numpy()
-    sheen = replace(matte, floor=floor)
-    values = texel_albedo((problem, light, sheen), texels, views, tracer, Course())
-    inner = in_disc(texels.position, 0.15)
-    slack = np.exp(np.hypot(residual_shading.ALIKE_BRIGHTNESS, values.disagreement[inner]))[:, None]
-    assert np.all(values.albedo[inner] < 1.02 * slack * paints[1])
 
 
 @pytest.mark.parametrize("has_highlights", [False, True])

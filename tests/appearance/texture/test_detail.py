@@ -133,14 +133,6 @@ def test_the_few_that_agree_win():
     assert unseen.tolist() == [[0.0, 0.0, 0.0]]
 
 
-def test_textures_that_are_fine_enough_stay_as_they_are():
-    mesh = floor()
-    inside, values = solved(mesh)
-    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    found = finer(values, inside, (mesh, tracer), ([], CURVE), SOLVED)
-    assert found == (inside, values)
-
-
 def test_a_texel_is_as_wide_as_a_pixel():
     """A camera straight above at distance 2 with 100 pixels of focal length: 0.02 a pixel."""
     camera = looking_at((0, 0, 2), size=100, focal=1.0)

@@ -6,7 +6,6 @@ import pytest
 
 from robir.appearance.texture import uncertainty
 from robir.appearance.texture.uncertainty import LARGEST, distance_to_seen, standard_error
-from robir.constants import changed
 
 
 def error(spread=0.0, changed=0.0, count=1e9, distance=0.0):
@@ -27,11 +26,6 @@ def test_each_cause_alone_and_all_together():
     by_hand = [each**2 for each in factors]
     np.testing.assert_allclose(alone, by_hand, rtol=1e-3)
     assert error(**parts) ** 2 == pytest.approx(uncertainty._FLOOR**2 + sum(by_hand), rel=1e-4)
-
-
-def test_a_constant_moves_the_error():
-    with changed(["appearance.texture.uncertainty._FLOOR=0.2"]):
-        assert error() == pytest.approx(0.2, rel=1e-4)
 
 
 def test_what_no_view_is_near_is_unknown():

@@ -7,16 +7,10 @@ import math
 
 import pytest
 import torch
-from torch import nn
 
 from robir.maths.vectors import fibonacci_sphere
 from robir_bench.paper.networks import (
-    IndirectNetwork,
-    MaterialNetwork,
-    NormalNetwork,
-    RatioNetwork,
     SdfNetwork,
-    VisibilityNetwork,
     encode,
     integrated_encode,
 )
@@ -69,43 +63,3 @@ def test_the_gradient_is_that_of_the_distance():
         slope = (network(moved)[:, 0] - value) / step
         assert torch.allclose(slope, gradient[:, axis], atol=1e-4)
     assert feature.shape == (10, 32)
-
-
-def test_visibility_of_shared_directions_is_that_of_pairs():
-    network = VisibilityNetwork(16)
-    points, directions = torch.rand(5, 3), fibonacci_sphere(7)
-    shared = network(points, directions)
-    pairs = network(points, directions.expand(5, 7, 3))
-    assert torch.allclose(shared, pairs, atol=1e-6)
-    # The split first layer is one layer of both encodings.
-    whole = nn.Linear(126, 16)
-    with torch.no_grad():
-        whole.weight.copy_(torch.cat([network._point.weight, network._direction.weight], dim=1))
-        whole.bias.copy_(network._point.bias)
-        joined = torch.cat([encode(points[2:3], 10), encode(directions[4:5], 10)], dim=1)
-        expected = torch.softmax(network._rest(whole(joined)), dim=1)[0, 1]
-    assert shared[2, 4].item() == pytest.approx(expected.item(), abs=1e-6)
-
-
-def test_outputs_keep_their_ranges():
-    points = 2.0 * torch.rand(50, 3) - 1.0
-    material = MaterialNetwork(16, 32)
-    code = material.code(points)
-    albedo, roughness = material(points)
-    assert code.shape == (50, 32)
-    assert 0.0 < code.min() < code.max() < 1.0
-    assert 0.0 <= albedo.min() <= albedo.max() <= 1.0
-    assert 0.09 <= roughness.min() <= roughness.max() <= 0.99
-    for bias, end in ((50.0, 0.99), (-50.0, 0.09)):
-        nn.init.constant_(material._net._decoder[-1].bias, bias)
-        assert torch.allclose(material(points)[1], torch.full((50,), end), atol=1e-4)
-    normals = NormalNetwork(16, 32)(points)
-    assert torch.allclose(normals.norm(dim=1), torch.ones(50))
-    lobes = IndirectNetwork(16, 24)(points, torch.tensor(0.4))
-    assert lobes.axis.shape == (50, 24, 3)
-    assert torch.allclose(lobes.axis.norm(dim=-1), torch.ones(50, 24))
-    assert 0.1 <= lobes.sharpness.min() <= lobes.sharpness.max() <= 30.1
-    assert lobes.amplitude.min() >= 0.0
-    ratio = RatioNetwork(2, 16, 128)(points)
-    assert ratio.shape == (50, 128)
-    assert 0.0 <= ratio.min() <= ratio.max() <= 1.0

@@ -39,20 +39,6 @@ def test_irradiance_of_a_lobe_is_its_integral_with_the_cosine(sharpness, degrees
     assert found.item() == pytest.approx(truth.item(), abs=0.009 * 2.0 * math.pi / sharpness)
 
 
-@pytest.mark.parametrize(("roughness", "whole"), [(0.2, 0.999), (0.4, 0.987), (0.6, 0.935)])
-def test_the_lobe_of_normals_integrates_to_one(roughness, whole):
-    """D n.h over the hemisphere, by way of the warp at a view from above."""
-    r = sharp(roughness)
-    lobe = shading.warped_ndf(NORMAL, NORMAL, r, F0)
-    k = (roughness + 1.0) ** 2 / 8.0
-    assert (1.0 * (1.0 - k) + k) == 1.0  # no shadowing seen from above
-    fresnel = 0.05 + 0.95 * 2.0 ** -(5.55473 + 6.8316)
-    density = lobe.amplitude[0, 0, 0] * 4.0 / fresnel
-    shape = torch.exp(2.0 / roughness**4 * (DIRECTIONS @ NORMAL[0] - 1.0))
-    total = (density * shape * (DIRECTIONS @ NORMAL[0]).clamp_min(0.0)).sum() * SOLID_ANGLE
-    assert total.item() == pytest.approx(whole, abs=0.003)
-
-
 def brdf(light, view, roughness):
     """The same microfacet formula, evaluated at every light direction; (D,)."""
     half = normalise(light + view)
@@ -93,23 +79,3 @@ def test_the_ratio_behind_a_straight_edge_is_the_exact_one(sharpness, beyond, sh
     assert found.item() == pytest.approx(share, abs=0.01)
     shape = lobe_shapes(light, directions)[:, 0]
     assert found.item() == pytest.approx((shape * free[0]).sum().item() / shape.sum().item())
-
-
-def test_a_point_that_sees_everything_sees_every_lobe():
-    light = SphericalGaussians(tilted(30.0), sharp(1e4), torch.ones(1, 3).double())
-    directions = fibonacci_sphere(384, dtype=torch.float64)
-    ratio = shading.visibility_ratio(light, directions, torch.ones(2, 384).double())
-    assert torch.allclose(ratio, torch.ones(2, 1).double())
-
-
-def test_radiance_is_linear_in_the_light_and_keeps_lobes_apart():
-    transfer = (torch.rand(5, 4), torch.rand(5, 4))
-    amplitude, albedo = torch.rand(4, 3), torch.rand(5, 3)
-    shared = shading.exitant_radiance(transfer, amplitude, albedo)
-    own = shading.exitant_radiance(transfer, amplitude.expand(5, 4, 3), albedo)
-    one_by_one = sum(
-        (albedo / math.pi * transfer[0][:, k, None] + transfer[1][:, k, None]) * amplitude[k]
-        for k in range(4)
-    )
-    assert torch.allclose(shared, one_by_one, atol=1e-6)
-    assert torch.allclose(own, shared, atol=1e-6)

@@ -12,7 +12,6 @@ import torch
 from robir.geometry.lattice import Lattice
 from robir.maths.vectors import dot, fibonacci_sphere
 from robir_bench.paper import neus
-from robir_bench.paper.config import NeusConfig
 from robir_bench.paper.tracer import FieldTracer
 from robir_bench.paper.transport import Hits, secondary_distances
 
@@ -59,15 +58,6 @@ def test_first_hits_are_those_of_the_spheres(tracer):
     assert error.quantile(0.98) < tracer.lattice.cell
 
 
-def test_points_near_a_surface_are_drawn_onto_it(tracer):
-    near = (RADII[0] + 0.02 * torch.randn(500, 1)) * fibonacci_sphere(500)
-    near = near[near[:, 2] < 0.2]
-    drawn = tracer.onto_surface(near)
-    assert (drawn.norm(dim=1) - RADII[0]).abs().quantile(0.98) < 0.1 * tracer.lattice.cell
-    sideways = torch.linalg.cross(drawn, near).norm(dim=1) / near.norm(dim=1)
-    assert sideways.quantile(0.98) < 0.5 * tracer.lattice.cell
-
-
 def test_the_target_of_visibility_is_what_brute_force_sees(tracer):
     normals = fibonacci_sphere(80)
     normals = normals[normals[:, 2] > -0.5]
@@ -104,31 +94,3 @@ def test_weights_add_up_to_the_closed_form():
     middle = 0.5 * (sdf[0, :59] + sdf[0, 1:60])
     steep = neus._weights(sdf, 80.0)[0, :59]
     assert abs(middle[steep.argmax()].item()) < 0.015
-
-
-class Slab(torch.nn.Module):
-    """Distance to the plane z = 0.2."""
-
-    def forward(self, points):
-        return points[..., 2:] - 0.2
-
-
-def test_samples_ascend_and_gather_at_the_surface():
-    config = NeusConfig(coarse_samples=20, fine_samples=20, rounds=2)
-    origins = torch.tensor([[0.3, 0.0, 3.0], [0.0, 0.1, -3.0]])
-    directions = torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    generator = torch.Generator().manual_seed(0)
-    distance, value = neus.sample_rays(Slab(), (origins, directions), config, generator)
-    assert distance.shape == (2, 40)
-    assert (distance.diff(dim=1) >= 0.0).all()
-    assert torch.allclose(value[0], 3.0 - distance[0] - 0.2, atol=1e-5)
-    assert (value[0].abs() < 0.1).sum() >= 18  # even samples alone put 2 there
-    assert (distance[0] > 3.0 - neus.SPHERE).all()
-
-
-def test_even_quantiles_of_a_density():
-    distance = torch.tensor([[0.0, 1.0, 3.0]])
-    found = neus._inverse_samples(distance, torch.tensor([[1.0, 3.0]]), 4)
-    # A quarter of the mass lies in [0, 1]: quantiles 1/8, 3/8, 5/8, 7/8.
-    expected = torch.tensor([[0.5, 1.0 + 2.0 / 6.0, 2.0, 1.0 + 2.0 * 5.0 / 6.0]])
-    assert torch.allclose(found, expected, atol=1e-5)

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,11 +12,7 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
 from robir.capture.checks.uneven_exposure import exposure_offsets, sight
-from robir.geometry import pipeline
-from robir.geometry.config import GeometryConfig
 from robir.geometry.pipeline import evened
-from robir.geometry.rays import Photo, RaySampler, reduce_view
-from robir.geometry.stage import reconstruct
 from tests.geometry.scenes import capture_of, disc, drum
 
 
@@ -71,31 +65,3 @@ def test_held_out_photographs_are_not_touched(jittered: Capture) -> None:
     after = evened(replace(jittered, views=views))
     assert after.views[3] is views[3]
     assert after.views[4] is not views[4]
-
-
-def test_the_surface_is_fitted_to_photographs_of_one_exposure(
-    jittered: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    spreads: list[float] = []
-    sampler, find = pipeline.RaySampler, pipeline.find_ground
-
-    def recorded(photos: list[Photo], *rest: Any) -> RaySampler:
-        spreads.append(bottom_spread(photos))
-        return sampler(photos, *rest)
-
-    def told(views: Any, photos: list[Photo], *rest: Any) -> Any:
-        spreads.append(bottom_spread([reduce_view(view, 64) for view in views]))
-        return find(views, photos, *rest)
-
-    def bottom_spread(photos: list[Photo]) -> float:
-        means = [p.premultiplied_display[p.coverage > 0.99].mean() for p in photos]
-        return float(np.log2(means).std())
-
-    monkeypatch.setattr(pipeline, "RaySampler", recorded)
-    monkeypatch.setattr(pipeline, "find_ground", told)
-    config = GeometryConfig(
-        level_cells=(32,), level_steps=(10,), rays=256, face_budget=800, without=("rivals",)
-    )
-    reconstruct(jittered, config, 0, "cpu", Mock())
-    assert len(spreads) == 2
-    assert max(spreads) < 0.06  # .18 as they were

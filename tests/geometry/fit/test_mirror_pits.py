@@ -140,22 +140,3 @@ def test_where_most_changes_metal_must_be_proven(cameras, is_proven):
     assert depth(filled, LATTICE) < 0.75 if is_proven else torch.equal(filled, field.sdf.detach())
     again = mirroring.filled(field, Colours(0.3, everywhere=True))
     assert torch.equal(again, filled) and len(verdict.asked) == 1
-
-
-@pytest.mark.parametrize(("mirrors", "prefers"), [(False, True), (True, False), (True, True)])
-def test_gloss_is_filled_where_that_is_proven_and_better(cameras, mirrors, prefers):
-    field = pitted()
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors, prefers))
-    filled = mirroring.filled(field, Colours(0.075, everywhere=True))
-    assert (depth(filled, LATTICE) < 0.75) == (mirrors and prefers)
-
-
-def test_a_finer_level_is_filled_where_the_coarse_one_mirrors(cameras):
-    coarse = pitted()
-    finer = Lattice(lower=(-1.0, -1.0, -1.0), cell=0.04, shape=(51, 51, 51))
-    mirroring = Mirroring(cameras, (LATTICE, ball()), Verdict(mirrors=False))
-    mirroring.filled(coarse, Colours(0.3))
-    field = coarse.refined(finer)
-    filled = mirroring.filled(field, Colours(0.0))
-    assert depth(field.sdf, finer) > 3.0
-    assert depth(filled, finer) < 1.1

@@ -7,12 +7,10 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from robir.geometry.config import GeometryConfig
 from robir.geometry.fit import optimise as fit
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.sampling import Occupancy, march
-from robir.geometry.lattice import Lattice, Sampled, smoothed
-from robir.geometry.rays import RaySampler
+from robir.geometry.lattice import Lattice, smoothed
 from robir.maths.adam import Adam
 
 SOFT = fit._SOFT_PASSES
@@ -91,16 +89,6 @@ def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
     assert (coverage > 0.97).all()
 
 
-@pytest.mark.parametrize("steps", [10, 60, 300])
-def test_random_signs_show_the_agreement_that_chance_gives(steps: int) -> None:
-    signs = torch.randint(2, (steps, 20000), generator=torch.Generator().manual_seed(0)) * 2.0 - 1.0
-    weights = fit._MEMORY ** torch.arange(steps - 1.0, -1.0, -1.0)
-    mean = (weights[:, None] * signs).sum(0) / weights.sum()
-    typical = mean.square().mean().sqrt()[None]
-    share = fit.agreement(typical, torch.ones(1), steps)
-    assert share.item() == pytest.approx(1.0 / (1.0 + fit._DOUBT**2), rel=0.1)
-
-
 def test_nodes_out_of_reach_stay_and_keep_their_moments() -> None:
     """Half the nodes wait for some steps; both halves then end the same."""
     lattice = Lattice(lower=(0.0, 0.0, 0.0), cell=1.0, shape=(24, 12, 12))
@@ -140,42 +128,3 @@ def test_the_network_is_shown_the_surface_without_its_lumps() -> None:
     expected = torch.tensor([0.2, 0.0, 1.0]).expand(200, 3)
     torch.testing.assert_close(clean, expected, atol=5e-3, rtol=0.0)
     torch.testing.assert_close(shown, expected, atol=0.03, rtol=0.0)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_border_does_not_turn_what_the_network_is_shown(axis: int) -> None:
-    """A slope three cells from the border, the margin around a hull, seen across and along it."""
-    lattice = Lattice(lower=(-15.0, -15.0, -15.0), cell=1.0, shape=(31, 31, 31))
-    normal = torch.nn.functional.normalize(torch.tensor([[0.0, 0.5, 1.0]]), dim=1).roll(axis, 1)
-    points = torch.tensor([[12.0, 0.0, 3.0], [0.0, 12.0, 3.0], [3.0, 0.0, 12.0]])
-    for point in points:
-        field = Field(lattice, ((lattice.nodes() - point) * normal).sum(1), 4, SOFT)
-        shown = torch.nn.functional.normalize(field.gradient(point[None]), dim=1)
-        assert (shown * normal).sum().item() > 0.998
-
-
-class _Empty(RaySampler):
-    """Rays through the unit ball that all meet nothing."""
-
-    def __init__(self) -> None:
-        self._source = torch.Generator().manual_seed(2)
-
-    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        aims = torch.randn(count, 3, generator=self._source) * 0.3
-        origins = torch.tensor([0.0, 0.0, 3.0]).expand(count, 3).contiguous()
-        directions = torch.nn.functional.normalize(aims - origins, dim=1)
-        return origins, directions, torch.zeros(count, 4)
-
-
-def test_the_fit_shows_the_network_the_surface_as_it_is_by_then() -> None:
-    lattice = Lattice.around(-torch.ones(3).numpy(), torch.ones(3).numpy(), 16)
-    ball = lattice.nodes().norm(dim=1) - 0.8
-    config = GeometryConfig(level_cells=(16,), level_steps=(20,), rays=256)
-    generator = torch.Generator().manual_seed(0)
-    nothing = (lambda *_: None, lambda *_: False)
-    field = fit.fit(_Empty(), Sampled(lattice, ball), config, generator, *nothing)
-    points = torch.randn(50, 3, generator=generator) * 0.4
-    shown, start = field.gradient(points), Field(lattice, ball, 4, SOFT).gradient(points)
-    field.soften()
-    torch.testing.assert_close(shown, field.gradient(points))
-    assert (shown - start).abs().max() > 0.05

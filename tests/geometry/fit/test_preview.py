@@ -103,43 +103,6 @@ def test_a_ball_keeps_its_place_with_few_faces():
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.8).max() < 0.02
 
 
-@pytest.mark.parametrize("spoil", [lambda v: v + 9.0, lambda v: torch.full_like(v, torch.nan)])
-def test_without_a_surface_the_file_stays_as_it_is(tmp_path, spoil):
-    path, bounds = tmp_path / "growing.npz", Bounds(centre=CENTRE, radius=RADIUS, origin="")
-    lattice, values = ball(0.8, 24)
-    save_growing(path, Sampled(lattice, values), bounds)
-    before = path.read_bytes()
-    save_growing(path, Sampled(lattice, spoil(values)), bounds)
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["growing.npz"]
-
-
-def test_the_stage_keeps_the_fields_own_pictures(tmp_path):
-    solid = trimesh.creation.box((0.9, 0.7, 0.8))
-    capture = capture_of(solid, views=20, low=-0.9)
-    views = tuple(
-        replace(view, split="held_out") if k in (5, 11) else view
-        for k, view in enumerate(capture.views)
-    )
-    paths = JobPaths(tmp_path)
-    save_capture(paths.stage("capture"), replace(capture, views=views))
-    context = StageContext(
-        paths=paths, config=replace(CONFIG, level_steps=(120, 120), rays=1024), source=tmp_path,
-        masks=None, seed=0, device="cpu", reporter=Silent(),
-    )  # fmt: skip
-    stage.run(context)
-    with np.load(paths.stage("geometry") / "field_held_out.npz") as pictures:
-        assert set(pictures.files) == {"view_005", "view_011"}
-        for view in (views[5], views[11]):
-            shown = pictures[view.name]
-            assert shown.shape == (64, 64, 4) and shown.dtype == np.uint8
-            whole = view.mask == 255
-            off = (shown[..., :3].astype(float) - view.image_display)[whole] / 255
-            assert -10 * np.log10((off**2).mean()) > 17
-            assert shown[whole, 3].mean() > 240
-            assert not shown[view.mask == 0].any()
-
-
 @pytest.mark.parametrize("side", [400, 24])
 def test_pictures_are_as_large_as_asked_and_lie_where_the_pixels_do(monkeypatch, side):
     """A field that shows each ray's own direction."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +15,8 @@ from scipy.spatial.transform import Rotation
 from robir.capture.capture import Bounds, Finding
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.placing import Outlines, covering
 from robir.geometry.given.surface import Handed, hand_in
 from robir.geometry.mesh.triangles import LIGHT, mesh_for_light
-from robir.maths.similarity import AS_IT_IS
 
 
 class Quiet:
@@ -69,20 +66,6 @@ def capture():
         views.append(replace(view, camera=replace(view.camera, camera_to_world=pose)))
     bounds = Bounds(centre=CENTRE, radius=RADIUS, origin="made")
     return replace(unit, views=tuple(views), bounds=bounds)
-
-
-def test_equal_faces_cost_nothing(capture):
-    solid = placed(statue())
-    equal = trimesh.Trimesh(solid.vertices, np.tile(solid.faces[:1], (50_000, 1)), process=False)
-    rays = Outlines(capture.train, 40)
-    seconds = []
-    for mesh in (solid, equal):
-        tracer = covering(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
-        begin = time.process_time()
-        for _ in range(20):
-            rays.of(tracer, AS_IT_IS)
-        seconds.append(time.process_time() - begin)
-    assert seconds[1] < 2 * seconds[0]
 
 
 def placed(solid: trimesh.Trimesh) -> trimesh.Trimesh:

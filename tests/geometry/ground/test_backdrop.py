@@ -10,7 +10,6 @@ import pytest
 import torch
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening
 
 from robir.capture.camera import Camera
 from robir.geometry.ground import backdrop
@@ -18,7 +17,6 @@ from robir.geometry.ground.backdrop import (
     Backdrop,
     common_colour,
     ground_palette,
-    hues_held,
     pixel_noise,
 )
 from robir.geometry.ground.flatten import Ground
@@ -26,7 +24,7 @@ from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo, reduce_view
-from tests.geometry.scenes import capture_of, checker, disc, drum
+from tests.geometry.scenes import capture_of, checker, disc
 
 BINS = backdrop._BINS
 
@@ -87,35 +85,6 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     assert (free[solid] < 0).mean() > 0.4
 
 
-def brown_board(points: np.ndarray) -> np.ndarray:
-    """Plain ground, a board of brown wood."""
-    is_board = points[:, 2:] > TOP + 0.01
-    return np.where(is_board, [100.0, 70.0, 60.0], [186.0, 171.0, 166.0])
-
-
-def test_the_border_of_a_low_brown_board_is_not_taken_for_shaded_ground() -> None:
-    board = trimesh.creation.box(extents=(0.9, 0.9, 0.06))
-    board.apply_translation([0.0, 0.0, TOP + 0.03])
-    lattice, _, free = started(trimesh.util.concatenate([disc(), board]), paint=brown_board)
-    nodes = lattice.nodes().numpy()
-    inside = 0.45 - np.abs(nodes[:, :2]).max(1)
-    height = nodes[:, 2] - TOP
-    border = (inside > 0.01) & (inside < 0.06) & (height > 0.01) & (height < 0.05)
-    assert (free[border] < 0).mean() > 0.95
-
-
-def test_shade_keeps_the_hue_of_the_ground() -> None:
-    ground = np.tile([0.73, 0.67, 0.65], (1000, 1))
-    ground[:10] = [0.37, 0.25, 0.22]  # what was taken for certain wrongly
-    brown, shaded = np.array([0.37, 0.25, 0.22]), 0.5 * ground[-1]
-    asked = np.stack([ground[-1], shaded, 1.02 * brown, 0.4 * brown, [0.3, 0.3, 0.5]])
-    # the dark has the hue of what stands about
-    assert hues_held(asked, ground).tolist() == [True, True, False, True, False]
-    ground[:200] = brown
-    assert hues_held(asked, ground)[2], "a second colour of the ground"
-    assert not hues_held(asked, ground[:0]).any()
-
-
 def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:
     palette = ground_palette(np.tile([0.8, 0.6, 0.4], (100, 1)))
 
@@ -140,11 +109,6 @@ def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:
 
 NOISE = 0.03
 """Standard deviation of the noise in the tests, display."""
-
-
-def soft(points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Colours that change slowly along the ground, none near black or white."""
-    return 120.0 + 30.0 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
 
 
 def noisy(photo: Photo, rng: np.random.Generator) -> Photo:
@@ -178,29 +142,3 @@ def test_noise_is_measured_whatever_the_shades_and_most_of_the_texture() -> None
     spoilt = [noisy(small_photo(shades), rng) for _ in range(2)]
     assert pixel_noise(spoilt) == pytest.approx(NOISE, rel=0.05)
     assert pixel_noise([noisy(small_photo(picture), rng)]) == pytest.approx(NOISE, rel=0.3)
-
-
-def test_noise_is_none_where_nothing_is_shown() -> None:
-    empty = small_photo(np.zeros((20, 20, 3)))
-    assert pixel_noise([replace(empty, coverage=np.zeros((20, 20), np.float32))]) == 0.0
-
-
-def test_the_picture_of_the_ground_is_known_through_noise() -> None:
-    def two_colours(points: NDArray[np.floating]) -> NDArray[np.floating]:
-        return np.where(points[:, 2:] > -0.29, checker(points), soft(points))
-
-    scene = trimesh.util.concatenate([disc(), drum(0.25, -0.3, 0.0)])
-    capture = capture_of(scene, views=24, side=96, paint=two_colours)
-    clean = [reduce_view(view, 96) for view in capture.views]
-    rng = np.random.default_rng(4)
-    shares = []
-    for photos in (clean, [noisy(photo, rng) for photo in clean]):
-        lattice, hull = carve(hull_of(photos), 48)
-        plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
-        assert plane is not None
-        found = Backdrop(Ground(plane, photos, lattice, hull), photos)
-        # what remains of the pixels that show ground where single ones are no proof
-        masks = [binary_opening(mask, np.ones((3, 3), bool)) for mask in found.shown()]
-        shares.append(np.mean([mask.mean() for mask in masks]))
-        assert found.known[found.ground.columns.inside].mean() > 0.8
-    assert shares[1] > 0.95 * shares[0] > 0.2

@@ -4,22 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from unittest.mock import Mock
 
 import numpy as np
-import pytest
 import torch
 import trimesh
 
-from robir.geometry.fit.field import Field
-from robir.geometry.ground import flatten
 from robir.geometry.ground.backdrop import Backdrop
-from robir.geometry.ground.flatten import Ground
-from robir.geometry.lattice import Sampled
-from robir.geometry.pipeline import LEVEL, Level
 from tests.geometry.scenes import disc, drum, ground_of
-
-HIGHEST = flatten._HIGHEST
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -64,16 +55,6 @@ def flattened(
     settled = ground.settled(ground.heights(lattice, before), backdrop.known)
     after = ground.flatten(lattice, before, settled)
     return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
-
-
-def test_what_hangs_higher_than_columns_are_searched_stays() -> None:
-    mast = drum(0.1, TOP, TOP + HIGHEST + 0.2)
-    arms = trimesh.creation.box(extents=(1.0, 0.2, 0.12))
-    arms.apply_translation([0.0, 0.0, TOP + HIGHEST + 0.14])
-    nodes, before, after = flattened(trimesh.util.concatenate([mast, arms]))
-    hanging = (before < 0) & (nodes[:, 2] > HIGHEST)
-    assert hanging.sum() > 500
-    assert (after[hanging] < 0).all()
 
 
 def test_a_low_plate_of_about_the_colour_of_the_ground_stays() -> None:
@@ -128,30 +109,3 @@ def test_a_pit_below_a_table_is_filled() -> None:
     assert hole.sum() >= 8
     assert (before[hole] > 0).all()
     assert (after[hole] < 0).all()
-
-
-@pytest.mark.parametrize("is_better", [False, True])
-def test_bumpy_ground_is_made_flat_where_that_is_judged_better(monkeypatch, is_better):
-    ground, photos, lattice, hull = ground_of(disc(), pale)
-    nodes = lattice.nodes().double().numpy()
-    radius, height = np.hypot(*nodes.T[:2]), nodes[:, 2] - TOP
-    waves = 1.5 * lattice.cell * (1.0 + np.cos(12.0 * nodes[:, 0]))
-    surface = np.maximum(np.maximum(height - waves, -height - 0.1), radius - 0.9)
-    # photographs that tell nothing of the ground but its rim
-    monkeypatch.setattr(Ground, "settled", lambda self, top, known: self.joined(self.start & False))
-    selection = Mock(is_better=Mock(return_value=is_better))
-    state = Level(
-        field=Field(lattice, torch.from_numpy(surface).float(), 1),
-        network=Mock(),
-        sampler=Mock(),
-        hull=Sampled(lattice, hull),
-        mirroring=Mock(),
-        selection=selection,
-        backdrop=Backdrop(ground, photos),
-    )
-    step = next(step for step in LEVEL if step.name == "flat-ground")
-    after = step.run(state).surface.values.numpy()
-    bump = (surface < 0) & (height > 0.6 * lattice.cell) & (radius < 0.7)
-    assert bump.sum() > 100
-    selection.is_better.assert_called_once()
-    assert ((after[bump] > 0).mean() > 0.95) == is_better

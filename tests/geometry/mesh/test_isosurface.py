@@ -20,7 +20,7 @@ from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
 from robir.geometry.mesh.isosurface import extract, taubin
 from robir.geometry.mesh.simplify import decimate
-from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
@@ -68,15 +68,6 @@ def test_interpolation_reproduces_linear_functions_and_its_gradient() -> None:
     expected = torch.zeros(lattice.count)
     expected.index_add_(0, index.long().ravel(), (weight * factor).ravel())
     torch.testing.assert_close(rows.grad[:, 0], expected, atol=1e-5, rtol=1e-4)
-
-
-def test_values_without_gradients_are_those_with() -> None:
-    lattice = Lattice.around(np.zeros(3), np.array([1.0, 0.5, 0.25]), 20)
-    generator = torch.Generator().manual_seed(3)
-    values = torch.rand(lattice.count, generator=generator)
-    points = 2.0 * torch.rand(500, 3, generator=generator) - 0.5  # some outside
-    expected = interpolate(values[:, None], *lattice.corners(points))[:, 0]
-    torch.testing.assert_close(lattice.trilinear(values, points), expected)
 
 
 def test_resampling_between_lattices_keeps_a_sphere() -> None:
@@ -207,19 +198,6 @@ def test_objects_without_ground_are_not_flattened(solid: trimesh.Trimesh) -> Non
     changed = ground.flatten(lattice, hull, ground.start)
     lost = ((hull < -lattice.cell) & (changed > 0)).sum() / (hull < 0).sum()
     assert lost < 0.01
-
-
-def test_rays_of_a_reduced_view_hit_what_they_show() -> None:
-    view = capture_of(ball(0.4, (0.2, 0.1, 0.0)), views=1, side=150).views[0]
-    photo = reduce_view(view, 64)
-    assert max(photo.coverage.shape) <= 64
-    sampler = RaySampler([photo], "cpu", torch.Generator().manual_seed(0))
-    origins, directions, target = sampler.draw(1500)
-    offset = torch.tensor([0.2, 0.1, 0.0]) - origins
-    along = (offset * directions).sum(1, keepdim=True)
-    distance = (offset - along * directions).norm(dim=1)
-    assert (distance[target[:, 3] > 0.9] < 0.42).all()
-    assert (distance[target[:, 3] < 0.1] > 0.38).all()
 
 
 @pytest.mark.slow

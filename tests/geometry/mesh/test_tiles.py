@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from export.tiled_run import CORNERS, TILES, own_uvs, tiled_mesh
+from export.tiled_run import TILES, own_uvs, tiled_mesh
 
 from robir.errors import StorageError
 from robir.geometry.mesh import tiles
@@ -88,7 +88,3 @@ def test_a_look_at_a_border_takes_texels_of_its_own_tile_only():
     uv = np.array([[edge, 0.2], [1 - edge, 0.2], [0.2, edge], [0.2, 1 - edge]])
     assert sample_texture(texture, uv, cells=2)[:, 0].tolist() == [0.0, 1.0, 0.0, 2.0]
     assert sample_texture(texture, uv)[:, 0] == pytest.approx([0.5, 0.5, 1.0, 1.0], abs=1e-4)
-
-
-def test_the_run_that_others_stand_on_is_as_it_says():
-    assert tiles.numbers_of(CORNERS).tolist() == TILES.tolist()

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 import trimesh
@@ -84,12 +82,6 @@ def test_timeout_decimates_and_at_last_gives_each_triangle_its_own_chart(
 
 def test_a_child_that_takes_too_long_is_stopped() -> None:
     assert unwrap._in_child(ball(), 0.01) is None
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no processor time")
-def test_a_child_is_stopped_by_its_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unwrap, "_CLOCK_FACTOR", 1000)
-    assert unwrap._in_child(ball(6), 0.5) is None
 
 
 def test_triangle_charts_do_not_overlap() -> None:
