@@ -176,16 +176,3 @@ def asked():
 def curves():
     """The tone curves that can be chosen."""
     return [item.identifier for item in settings().bl_rna.properties["tone_curve"].enum_items]
-
-
-def summaries(result):
-    """The facts of a report that tells how well brightness is known, of one without, and older."""
-    report = json.loads((Path(result) / "report" / "report.json").read_text())
-    rows = [{"by": "tone", "times": 2.0, "within": 3.0}, {"by": "all", "times": 1.0}]
-    facts = []
-    for told in ([*rows[:1], rows[1] | {"within": 1.456}], [], None):
-        changed = {k: v for k, v in report.items() if k != "light_level"}
-        if told is not None:
-            changed["light_level"] = told
-        facts.append(list(module("result.summary").summary_of(changed).facts))
-    return facts

@@ -230,22 +230,6 @@ def test_the_network_may_give_the_pinned_versions_and_nothing_else():
     assert needed <= {name for name, _ in listed}
 
 
-def test_what_nobody_offers_is_told_before_torch_is_fetched(copy, source, tmp_path):
-    forget(copy, "torch", "scipy")
-    wheels = tmp_path / "offered"
-    shutil.copytree(source.cuda_wheels, wheels)
-    for wheel in wheels.glob("scipy-*"):
-        wheel.unlink()
-    with serve(wheels) as index:
-        words = command(copy, source, build="CUDA", wheels="")
-        code, lines, _ = run(words, PIP_INDEX_URL=index.url)
-    assert code == 4
-    assert "nobody offers scipy" in lines[-1]["error"]
-    assert "for Python {}.{} on".format(*sys.version_info[:2]) in lines[-1]["error"]
-    assert "Python 3.11 to 3.13" in lines[-1]["cure"]
-    assert not [path for path in index.asked if "torch" in path], "gigabytes for nothing"
-
-
 def test_another_version_is_outdated_and_updated(copy, source, tmp_path):
     record = read_record(copy)
     write_record(copy, type(record)(**vars(record) | {"robir": "0.0.9"}))
@@ -309,14 +293,6 @@ def test_removal_takes_what_is_ours_and_leaves_the_rest(copy, tmp_path):
     assert remove(copy) == (copy.root / "notes.txt",)
     assert (other / "kept").is_dir()
     assert [path.name for path in copy.root.iterdir()] == ["notes.txt"]
-
-
-def test_a_link_to_an_engine_is_not_followed(copy, tmp_path):
-    link = Place(tmp_path / "link")
-    link.root.symlink_to(copy.root)
-    with pytest.raises(EngineError, match="no mark"):
-        remove(link)
-    assert copy.record.exists()
 
 
 def test_one_works_on_it_at_a_time(copy, source):

@@ -17,10 +17,10 @@ import pytest
 from addon.wheelhouse import CONSTRAINTS
 
 import robir
-from robir_addon.engine import EngineError, Place, inspect, interpreter, places
+from robir_addon.engine import EngineError, Place, inspect, places
 from robir_addon.engine import install as installer
 from robir_addon.engine.pip import Pip, _Meter
-from robir_addon.engine.places import base_python, clean_environment, worker_command
+from robir_addon.engine.places import base_python, worker_command
 from robir_addon.engine.states import Record, read_record, write_record
 
 
@@ -242,12 +242,6 @@ def test_a_stop_while_pip_starts_leaves_no_pip_behind(tmp_path, monkeypatch):
     assert started[0].poll() not in (None, 0)
 
 
-def test_variables_of_blenders_python_are_not_handed_on():
-    theirs = {"PYTHONHOME": "/b", "PYTHONPATH": "/b", "PythonUtf8": "1", "PIP_TARGET": "/b"}
-    ours = {"PATH": "/bin", "PIP_INDEX_URL": "https://mirror", "SSL_CERT_FILE": "/cert"}
-    assert clean_environment(theirs | ours) == ours
-
-
 def pretender(folder: Path, facts: dict | str, code: int = 0) -> Path:
     """A program that answers as a Python would."""
     file = folder / "a 'python' é"
@@ -283,10 +277,3 @@ def test_an_environment_that_lacks_something(tmp_path, facts, error, cure):
 def test_an_environment_that_has_everything(tmp_path):
     assert inspect(pretender(tmp_path, WHOLE), "0.5.0").torch == "2.9.0"
     assert inspect(Path(sys.executable), robir.__version__).robir == robir.__version__
-
-
-@pytest.mark.skipif(os.name == "nt", reason="bin/python")
-def test_the_folder_of_an_environment_means_its_python(tmp_path):
-    assert interpreter(Path(sys.prefix)) == Path(sys.prefix) / "bin/python"
-    with pytest.raises(EngineError, match="bin/python does not exist"):
-        interpreter(tmp_path)

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
-import torch
 from addon.blenders import MODULE, run
 from addon.wheelhouse import stand_ins
-
-import robir
 
 pytestmark = pytest.mark.blender
 
@@ -157,59 +153,6 @@ def test_a_click_returns_at_once_and_can_be_cancelled(own_blender, extension_zip
     assert (error, task) == ("", "")
     assert "checking the engine" in said or any(text.startswith("unpacking") for text in said)
     assert text.startswith("Engine ready")
-
-
-EXISTING = """
-def main(archive, python, other):
-    preferences, state = start(archive)
-    preferences.engine = "EXISTING"
-    answer = {"none": press("check_engine")}
-    preferences.python = os.path.dirname(python) + "/no-such-python"
-    answer["no such"] = press("check_engine")
-    answer["install"] = press("install_engine")
-    answer["remove"] = press("remove_engine")
-    preferences.python = other
-    answer["other version"] = press("check_engine"), state.error, state.error_cure
-    preferences.python = os.path.dirname(os.path.dirname(python))
-    state.task = "reconstruct"
-    answer["busy"] = press("check_engine")
-    state.task = ""
-    bpy.context.scene.robir.device = "cuda"
-    answer["cuda"] = press("check_engine"), state.engine_ok, state.error_cure
-    bpy.context.scene.robir.device = "cpu"
-    answer["cpu"] = press("check_engine"), state.engine_ok, state.error, state.engine_text
-    answer["loaded"] = "torch" in sys.modules
-    return answer
-"""
-
-
-@pytest.mark.slow
-def test_an_existing_environment_is_checked_by_a_real_fit(own_blender, extension_zip, tmp_path):
-    other = tmp_path / "an other's python"
-    facts = '{"python": [3, 11, 7], "robir": "0.0.1", "torch": "2.9.0", "numpy": "1.26.4"}'
-    other.write_text(f"#!/bin/sh\necho '{facts}'\n")
-    other.chmod(0o755)
-    places = (str(extension_zip), sys.executable, str(other))
-    answer = run(own_blender, COMMON + EXISTING, *places, user=tmp_path / "user")
-    _, error, cure = answer["other version"]
-    assert f"has robir 0.0.1, this add-on needs {robir.__version__}" in error
-    assert "nstall the same version there" in cure
-    assert "No existing environment is chosen" in answer["none"]
-    assert "no-such-python does not exist" in answer["no such"]
-    assert "An existing environment is chosen" in answer["install"]
-    assert "An existing environment is chosen" in answer["remove"]
-    assert "Wait until the work at hand is done" in answer["busy"]
-    report, ok, cure = answer["cuda"]
-    assert ok == torch.cuda.is_available()
-    if not ok:
-        assert "CUDA" in report
-        assert "hoose the processor as Device" in cure
-    pressed, ok, error, text = answer["cpu"]
-    assert (pressed, ok, error) == (["FINISHED"], True, "")
-    assert "small fit on" in text
-    assert "torch 2." in text
-    assert "memory free" in text
-    assert not answer["loaded"]
 
 
 DRAWN = """

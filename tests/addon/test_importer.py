@@ -70,24 +70,6 @@ def test_colour_states_and_view_transform(result, scene):
     assert scene.world == imported.world
 
 
-def test_a_normal_map_of_the_users_mesh_turns_the_normals(result, scene):
-    from robir_addon.result.importer import import_result
-
-    file = result.textures / "normal.png"
-    shutil.copy(result.textures / "roughness.png", file)
-    try:
-        imported = import_result(result.root, scene)
-    finally:
-        file.unlink()
-    nodes = imported.asset.data.materials[0].node_tree.nodes
-    shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
-    tangent = shader.inputs["Normal"].links[0].from_node
-    assert (tangent.type, tangent.space) == ("NORMAL_MAP", "TANGENT")
-    image = tangent.inputs["Color"].links[0].from_node.image
-    assert image.colorspace_settings.name == "Non-Color"
-    assert Path(image.filepath).name == "normal.png"
-
-
 @pytest.mark.parametrize("specular", [1.0, 0.0])
 def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, specular):
     """By our importer and by Blender's own."""

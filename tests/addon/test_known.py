@@ -116,10 +116,3 @@ def test_what_is_known_goes_to_the_engine_and_to_no_other_capture(
 
 def test_every_tone_family_can_be_chosen(own_blender, session):
     assert session(own_blender, "curves") == ["auto", *FAMILIES]
-
-
-def test_how_well_brightness_is_known_is_said(own_blender, session, result):
-    known, empty, older = session(own_blender, "summaries", str(result.root))
-    (said,) = set(known) - set(older)
-    assert said == "Brightness of albedo known to a factor of 1.46"
-    assert empty == older and [fact for fact in known if fact != said] == older

@@ -1,6 +1,3 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
-
 import getpass
 import json
 import os
@@ -15,6 +12,10 @@ import time
 import pytest
 
 from robir.jobs.paths import JobPaths
+
+# SPDX-License-Identifier: Apache-2.0
+"""Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
+
 
 pytestmark = pytest.mark.blender
 
@@ -171,6 +172,26 @@ def test_a_report_for_help_tells_nothing_of_other_files(copy, tmp_path):
     assert "private" not in told
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="takes POSIX limits")
+def test_a_disk_that_takes_no_more_is_told_as_such(copy):
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    run = subprocess.run(
+        [sys.executable, "-m", "robir_addon.headless", "scene", str(copy.root)],
+        capture_output=True, text=True, check=False, preexec_fn=limited,
+    )  # fmt: skip
+    assert run.returncode == 6, run.stderr
+    assert run.stderr.startswith("error: ")
+    # Blender notices it only where its last block is not the one that is cut
+    assert re.search("only a part of it could be written|File too large", run.stderr)
+    assert "; make room" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert not list(copy.export.glob(".scene*"))
+
+
 @pytest.mark.slow
 def test_a_command_ends_with_the_process_that_waits_for_it(copy):
     """What a killed run leaves behind would write into the folder that goes on without it."""
@@ -190,23 +211,3 @@ def test_a_command_ends_with_the_process_that_waits_for_it(copy):
         finally:
             process.kill()
     assert not list(copy.renders.glob("rerender_*"))
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="takes POSIX limits")
-def test_a_disk_that_takes_no_more_is_told_as_such(copy):
-    import resource
-
-    def limited():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-    run = subprocess.run(
-        [sys.executable, "-m", "robir_addon.headless", "scene", str(copy.root)],
-        capture_output=True, text=True, check=False, preexec_fn=limited,
-    )  # fmt: skip
-    assert run.returncode == 6, run.stderr
-    assert run.stderr.startswith("error: ")
-    # Blender notices it only where its last block is not the one that is cut
-    assert re.search("only a part of it could be written|File too large", run.stderr)
-    assert "; make room" in run.stderr
-    assert run.stderr.count("\n") == 1
-    assert not list(copy.export.glob(".scene*"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from appearance.texture.test_albedo import PAINTS, lit_floor
 
-from robir.appearance.last_word import Asset, Jury, Loss, heard
+from robir.appearance.last_word import Asset, Jury, heard
 from robir.appearance.texture.albedo import texel_albedo
 from robir.steps import Course
 
@@ -85,12 +85,3 @@ def test_what_nothing_explains_is_reported(floor):
     assert word.unexplained > 0.2 and word.worst > 3.0
     assert "still is" in word.choice.why
     assert word.plain["unexplained"] == word.unexplained
-
-
-def test_a_loss_that_may_be_chance_or_that_nobody_sees_takes_nothing_back():
-    loss = Loss(
-        ours=np.float32([0.01, 0.01, 1e-4, np.nan]),
-        mean=np.float32([0.002, 0.002, 1e-5, np.nan]),
-        error=np.float32([0.001, 0.006, 1e-6, np.nan]),
-    )
-    assert loss.beyond(3.0).tolist() == [True, False, False, False]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same library from this machine, from an Open Job Description runner and from Slurm."""
+"""The same library from an Open Job Description runner, and what Slurm is asked for."""
 
 from __future__ import annotations
 

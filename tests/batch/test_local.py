@@ -16,10 +16,7 @@ from robir.errors import UsageError
 from robir.jobs.client import snapshot
 from robir.jobs.library import (
     LibraryPaths,
-    drop,
     read_batch,
-    start_batch,
-    stop_batch,
 )
 from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths
@@ -103,12 +100,6 @@ def test_a_second_start_does_only_what_is_missing(tmp_path, library, template):
     assert [starts(library, name) for name in "abc"] == [1, 2, 2]
 
 
-def test_cores_bound_what_runs_at_a_time(tmp_path, library, template):
-    captures = make_captures(tmp_path / "shots", dict.fromkeys("abcdef", "sleep 0.5"))
-    assert run_batch(template, words(library, captures / "*", "--jobs", 3)) == 0
-    assert together(library, list("abcdef")) == 3
-
-
 def test_memory_bounds_what_runs_at_a_time(tmp_path, library, template):
     """8 GB for captures of 3 each are two at a time; one that needs 12 runs alone."""
     acts = dict.fromkeys("abcd", "sleep 0.5")
@@ -178,24 +169,6 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
     until(lambda: library.state.exists() and states(library)["b"] == "dropped")
     go.touch()
     assert running.wait(30) == 0
-    assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
-
-
-def test_the_panel_starts_follows_and_stops_a_batch_by_files(tmp_path, library, template):
-    go = tmp_path / "go"
-    # b may be at work beside a; it must not be done before it is dropped
-    told = {"a": f"wait {go}", "b": f"wait {go}", "c": ""}
-    captures = make_captures(tmp_path / "shots", told)
-    start_batch(program(template), [str(captures / "*")], library, variables())
-    until(lambda: library.state.exists() and states(library)["a"] == "running")
-    stop_batch(library)
-    until(lambda: holder(library.lock) is None)
-    assert holder(JobPaths(library.root / "a").lock) is None
-    drop(library, "b")
-    go.touch()
-    start_batch(program(template), [], library, variables())
-    until(lambda: library.page.exists() and states(library)["c"] == "done")
-    until(lambda: holder(library.lock) is None)
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
 
 

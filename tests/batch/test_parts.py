@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 import pytest
 
+from robir.batch.farm import submit_to_slurm
+from robir.batch.tasks import library_job
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import JobPaths, read_json
@@ -94,3 +97,19 @@ def test_stages_that_are_none_are_refused(library, text, capsys):
     with pytest.raises(SystemExit):
         run_batch(library.root, ["-o", str(library.root), "--task", "0", f"--stages={text}"])
     assert "names no stages" in capsys.readouterr().err
+
+
+def test_slurm_is_asked_for_arrays_that_wait_for_each_other(tmp_path, monkeypatch):
+    """By what stands for `sbatch`: it keeps its words and counts the jobs."""
+    asked, program = tmp_path / "asked", tmp_path / "sbatch"
+    program.write_text('#!/bin/sh\necho "$@" >> "$ASKED"\nwc -l < "$ASKED"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setenv("ASKED", str(asked))
+    job = library_job(LibraryPaths(tmp_path), tmp_path / "shots", [0, 1, 2, 5], 3 << 30, "gpu")
+    assert submit_to_slurm(job, tmp_path / "logs") == ["1", "2", "3", "4"]
+    read, fit, finish, page = asked.read_text().splitlines()
+    assert all("--array 0-2,5 --mem=3072M" in words for words in (read, fit, finish))
+    assert "--gres=gpu:1 --partition=gpu --dependency aftercorr:1 " in fit
+    assert "--dependency aftercorr:2 " in finish and "gpu" not in read + finish
+    assert "--array" not in page and "--dependency afterany:3 " in page

@@ -13,11 +13,9 @@ from bench.fake_robir import scores
 from robir import cli
 from robir.evaluation.scores import ALBEDO, RAW_ALBEDO
 from robir_bench.ablation import ENOUGH, chosen_trials, trials, worths
-from robir_bench.runs import read_scores
 
 CLASSES = {"ground": "ground", "paint": "plain", "metal": "none", "tone": "Filmic", "sun": "sun"}
 TRIAL = trials()[0]
-NAMES = ("seed_0000", "seed_0001")
 
 
 @pytest.fixture
@@ -80,18 +78,6 @@ def test_the_command_writes_table_and_chart(population, tmp_path, robir, capsys)
     assert page.with_name("ablation.svg").read_text().startswith("<svg")
     left_out = [line for line in robir.commands if line[0] == "reconstruct"]
     assert sum("without" in word for line in left_out for word in line[-1:]) == 2 * len(trials())
-
-
-def test_what_a_step_has_not_changed_is_not_run_again(population, tmp_path, robir, capsys):
-    robir.idle = {TRIAL.stage: [TRIAL.step.name]}
-    words = ["bench", "--population", str(population), "--ablate", "-o", str(tmp_path / "out")]
-    assert cli.main(words) == 0
-    made = [line for line in robir.commands if line[0] == "reconstruct"]
-    assert len(made) == 2 * len(trials())  # the whole, and all but that one step
-    found = worths(list(read_scores(tmp_path / "out").values()), dict.fromkeys(NAMES, CLASSES))[0]
-    assert len(found.pairs) == 2 and found.changed == 0
-    assert found.gain(ALBEDO).value == 0.0
-    assert found.seconds.value == 1.5
 
 
 def test_ablating_a_plan_is_refused(tmp_path, capsys):

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from bench.fake_robir import scores, write_plan
+from bench.fake_robir import write_plan
 from evaluation import sphere_run
 
 from robir import cli
@@ -21,7 +21,6 @@ from robir_bench import runs as bench_runs
 from robir_bench.paper.config import VARIANTS
 from robir_bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
 from robir_bench.runs import carry_out, read_scores
-from robir_bench.table import bench_tables
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -44,22 +43,6 @@ def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
     assert planned[1].settings == ("export.renders=false", "transport.use_visibility=false")
     assert planned[1].name == "a_draft_no-visibility_0"
     assert planned[0].capture == tmp_path / "a"
-    assert len({run.name for run in planned}) == 8
-
-
-def test_a_sweep_runs_the_captures_as_they_are_and_then_every_value(tmp_path):
-    path = write_plan(
-        tmp_path,
-        'captures = ["a", "b"]\nseeds = [3]\n[factors]\nviews = [10, 5]\nmask = "dilate 2"',
-    )
-    planned = read_sweep(path, tmp_path / "out")
-    assert len(planned) == 2 * (1 + 2 + 1)
-    assert [run.perturbation for run in planned[:2]] == [None, None]
-    last = planned[-1]
-    assert last.capture == tmp_path / "out/captures/b_mask_dilate-2_s3"
-    assert (last.perturbation.source, last.perturbation.value) == (tmp_path / "b", "dilate 2")
-    assert last.facts["capture"] == "b"
-    assert planned[2].perturbation.value == 10.0
     assert len({run.name for run in planned}) == 8
 
 
@@ -177,16 +160,3 @@ def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):
     # the photographs' blend is as far from the albedo as the photographs are
     assert albedo == pytest.approx(photo, abs=1.0)
     assert found["mask_iou"] == 1.0
-
-
-def test_worst_follows_the_direction_of_each_score():
-    facts = {"preset": "draft", "method": "ours", "capture": "a", "seed": 0, "cpu_seconds": 90.0}
-    records = [
-        facts | {"name": str(index), "scores": scores(*values)}
-        for index, values in enumerate([(20.0, 0.9), (24.0, 1.3, "standard"), (22.0, None)])
-    ]
-    lines = bench_tables(records)[0].markdown().splitlines()
-    median, worst = (next(x for x in lines if f": {name} |" in x) for name in ("median", "worst"))
-    assert median.startswith("| draft, ours: median | 22.0 | 10.0 | 20.0 | 1.10 |")
-    assert worst.startswith("| draft, ours: worst | 20.0 | 8.0 | 18.0 | 1.30 |")
-    assert median.endswith("| 2/3 |")

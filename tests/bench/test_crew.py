@@ -162,16 +162,6 @@ def variables() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": f"{ROOT / 'core'}{os.pathsep}{ROOT}"}
 
 
-@pytest.mark.slow
-def test_the_command_does_its_runs_in_processes_of_their_own(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("PYTHONPATH", variables()["PYTHONPATH"])
-    plan = write_plan(tmp_path, 'captures = ["nowhere"]')
-    assert cli.main(["bench", str(plan), "-o", str(tmp_path / "out"), "--jobs", "2"]) == 3
-    (record,) = read_scores(tmp_path / "out").values()
-    assert "nowhere" in record["error"]
-    assert Path(capsys.readouterr().out.strip()).is_file()
-
-
 def test_a_crew_that_is_told_to_stop_ends_its_tasks_and_what_they_started(tmp_path, one_by_one):
     team = Team(tmp_path, *one_by_one)
     mark = tmp_path / "begun"

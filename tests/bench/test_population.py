@@ -12,11 +12,10 @@ from bench.fake_robir import scores
 
 from robir import cli
 from robir.errors import ConfigError
-from robir.evaluation.scores import ALBEDO, LEVEL, SHADOW, SUN
+from robir.evaluation.scores import ALBEDO
 from robir_bench.population import (
     below_photo,
     capture_classes,
-    figure,
     read_population,
     verdicts,
 )
@@ -94,14 +93,6 @@ def test_a_result_is_shown_under_the_second_light_before_it_is_judged(population
 def test_a_plan_or_a_population_not_both(words, tmp_path, capsys):
     assert cli.main(["bench", *words, "-o", str(tmp_path)]) == 2
     assert "either PLAN.toml or --population" in capsys.readouterr().err
-
-
-def test_without_a_sun_neither_shadow_nor_angle_counts_and_a_missed_sun_does():
-    one = record("a", 22.0)
-    assert figure(SHADOW, one, DULL) is None
-    assert figure(SUN, one, DULL) is None
-    assert figure(SUN, one, SUNNY) == 90.0
-    assert figure(LEVEL, one, SUNNY) is None
 
 
 def test_a_run_without_a_result_is_below_the_photograph():

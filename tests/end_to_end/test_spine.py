@@ -9,11 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -79,35 +74,6 @@ def test_a_second_start_does_nothing(spine):
     assert "finished already" in done.stderr
     assert done.stdout.strip() == str(spine.out)
     assert stage_hashes(spine.out) == before
-
-
-def test_killed_in_its_longest_stage_and_resumed_it_is_the_same(spine, tmp_path):
-    """After the fit, in the midst of which `hostile.kills` kills a smaller run."""
-    out = shutil.copytree(spine.out, tmp_path / "out")
-    paths = JobPaths(out)
-    for stage in ("transport", "appearance", "export"):
-        shutil.rmtree(paths.stage(stage))
-    paths.status.unlink()
-    words = [*reconstruct_words(spine.capture, out), "--resume", "--set", "export.renders=false"]
-    kill_in_stage(words, out, "appearance")
-    assert not paths.manifest("appearance").exists()
-    robir(*words)
-    assert stage_hashes(out) == stage_hashes(spine.out)
-
-
-def kill_in_stage(words: list[str], out: Path, stage: str) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "robir", *words],
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    )
-    status = JobPaths(out).status
-    while process.poll() is None and not (status.exists() and f'"{stage}"' in status.read_text()):
-        time.sleep(0.1)
-    time.sleep(1.5)
-    assert process.poll() is None
-    process.send_signal(signal.SIGKILL)
-    process.wait()
 
 
 def stage_hashes(out: Path) -> dict[str, str]:

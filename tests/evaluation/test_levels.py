@@ -150,15 +150,3 @@ def test_what_is_not_there_is_not_measured_and_may_be_at_fault(paths):
     lines = level_lines(scores)
     assert lines[2].split()[0] == "b" and lines[2].split()[-5:] == ["-"] * 5
     assert "below the plain mean" in lines[-1]
-
-
-def test_without_a_held_out_photograph_there_is_nothing_to_judge_by(paths):
-    folder = paths.stage("capture")
-    capture = load_capture(folder)
-    views = tuple(replace(view, split="train") for view in capture.views)
-    save_capture(folder, replace(capture, views=views))
-    scores = level_scores(paths, paths.levels_strip)
-    assert scores["verdict"].startswith("No photograph was held out")
-    assert all(row["psnr"] is None for row in scores["chain"].values())
-    assert level_lines(scores)[-1] == scores["verdict"]
-    assert not paths.levels_strip.exists()

@@ -63,18 +63,6 @@ def quad():
     )
 
 
-def test_texture_coordinates_are_seen_upright():
-    mesh = quad()
-    pose = np.eye(4)
-    pose[2, 3] = 10.0
-    camera = Camera(width=8, height=8, fx=40, fy=40, cx=4, cy=4, camera_to_world=pose)
-    texture = np.random.default_rng(0).random((8, 8, 3))
-    seen = surfaces.MeshCaster(mesh).cast(camera)
-    assert seen.hit.all()
-    looked_up = sample_texture(texture, seen.uv.reshape(-1, 2))
-    assert looked_up.reshape(8, 8, 3) == pytest.approx(texture, abs=1e-4)
-
-
 def test_layers_are_means_over_pixels():
     # three columns of pixels, and a texture whose edge runs a third into the middle one
     pose = np.eye(4)
@@ -148,10 +136,3 @@ def test_normal_scores_count_misses():
     scores = surfaces.normal_scores(estimate, truth, hit)
     assert scores["mean_degrees"] == pytest.approx(0.75 * 10 + 0.25 * 90)
     assert scores["median_degrees"] == pytest.approx(10.0)
-
-
-def test_iou():
-    a, b = np.zeros((2, 10, 10), bool)
-    a[:6], b[3:] = True, True
-    assert surfaces.intersection_over_union(a, b) == pytest.approx(0.3)
-    assert surfaces.intersection_over_union(a & False, a & False) == 1.0

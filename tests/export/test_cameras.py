@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from evaluation import sphere_run
 
-from robir.capture.readers import colmap
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.evaluation.layers import stored_mesh
@@ -41,15 +40,6 @@ def test_transforms_are_read_back(exported):
     assert_same_views(found.frames, capture.views)
     held_out = {frame.image.stem for frame in found.frames if frame.split == "test"}
     assert held_out == {view.name for view in capture.held_out} != set()
-
-
-def test_the_colmap_model_is_read_back(exported):
-    paths, capture = exported
-    found = colmap.read(paths.colmap, paths.stage("capture") / "views")
-    assert_same_views(found.frames, capture.views)
-    bounds = capture.bounds
-    assert len(found.points) > 100
-    assert np.linalg.norm(found.points - bounds.centre, axis=1).max() <= 1.01 * bounds.radius
 
 
 @pytest.mark.pycolmap

@@ -20,7 +20,6 @@ from robir.geometry.pipeline import finished
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import (
-    Patches,
     agreement,
     correlations,
     outline_shifts,
@@ -108,21 +107,6 @@ def test_photographs_agree_most_on_the_surface(photos):
     assert np.median(best) == pytest.approx(2, abs=0.5)
 
 
-def test_a_patch_is_what_the_camera_sees_of_it(photos):
-    """Of the true sphere the patches of two cameras are alike, and those of another place not."""
-    pictures = [Picture.of(photo) for photo in photos]
-    mesh = sphere()
-    patches = Patches(mesh, 0.02, 3)
-    top = torch.tensor([int(mesh.vertices[:, 2].argmax())])
-    high = np.argsort([-photo.camera.position[2] for photo in photos])[:2]
-    one, other = (patches.read(pictures[k], top, torch.zeros(1), 0.0)[0, 0] for k in high)
-    assert float(one.norm()) == pytest.approx(1, abs=1e-4)
-    assert float(one.mean()) == pytest.approx(0, abs=1e-5)
-    assert float(one @ other) > 0.9
-    raised = patches.read(pictures[high[1]], top, torch.tensor([0.2]), 0.0)[0, 0]
-    assert float(one @ raised) < 0.6
-
-
 def test_outlines_ask_a_mesh_to_be_as_large_as_the_masks(photos):
     pixel = pixel_size([photo.camera for photo in photos])
     for off in (-1.5, 1.5):
@@ -186,16 +170,6 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
     )
     assert lead(small, true) > 2
     assert lead(true[:1], dented[:1]) == 0
-
-
-def test_a_surface_that_is_missing_predicts_nothing(photos):
-    whole = sphere()
-    cap = whole.vertices[whole.faces].mean(1)[:, 2] > 0.8 * RADIUS
-    predictions = Predictions(photos)
-    errors = predictions.errors(plain_mesh(whole.vertices, whole.faces[cap]))
-    outlines = np.mean([np.isnan(one).mean() for one in errors])
-    assert outlines < 0.2
-    assert lead(errors, predictions.errors(whole)) > 2
 
 
 def lattice_and_radius():

@@ -14,7 +14,6 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.rays import reduce_view
 from robir.geometry.stereo.fusion import (
-    angles_between,
     choose_sources,
     fuse,
     stereo_surface,
@@ -142,15 +141,6 @@ def test_planes_are_seen_where_the_cameras_project_them():
         np.testing.assert_array_equal(
             inside[index].numpy(), ((pixels >= 0) & (pixels <= 24)).all(1)
         )
-
-
-def test_sources_lie_at_a_good_angle_on_different_sides(monkeypatch):
-    monkeypatch.setattr("robir.geometry.stereo.fusion._SOURCES", 2)
-    angle = np.radians(np.array([0, 2, 14, 15, -14, 60]))
-    positions = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * 3
-    first = choose_sources(positions)[0]
-    assert set(first) == {2, 4}
-    np.testing.assert_allclose(angles_between(positions)[0], [0, 2, 14, 15, 14, 60], atol=1e-6)
 
 
 def test_a_sphere_has_its_depths(sphere, monkeypatch):

@@ -47,12 +47,13 @@ def test_forged_results_keep_the_promises():
 @FORKS
 @pytest.mark.slow
 def test_kills_over_all_stages_leave_the_same_files(tmp_path):
-    """Without Blender; one in the midst of the fit, one in the export, one of them twice."""
+    """Without Blender; in the midst of the fit (twice), while light is found, and in the export."""
     program = f"""
 from pathlib import Path
 from hostile.kills import Range
 shots = Range(Path({str(tmp_path / "kills")!r}), has_renders=False)
 kills = [shots.kill("early", 0.3 * shots.seconds, is_group=True, again=0.2 * shots.seconds)]
+kills.append(shots.kill("middle", 0.7 * shots.seconds, is_group=True))
 kills.append(shots.kill("late", 0.95 * shots.seconds, is_group=False))
 print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.expected))
 """
@@ -60,7 +61,9 @@ print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.e
         [sys.executable, "-c", program], capture_output=True, text=True, check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
-    assert found.stdout.startswith("[(True, ()), (True, ())] "), found.stdout + found.stderr
+    assert found.stdout.startswith("[(True, ()), (True, ()), (True, ())] "), (
+        found.stdout + found.stderr
+    )
     assert int(found.stdout.split()[-1]) > 40
 
 

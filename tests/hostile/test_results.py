@@ -25,18 +25,13 @@ from robir.errors import (
 from robir.evaluation.evaluate import evaluate
 from robir.evaluation.levels import level_scores
 from robir.evaluation.truth import load_truth
-from robir.export import stage
-from robir.export.config import ExportConfig
 from robir.jobs import client
-from robir.jobs.context import StageContext
 from robir.jobs.folder import create
 from robir.jobs.names import UnsafeNameError, file_in
-from robir.jobs.paths import STAGES, JobPaths, read_json, write_json
+from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.status import StatusWriter
 from robir.pipeline.folder import read_config, read_run
 from robir.pipeline.ledger import stage_state
-from robir.pipeline.reporter import RunReporter
-from tests.pipeline.fakes import Silent
 
 
 @pytest.fixture(scope="module")
@@ -193,13 +188,6 @@ def test_settings_that_are_none(tmp_path, kind):
         read_config(paths)
 
 
-@pytest.mark.parametrize("text", ['"\\ud800"', "NaN", "-Infinity", "1e999"])
-def test_what_is_read_can_be_written_again(tmp_path, text):
-    (tmp_path / "a.json").write_text(f'{{"a": {text}}}')
-    with pytest.raises(ValueError, match=r"surrogates|no number"):
-        read_json(tmp_path / "a.json")
-
-
 FORMS = {"a": "f V 3", "b?": "i V", "c": "u1 + * 3|4"}
 GOOD = {"a": np.zeros((5, 3)), "b": np.zeros(5, int), "c": np.zeros((2, 0, 4), np.uint8)}
 
@@ -254,19 +242,3 @@ def test_a_truth_of_other_things(truth, tmp_path, file, make):
     make(path)
     with pytest.raises(CaptureError, match="cannot be read"):
         load_truth(copy)
-
-
-def test_a_full_disk_under_blender_stops_the_export(whole, tmp_path, monkeypatch):
-    """Else the run would count as whole, without what a run that goes on could still make."""
-    program = tmp_path / "blender"
-    program.write_text("#!/bin/sh\necho 'error: No space left on device; make room' >&2\nexit 6\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("ROBIR_BLENDER", str(program))
-    paths = JobPaths(shutil.copytree(whole, tmp_path / "out"))
-    context = StageContext(
-        paths=paths, config=ExportConfig(), source=tmp_path, masks=None, seed=0, device="cpu",
-        reporter=RunReporter(paths, Silent(), STAGES),
-    )  # fmt: skip
-    context.reporter.begin("export")
-    with pytest.raises(StorageError, match=r"^No space left on device; make room$"):
-        stage.run(context)

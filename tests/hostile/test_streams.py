@@ -12,8 +12,6 @@ import pytest
 
 from robir import cli
 from robir.config import RunConfig
-from robir.errors import ConfigError
-from robir.export.asset import AssetFacts
 from robir.jobs.paths import JobPaths
 from robir.specimen import write_specimen
 
@@ -62,15 +60,6 @@ def test_names_that_are_no_text(word, capsys):
         cli.main(["check", word])
     assert ending.value.code == 2
     assert "no path of valid text" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "facts",
-    [{"author": "x" * 200_000}, {"licence": "a\0b"}, {"tags": ("a\nb",)}, {"tags": ("a",) * 101}],
-)
-def test_facts_of_an_asset_are_lines_of_text(facts):
-    with pytest.raises(ConfigError):
-        AssetFacts(**facts)
 
 
 def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):

@@ -132,24 +132,6 @@ def test_a_worker_outlives_its_starter_and_is_found_by_its_folder(request_, out)
     assert until(out, ended, 2.0).state == "died"
 
 
-def test_a_request_to_stop_is_heard(request_, out):
-    client.start(program(0.1), request_, os.environ)
-    until(out, lambda now: now.stage == "geometry")
-    client.request_cancel(out)
-    stopped = until(out, ended, 2.0)
-    assert (stopped.state, stopped.exit_code) == ("cancelled", 130)
-
-
-def test_a_worker_that_has_not_begun_is_stopped_at_once(request_, out):
-    sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
-    client.start(sleeper, request_, os.environ)
-    assert client.snapshot(out).state == "starting"
-    client.request_cancel(out)
-    assert until(out, ended, 2.0).state == "cancelled"
-    client.start(program(0.0), request_, os.environ)
-    assert until(out, ended).state == "done"
-
-
 def _is_alive(pid: int) -> bool:
     """Whether a process runs; one that nobody has asked for its exit code does not."""
     try:

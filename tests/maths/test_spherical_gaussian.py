@@ -110,18 +110,6 @@ def test_irradiance_share_has_gradients():
     assert torch.autograd.gradcheck(sg.cosine_shares, (sharpness, cosine))
 
 
-def test_map_keeps_energy_of_wide_and_of_sharp_lobes():
-    axis = vectors.fibonacci_sphere(7)
-    sharpness = torch.tensor([0.5, 5.0, 50.0, 500.0, 1e4, 1e5, 1e6])
-    for index in range(7):
-        one = sg.SphericalGaussians(
-            axis[index : index + 1], sharpness[index : index + 1], torch.tensor([[1.0, 2.0, 0.5]])
-        )
-        image = sg.to_equirect(one, 32)
-        total = (image * vectors.equirect_solid_angles(32)[..., None]).sum(dim=(0, 1))
-        assert torch.allclose(total, sg.integral(one)[0], rtol=1e-3)
-
-
 def test_map_shows_the_lobe_where_it_is():
     lobe = sg.SphericalGaussians(
         torch.tensor([[0.0, 1.0, 0.0]]), torch.tensor([1e5]), torch.ones(1, 1)

@@ -124,13 +124,6 @@ def test_wrong_settings_start_nothing(stages, capture, tmp_path, capsys, words, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("words", [[], ["paint"], ["reconstruct", "x"], ["evaluate"]])
-def test_wrong_usage_exits_with_2(words):
-    with pytest.raises(SystemExit) as ending:
-        cli.main(words)
-    assert ending.value.code == 2
-
-
 def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_path):
     changes = tmp_path / "changes.toml"
     changes.write_text("seed = 4\n[geometry]\nrays = 1000\nhull_cells = 60\n")
@@ -181,13 +174,6 @@ def test_check_of_a_bad_capture_exits_with_3(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("error: ")
     assert cli.main(["check", str(tmp_path), "--json"]) == 3
     assert json.loads(capsys.readouterr().out)["accepted"] is False
-
-
-def test_check_knows_the_settings_of_the_capture(tmp_path, capsys):
-    assert cli.main(["check", str(tmp_path), "--set", "capture.box=[0, 0, 0, 1, -1, 1]"]) == 2
-    assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'[' * 100_000}"]) == 2
-    assert cli.main(["check", str(tmp_path), "--set", f"capture.max_side={'9' * 5000}"]) == 2
-    assert "the sides above 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("word", ["x" * 5000, "x" * 300, "a\0b", "\ud800"])

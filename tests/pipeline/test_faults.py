@@ -15,7 +15,6 @@ import pytest
 
 from robir.errors import (
     CancelledError,
-    CaptureError,
     DeviceError,
     QualityError,
     StorageError,
@@ -121,18 +120,6 @@ def test_a_folder_in_use_is_refused_and_a_dead_holder_is_not(tmp_path):
 
 def python_path() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "core")}
-
-
-@pytest.mark.parametrize("what", ["capture", "masks"])
-def test_a_missing_capture_is_refused_before_anything_is_made(tmp_path, what):
-    capture, out = make_capture(tmp_path / "capture"), tmp_path / "out"
-    missing = tmp_path / "missing"
-    asked = request(missing if what == "capture" else capture, out)
-    if what == "masks":
-        asked = request(capture, out, masks=missing)
-    with pytest.raises(CaptureError, match="missing does not exist"):
-        reconstruct(asked, Silent(), fake_stages())
-    assert not out.exists()
 
 
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):

@@ -112,27 +112,6 @@ def test_cuda_that_torch_does_not_know(monkeypatch, capsys):
     assert "cure: use --device cpu" in said
 
 
-def test_cuda_without_a_driver(monkeypatch):
-    def no_driver():
-        raise RuntimeError("Found no NVIDIA driver on your system. Please check that you have one.")
-
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setattr(torch.version, "cuda", "13.0")
-    monkeypatch.setattr(torch.cuda, "init", no_driver)
-    verdict = run_selftest("cuda", quiet)
-    assert verdict.exit_code == 4
-    assert "Found no NVIDIA driver on your system)" in verdict.message
-    assert "driver" in verdict.cure
-
-
-def test_torch_that_cannot_be_loaded(monkeypatch):
-    monkeypatch.setitem(sys.modules, "robir.specimen", None)
-    verdict = run_selftest("auto", quiet)
-    assert verdict.exit_code == 4
-    assert "missing or broken" in verdict.message
-    assert "install the engine again" in verdict.cure
-
-
 def test_memory_that_runs_out(monkeypatch):
     full = DeviceError("out of memory in geometry: lower geometry.level_cells with --set")
     verdict = verdict_of(full, monkeypatch, on="cuda")

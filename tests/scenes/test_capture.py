@@ -116,46 +116,6 @@ def test_sun_is_seen_from_the_open_side_and_not_from_below(
     assert 0.1 < (visible[points[:, 2] < 1e-3] == 0.0).mean() < 0.9
 
 
-def test_lit_ground_has_the_radiance_of_the_stated_light(
-    capture: Path, views: list, scene: dict
-) -> None:
-    """A 0.5 grey in full sun reaches the promised level; the lamp's irradiance is as stated."""
-    sun = np.array(scene["sun_direction"])
-    lamp = float(np.array(scene["sun_irradiance_rgb"]) @ LUMINANCE) * sun[2]
-    ratio = []
-    for _, _, truth in views:
-        radius = np.hypot(truth.position[..., 0], truth.position[..., 1])
-        open_ground = (
-            (truth.hit > 0.5)
-            & (np.abs(truth.position[..., 2]) < 1e-4)
-            & (radius > 0.75)
-            & (radius < 0.95)
-        )
-        open_ground &= truth.sun_visibility > 0.5
-        ratio.append(
-            (truth.radiance @ LUMINANCE)[open_ground] / (truth.albedo @ LUMINANCE)[open_ground]
-        )
-    per_albedo = float(np.median(np.concatenate(ratio)))
-    assert 0.42 < 0.5 * per_albedo < 0.65
-    assert 0.6 < lamp / np.pi / per_albedo < 0.85
-
-
-def test_interrupted_rendering_goes_on_and_gives_the_same_views(
-    capture: Path, cache: Path, tmp_path: Path
-) -> None:
-    """A cache that lost one view and its description renders that view only, to the same values."""
-    folder = next(cache.iterdir())
-    lost = folder / "train" / "r_001.exr"
-    before = read_view(lost)
-    lost.unlink()
-    (folder / "scene.json").unlink()
-    done = run("truck", tmp_path / "again", *SMALL, "--cache", cache)
-    assert done.returncode == 0, done.stderr
-    assert "1 views rendered" in done.stderr
-    np.testing.assert_allclose(read_view(lost).radiance, before.radiance, atol=2e-3, rtol=1e-2)
-    np.testing.assert_array_equal(read_view(lost).position, before.position)
-
-
 def planted_sky(file: Path, sun: np.ndarray, glow: np.ndarray) -> None:
     """Writes a map with a small white sun and a faint green glow in given directions."""
     sky = np.full((128, 256, 3), 0.05, dtype=np.float32)

@@ -11,7 +11,6 @@ from blender_scenes.photographs.developing import (
     Shot,
     display,
     noise_deviation,
-    shots,
     vignetting,
 )
 from blender_scenes.photographs.matting import mask, wavy_mask
@@ -45,26 +44,6 @@ def drawn(sources: Sources) -> list[PhotoRecipe]:
 def test_a_seed_says_everything(sources: Sources, drawn: list[PhotoRecipe]) -> None:
     assert [draw_photographs(seed, sources) for seed in range(20)] == drawn[:20]
     assert len({stock.fingerprint(one) for one in drawn[:8]}) == 8
-
-
-@pytest.mark.parametrize(
-    ("share", "is_so"),
-    [
-        (1 / 3, lambda one: one.handover.poses == "exact"),
-        (1 / 3, lambda one: one.handover.poses == "errors"),
-        (1 / 3, lambda one: one.handover.layout == "photographs"),
-        (1 / 3, lambda one: one.handover.layout == "colmap"),
-        (1 / 3, lambda one: one.handover.masks == "given"),
-        (1 / 3, lambda one: one.handover.masks == "none"),
-        (1 / 3, lambda one: one.developing.exposure_jitter > 0.0),
-        (1 / 3, lambda one: one.developing.vignetting > 0.0),
-        (table.EXIF, lambda one: one.developing.has_exif),
-        (4 / 13, lambda one: one.light.kind == "window"),
-    ],
-)
-def test_choices_come_as_often_as_the_table_says(drawn, share, is_so) -> None:
-    found = sum(map(is_so, drawn))
-    assert abs(found - share * MANY) < 3.5 * np.sqrt(MANY * share * (1.0 - share))
 
 
 def test_everything_lies_in_its_range(drawn: list[PhotoRecipe]) -> None:
@@ -112,17 +91,6 @@ def test_noise_is_of_shots_and_of_reading() -> None:
     slope = (measured_response(np.array(0.251)) - measured_response(np.array(0.249))) / 0.002
     assert shown.std() == pytest.approx(np.sqrt(516.0) / 2000.0 * slope, rel=0.02)
     assert shown.mean() == pytest.approx(clean.mean(), abs=2e-3)
-
-
-def test_white_is_the_light_times_how_the_camera_is_off_and_jitter_stays_in_its_range() -> None:
-    radiance = [np.full((9, 9, 3), [0.4, 0.2, 0.1])] * 30
-    masks = [np.ones((9, 9))] * 30
-    off = camera(white_balance=(1.1, 1.0, 0.9), exposure_jitter=0.3)
-    taken = shots(radiance, masks, np.array([4.0, 2.0, 1.0]), off)
-    seen = np.array([0.4, 0.2, 0.1]) * taken[0].white_balance
-    np.testing.assert_allclose(seen / seen[1], [1.1, 1.0, 0.9])
-    exposures = np.array([shot.exposure for shot in taken])
-    assert 0.3 < np.ptp(exposures) <= 0.6
 
 
 def test_photographs_are_taken_round_the_thing_and_look_at_it(drawn: list[PhotoRecipe]) -> None:

@@ -109,14 +109,6 @@ def test_a_finished_capture_is_not_rendered_again_and_a_lost_one_is(population: 
     assert {p: p.stat().st_mtime_ns for p in first.rglob("*")} == before
 
 
-def test_a_capture_of_another_table_is_refused(population: Path) -> None:
-    words = [str(population), "--seed", str(SEEDS[0]), "--count", "1"]
-    command = [sys.executable, "-m", "blender_scenes", "population", *words]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "made from another table" in done.stderr
-
-
 def test_captures_say_what_they_are(population: Path) -> None:
     for seed, capture in zip(SEEDS, captures(population), strict=True):
         scene = json.loads((capture / "truth" / "scene.json").read_text())

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.capture.images.loading import resize_view
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.transport.observe import MIN_COSINE, observe, spread_views
 
@@ -97,20 +96,6 @@ def test_points_seen_too_flat_or_from_behind_are_not_read(scene):
         tilted = (cosine * towards + np.sqrt(1 - cosine**2) * side).astype(np.float32)
         seen = observe(tracer, position, tilted, views[:1], 1e-3)
         assert seen.weight.any() == (cosine > MIN_COSINE)
-
-
-def test_a_resized_view_keeps_the_objects_mean_and_the_field_of_view(scene):
-    _, views, position, _ = scene
-    small = resize_view(views[1], 32)
-    assert small.mask.shape == (32, 32)
-    before, after = views[1].camera.project(position)[0], small.camera.project(position)[0]
-    np.testing.assert_allclose(after, before / 4, atol=1e-9)
-    # means over the object alone, whatever lies behind its edge
-    weight = views[1].mask.astype(float)[..., None]
-    sums = (weight * views[1].image_display).reshape(32, 4, 32, 4, 3).sum((1, 3))
-    shares = weight.reshape(32, 4, 32, 4, 1).sum((1, 3))
-    seen = small.mask > 0
-    assert np.abs(small.image_display[seen] - (sums / np.maximum(shares, 1e-9))[seen]).max() <= 1
 
 
 def test_spread_views_lie_as_far_apart_as_they_can(scene):

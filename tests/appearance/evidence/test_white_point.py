@@ -36,7 +36,7 @@ def quad() -> Mesh:
     )
 
 
-@pytest.mark.parametrize("texel", [(0.25, 0.125), (0.75, 0.4), (0.1, 0.45)])
+@pytest.mark.parametrize("texel", [(0.25, 0.125), (0.1, 0.45)])
 def test_a_texel_is_found_on_the_mesh(quad, texel):
     known = KnownPaint.of(quad, (*texel, 0.5, 0.4, 0.3))
     assert known is not None

@@ -60,7 +60,7 @@ def test_a_rival_that_more_samples_prefer_is_the_sun(scanned):
     assert degrees(found.axis, synthetic.SUN) < 1
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_leaps_of_the_loss_do_not_move_its_lowest_point(seed):
     rng = np.random.default_rng(seed)
     tried = synthetic.SUN + 0.01 * rng.normal(size=(60, 3))

@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from robir.appearance.material.highlights import (
-    _FEWEST_VIEWS,
     _READING_ERROR,
     LEVELS,
     UNKNOWN,
@@ -90,31 +87,6 @@ def test_a_bright_highlight_beside_its_place_is_no_rough_one():
     assert error > 2 * roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
     # the same errors where nothing bright is seen at all
     assert roughness_of(patch_of(BESIDE, 0.035, 0.02))[0] > 0.8
-
-
-def test_samples_that_show_another_surface_do_not_speak_for_the_patch():
-    # a few lie beside an outline: what is bright there is no highlight, and errs everywhere
-    whole = patch_of(IN_PLACE, 0.03, 0.2)
-    astray = np.arange(40) % 6 == 0
-    near, far = astray[whole.sample], astray[whole.other]
-    seen, noise = whole.seen.copy(), whole.noise.copy()
-    seen[near] += 0.4
-    noise[far] = 0.03
-    spoilt = replace(whole, seen=seen, noise=noise, plain=whole.plain + 10 * astray)
-    clean = roughness_of(whole.of(~astray))
-    assert roughness_of(spoilt)[0] == pytest.approx(clean[0], abs=0.01)
-    # samples of every patch are weighed among themselves
-    both = patches([spoilt, whole])
-    found = read(both, np.repeat([0, 1], 40), 2).roughness
-    np.testing.assert_allclose(found, [clean[0], roughness_of(whole)[0]], atol=0.01)
-
-
-def test_few_views_say_little_and_fewer_nothing():
-    many = roughness_of(patch_of(IN_PLACE, 0.03, 0.2))[1]
-    few = roughness_of(patch_of(IN_PLACE, 0.03, 0.2, count=1))[1]
-    assert few > 1.5 * many
-    fewer = patch_of(IN_PLACE, 0.03, 0.2, count=1, views=_FEWEST_VIEWS - 1)
-    assert not len(read(fewer, np.zeros(1, np.int64), 1).patch)
 
 
 def test_what_is_not_read_goes_by_what_is_like_it():

@@ -60,7 +60,7 @@ def test_bright_metal_explains_what_is_bright_alone(gold, soot):
         assert (np.median(ratio) > 2.0) != is_bright
 
 
-@pytest.mark.parametrize("strength", [0.7, 1.0, 2.0])
+@pytest.mark.parametrize("strength", [0.7, 2.0])
 def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
     problem, light, is_gold = halves
     wrong = light.tinted(torch.full((3,), float(np.log(strength))))

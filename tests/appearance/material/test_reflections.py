@@ -69,23 +69,6 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
         np.testing.assert_allclose(reflected[ray], expected, rtol=2e-4)
 
 
-def test_a_sample_may_be_seen_by_more_rays_than_there_are_directions(problem, light):
-    surfels = problem.scene.transport.surfels
-    directions = problem.scene.transport.visibility.directions
-    rng, count = np.random.default_rng(0), 3 * len(directions)
-    towards = surfels.normal[[7]] + rng.normal(0, 0.5, (count, 3)).astype(np.float32)
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    reflections = Reflections(problem, light, np.array([7]))
-
-    def reflected(part: np.ndarray) -> np.ndarray:
-        normal = np.repeat(surfels.normal[[7]], len(part), axis=0)
-        none = np.zeros(len(part), np.int64)
-        return reflections.from_sky(as_rays(none, none, part, normal, directions), 0.3).numpy()
-
-    parts = [reflected(part) for part in np.array_split(towards, 6)]
-    np.testing.assert_allclose(reflected(towards), np.concatenate(parts), rtol=1e-4)
-
-
 def test_a_polished_floor_mirrors_the_one_box_that_is_bright(problem, light):
     transport = problem.scene.transport
     position, directions = transport.surfels.position, transport.visibility.directions

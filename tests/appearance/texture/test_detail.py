@@ -11,7 +11,7 @@ import pytest
 import torch
 from transport.shapes import looking_at, mesh_of, patch
 
-from robir.appearance.texture.detail import agreed, finer
+from robir.appearance.texture.detail import finer
 from robir.appearance.texture.texel_size import pixel_width, texture_side
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.capture.capture import View
@@ -122,15 +122,6 @@ def test_a_highlights_edge_is_no_paint():
     views = [photograph(p, str(n), spot if n == 0 else None) for n, p in enumerate(PLACES)]
     before, after = made_finer(views)
     assert after.mean() < 0.4 * before.mean()
-
-
-def test_the_few_that_agree_win():
-    detail = np.zeros((1, 4, 3), np.float32)
-    detail[0, :, 0] = [0.3, 0.31, 0.29, -0.9]
-    weight = np.array([[1.0, 0.8, 0.7, 1.0]], np.float32)
-    assert agreed(weight, detail)[0, 0] == pytest.approx(0.3, abs=0.05)
-    unseen = agreed(np.zeros((1, 4), np.float32), detail)
-    assert unseen.tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_a_texel_is_as_wide_as_a_pixel():

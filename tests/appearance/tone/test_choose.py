@@ -131,13 +131,6 @@ def test_the_neutral_curve_does_not_stand_for_those_with_a_shoulder():
     assert best_shoulder(names, tables) is None
 
 
-def test_noise_leaves_the_simpler_curve():
-    loud = [table(10.4, 0.0), table(10.0, 20.0)]  # differ by .4, standard error 1
-    quiet = [table(10.4, 0.0), table(10.0, 2.0)]
-    assert best_shoulder(["filmic", "agx"], loud) == 0
-    assert best_shoulder(["filmic", "agx"], quiet) == 1
-
-
 @pytest.mark.parametrize(
     ("plain", "neutral", "scores", "expected"),
     [

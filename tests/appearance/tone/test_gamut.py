@@ -52,19 +52,3 @@ def test_saturated_paint_in_strong_light_did_not_go_through_agx():
 def test_grey_went_through_any_curve():
     grey = np.repeat(np.arange(1, 255)[:, None], 3, axis=1)
     assert unable([curve_from_name(name) for name in FAMILIES], shown(grey)) == {}
-
-
-def test_what_is_clipped_or_unseen_says_nothing():
-    seen = shown(np.array([[255, 20, 0], [250, 20, 0]]))
-    hidden = np.array([[1.0], [0.0]], np.float32)
-    told = Observations(
-        display=seen.display,
-        weight=hidden,
-        clipped=seen.clipped,
-        off_axis=seen.off_axis,
-        positions=seen.positions,
-        views=seen.views,
-    )
-    agx = curve_from_name("agx")
-    assert share_beyond(agx, seen) == 1
-    assert share_beyond(agx, told) == 0

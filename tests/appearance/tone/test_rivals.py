@@ -11,7 +11,7 @@ from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
 from robir.appearance.tone.ranking import Candidate
-from robir.appearance.tone.rivals import albedo_apart, fits_alike
+from robir.appearance.tone.rivals import albedo_apart
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12
@@ -57,16 +57,3 @@ def test_shadows_taken_for_paint_are(candidate):
     expected = -10 * np.log10(((first - scaled) ** 2).mean())
     assert albedo_apart(candidate, under(candidate, factor)) == pytest.approx(expected, abs=0.2)
     assert expected < 30
-
-
-def test_without_a_sample_that_is_whole_nothing_is_said(candidate):
-    radiance = candidate.problem.radiance
-    burnt = replace(radiance, clipped=radiance.clipped | True)
-    white = replace(candidate, problem=replace(candidate.problem, radiance=burnt))
-    assert albedo_apart(candidate, white) is None
-
-
-@pytest.mark.parametrize(("score", "alike"), [(2.0, True), (3.4, True), (3.6, False)])
-def test_curves_within_one_standard_error_fit_alike(candidate, score, alike):
-    other = replace(candidate, score=score, standard_error=0.5)
-    assert fits_alike(candidate, other) == alike

@@ -11,31 +11,6 @@ from robir.geometry.fit import optimise as fit
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.sampling import Occupancy, march
 from robir.geometry.lattice import Lattice, smoothed
-from robir.maths.adam import Adam
-
-SOFT = fit._SOFT_PASSES
-
-
-def test_the_network_learns_what_a_mirror_shows() -> None:
-    """Narrow bands of light, mirrored by surfaces that face all ways."""
-    generator = torch.Generator().manual_seed(0)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(1)
-        network = ColourNetwork(8)
-    features = torch.zeros(1024, 8)
-    adam = Adam(list(network.parameters()), (0.9, 0.99))
-    losses = []
-    for _ in range(400):
-        normals, directions = (
-            normalize(torch.randn(1024, 3, generator=generator), dim=1) for _ in range(2)
-        )
-        mirrored = directions - 2.0 * (normals * directions).sum(1, keepdim=True) * normals
-        shown = 0.5 + 0.4 * torch.sin(16.0 * mirrored[:, 2:])
-        loss = (network(features, normals, directions) - shown).abs().mean()
-        loss.backward()
-        adam.step([5e-3 for _ in network.parameters()])
-        losses.append(loss.item())
-    assert sum(losses[-20:]) / 20 < 0.03
 
 
 def test_smoothing_takes_lumps_at_first_and_leaves_a_ball_as_it_is_in_the_end() -> None:
@@ -111,20 +86,3 @@ def test_nodes_out_of_reach_stay_and_keep_their_moments() -> None:
             assert (after[:12] > before[:12]).all()
     ended = (field.sdf.detach().view(lattice.shape)[:12] for field in (part, whole))
     torch.testing.assert_close(*ended)
-
-
-def test_the_network_is_shown_the_surface_without_its_lumps() -> None:
-    lattice = Lattice(lower=(-12.0, -12.0, -6.0), cell=1.0, shape=(25, 25, 13))
-    nodes = lattice.nodes()
-    lumps = 0.3 * torch.sin(nodes[:, 0] * torch.pi / 2.0 + 0.4)
-    points = torch.zeros(200, 3)
-    points[:, 0] = torch.linspace(-4.0, 4.0, 200)
-    field = Field(lattice, nodes[:, 2] + 0.2 * nodes[:, 0], 4, SOFT)
-    clean = field.gradient(points)
-    with torch.no_grad():
-        field.sdf += lumps
-    field.soften()
-    shown = field.gradient(points)
-    expected = torch.tensor([0.2, 0.0, 1.0]).expand(200, 3)
-    torch.testing.assert_close(clean, expected, atol=5e-3, rtol=0.0)
-    torch.testing.assert_close(shown, expected, atol=0.03, rtol=0.0)

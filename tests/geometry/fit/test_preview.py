@@ -16,8 +16,7 @@ from robir.capture.store import save_capture
 from robir.geometry import stage
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit import preview
-from robir.geometry.fit.preview import MAX_FACES, coarse, field_view, save_growing
-from robir.geometry.lattice import Lattice, Sampled
+from robir.geometry.fit.preview import MAX_FACES, field_view, save_growing
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
@@ -40,11 +39,6 @@ class Silent:
 
     def metric(self, name, value):
         pass
-
-
-def ball(radius: float, cells: int) -> Sampled:
-    lattice = Lattice.around(np.full(3, -0.9), np.full(3, 0.9), cells)
-    return Sampled(lattice, lattice.nodes().norm(dim=1) - radius)
 
 
 def in_millimetres(capture):
@@ -94,13 +88,6 @@ def test_the_stage_writes_it_with_every_preview_in_the_captures_frame(tmp_path, 
         np.testing.assert_allclose(end(last, 0), end(final, 0), atol=0.06 * RADIUS)
     shown = trimesh.Trimesh(last, seen[-1]["faces"])
     assert shown.volume == pytest.approx(RADIUS**3 * solid.volume, rel=0.15), "and outside is out"
-
-
-def test_a_ball_keeps_its_place_with_few_faces():
-    mesh = coarse(ball(0.8, 96))
-    assert mesh is not None
-    assert 4000 < len(mesh.faces) <= MAX_FACES
-    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.8).max() < 0.02
 
 
 @pytest.mark.parametrize("side", [400, 24])

@@ -70,7 +70,7 @@ def apart(found: Aligned, place: Similarity) -> tuple[float, float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 9])  # turns far apart, the last of them half a round
+@pytest.mark.parametrize("seed", [9])  # a turn of half a round
 def test_cameras_come_to_the_mesh_from_anywhere(capture, tmp_path, seed):
     place = known(seed)
     # the sphere of a hull may be far too large, as where all photographs are from one side

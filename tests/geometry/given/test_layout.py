@@ -119,16 +119,6 @@ def test_faces_without_an_area_open_no_tile_of_their_own():
     assert own == pytest.approx(with_lines.uvs[with_lines.faces], abs=5e-5)
 
 
-def test_rounding_beyond_a_border_is_taken_back():
-    one = squares((0, 0), (1, 0))
-    astray = replace(one, uvs=one.uvs + np.array([0.0005, -0.0005]))
-    found = own_layout(astray)
-    assert isinstance(found, Layout), found
-    assert found.tiles.tolist() == [1001, 1002]
-    farther = replace(one, uvs=one.uvs + np.array([0.0015, 0]))
-    assert isinstance(own_layout(farther), str)
-
-
 def tiled_ball() -> Given:
     """The ball of `given`, its layout over the tiles 1001, 1002, 1011 and 1012."""
     one = given()

@@ -16,7 +16,6 @@ from robir.geometry.ground import backdrop
 from robir.geometry.ground.backdrop import (
     Backdrop,
     common_colour,
-    ground_palette,
     pixel_noise,
 )
 from robir.geometry.ground.flatten import Ground
@@ -83,16 +82,6 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     solid &= (nodes[:, 2] > TOP) & (nodes[:, 2] < TOP + 0.27)
     # the same two colours all over: the fit must find a core that it can bring the rest back to
     assert (free[solid] < 0).mean() > 0.4
-
-
-def test_the_palette_holds_shade_of_the_ground_and_no_other_colour() -> None:
-    palette = ground_palette(np.tile([0.8, 0.6, 0.4], (100, 1)))
-
-    def holds(*colour: float) -> bool:
-        return bool(palette[tuple(int(c * BINS) for c in colour)])
-
-    assert holds(0.8, 0.6, 0.4) and holds(0.4, 0.3, 0.2) and holds(0.28, 0.21, 0.14)
-    assert not holds(0.95, 0.9, 0.9) and not holds(0.2, 0.3, 0.6) and not holds(0.05, 0.05, 0.05)
 
 
 def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:

@@ -178,28 +178,6 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
     assert np.abs(after[inner]).max() < 0.02
 
 
-@pytest.mark.parametrize(
-    "solid",
-    [
-        ball(0.6, (0.0, 0.0, 0.0)),
-        trimesh.creation.box(extents=(0.8, 0.6, 0.7)),
-        trimesh.creation.torus(0.5, 0.2),
-    ],
-    ids=["ball", "box", "torus"],
-)
-def test_objects_without_ground_are_not_flattened(solid: trimesh.Trimesh) -> None:
-    photos = photos_of(solid)
-    lattice, hull = carved(photos)
-    plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
-    if plane is None:
-        return
-    # a box may be found to stand on its own base, but nothing that stands may be cut off
-    ground = Ground(plane, photos, lattice, hull)
-    changed = ground.flatten(lattice, hull, ground.start)
-    lost = ((hull < -lattice.cell) & (changed > 0)).sum() / (hull < 0).sum()
-    assert lost < 0.01
-
-
 @pytest.mark.slow
 def test_small_fit_is_accurate_and_repeats_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 3000)

@@ -69,16 +69,6 @@ def test_blocked_up_to_a_reach():
     assert 0.05 < within.mean() < 0.9
 
 
-def test_axis_aligned_rays():
-    vertices, faces = soup(200, 5)
-    origins, _ = rays(3001, 6)
-    directions = np.eye(3, dtype=np.float32)[np.arange(3001) % 3]
-    directions[::2] *= -1
-    hits = EmbreeTracer(vertices, faces).first_hits(origins, directions)
-    face, _, _ = brute_force(vertices, faces, origins, directions)
-    assert (hits.face == face).mean() > 0.998
-
-
 def test_few_triangles_and_no_rays():
     for count in (1, 3, 5):
         vertices, faces = soup(count, 7)

@@ -84,23 +84,6 @@ def test_a_child_that_takes_too_long_is_stopped() -> None:
     assert unwrap._in_child(ball(), 0.01) is None
 
 
-def test_triangle_charts_do_not_overlap() -> None:
-    uvs, indices = unwrap.triangle_charts(37)
-    corners = uvs[indices]
-    assert corners.min() >= 0 and corners.max() <= 1
-    area = 0.5 * np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
-    mesh = Mesh(
-        vertices=np.zeros((111, 3), np.float32),
-        faces=indices,
-        normals=np.zeros((111, 3), np.float32),
-        uvs=uvs,
-        uv_faces=indices,
-    )
-    faces, _ = unwrap.rasterise_atlas(mesh, 512)
-    texels = np.bincount(faces[faces >= 0], minlength=37) / 512**2
-    np.testing.assert_allclose(texels, area, rtol=0.1)
-
-
 def test_creases_split_a_box_into_its_sides_and_leave_a_ball_whole() -> None:
     box = trimesh.creation.box()
     split = with_creases(plain_mesh(np.asarray(box.vertices), np.asarray(box.faces)))
