@@ -41,7 +41,7 @@ def test_mutated_captures_keep_the_promises():
 @FORKS
 @pytest.mark.slow
 def test_forged_results_keep_the_promises():
-    assert " 0 broke a promise" in run("hostile.forged", "0", "12")
+    assert " 0 broke a promise" in run("hostile.forged", "0", "8")
 
 
 @FORKS

@@ -84,12 +84,3 @@ def test_a_sphere_goes_through_all_stages_and_the_evaluation(tmp_path, truth):
     assert 0.0 < curve["parameters"]["tone_gamma"] < 1.0
     light = read_json(paths.stage("appearance") / "light.json")["lobes"]
     assert len(light) == 128
-    # Without ACES, all before the indirect light is taken over.
-    other = JobPaths(tmp_path / "other")
-    for stage in ("capture", "geometry", "transport"):
-        shutil.copytree(paths.stage(stage), other.stage(stage))
-    write_json(other.run, {"seconds": {}, "peak_memory_bytes": {}})
-    reconstruct_published(other, config, "invrender", tiny())
-    assert set(read_json(other.run)["seconds"]) == {"appearance"}
-    family = read_json(other.stage("appearance") / "tone_curve.json")["family"]
-    assert family == "standard"

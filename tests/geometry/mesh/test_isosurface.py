@@ -179,7 +179,7 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
 
 
 @pytest.mark.slow
-def test_small_fit_is_accurate_and_repeats_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_fit_is_accurate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 3000)
     capture = capture_of(ball(0.5, (0.0, 0.0, 0.0)), low=-1.0)
     config = GeometryConfig(
@@ -190,6 +190,3 @@ def test_small_fit_is_accurate_and_repeats_exactly(monkeypatch: pytest.MonkeyPat
     radius = np.linalg.norm(first.vertices, axis=1)
     assert abs(radius.mean() - 0.5) < 0.02 and radius.std() < 0.02
     assert first.is_unwrapped and metrics["faces"] <= 800
-    second = reconstruct(capture, config, 3, "cpu", Silent()).mesh
-    np.testing.assert_array_equal(first.vertices, second.vertices)
-    np.testing.assert_array_equal(first.uvs, second.uvs)
