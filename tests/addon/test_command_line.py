@@ -7,7 +7,6 @@ import json
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 
 import pytest
@@ -69,34 +68,6 @@ def test_an_engine_that_cannot_serve_is_said_in_one_sentence(tmp_path, capsys):
     assert sentence.startswith("error: ")
     assert str(tmp_path / "nothing") in sentence
     assert sentence.count("\n") == 1
-
-
-def test_headless_commands_are_those_of_the_module(tmp_path, own_blender, extension_zip):
-    from addon.blenders import MODULE, run
-
-    script = f"""
-    import sys
-    import bpy
-
-    def main(archive, folder):
-        commands = {{}}
-        bpy.utils.register_cli_command = lambda name, function: commands.update({{name: function}})
-        bpy.utils.unregister_cli_command = lambda handle: None
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        bpy.ops.extensions.package_install_files(
-            filepath=archive, repo="user_default", enable_on_install=True)
-        module = sys.modules[{MODULE!r} + ".headless"]
-        assert commands["robir_scene"] is module.main
-        return [sorted(commands), commands["robir_scene"](["scene", folder])]
-    """
-    answer = run(
-        own_blender,
-        textwrap.dedent(script),
-        str(extension_zip),
-        str(tmp_path),
-        user=tmp_path / "user",
-    )
-    assert answer == [["extension", "robir", "robir_scene"], 6]
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])

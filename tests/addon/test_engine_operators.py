@@ -102,59 +102,6 @@ def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path
     assert answer["same"]
 
 
-CLICKED = """
-def pulses(until):
-    monitor, said = module("work.monitor"), []
-    end = time.monotonic() + 120
-    while monitor.is_busy() and time.monotonic() < end:
-        monitor._pulse()
-        state = bpy.context.window_manager.robir
-        if state.message and state.message not in said:
-            said.append(state.message)
-        if until and state.message.startswith(until):
-            pressed = press("cancel_install")
-            assert pressed == ["FINISHED"], pressed
-            said.append(state.message)  # a quick end clears it before the next look
-            until = ""
-        time.sleep(0.02)
-    return said
-
-
-def main(archive, wheels):
-    preferences, state = start(archive)
-    operators, preferences.wheels = module("operators.engine"), wheels
-    answer = {"no installation": press("cancel_install")}
-    for name, until in (("cancelled", "fetching"), ("whole", "")):
-        task = operators._Installation("The installation")
-        command = operators._install_command(bpy.context)
-        module("work.monitor").run_task("install", command, task.on_line, task.on_end)
-        answer["busy"] = state.task, press("install_engine")
-        bpy.ops.robir.choose_capture(directory=wheels)
-        answer["chosen"] = bpy.context.scene.robir.capture
-        answer[name] = pulses(until), state.error, state.engine_text, state.task
-    return answer
-"""
-
-
-def test_a_click_returns_at_once_and_can_be_cancelled(own_blender, extension_zip, tmp_path):
-    wheels = stand_ins(tmp_path / "wheels")
-    script = "import time\n" + COMMON + CLICKED
-    answer = run(own_blender, script, str(extension_zip), str(wheels), user=tmp_path / "user")
-    assert "No installation is at work" in answer["no installation"]
-    task, pressed = answer["busy"]
-    assert task == "install"
-    assert "Wait until the work at hand is done" in pressed
-    assert answer["chosen"] == str(wheels), "a capture can be chosen meanwhile"
-    said, error, text, task = answer["cancelled"]
-    assert "Stopping" in said
-    assert (error, task) == ("", "")
-    assert "not finished; press Install Engine again" in text
-    said, error, text, task = answer["whole"]
-    assert (error, task) == ("", "")
-    assert "checking the engine" in said or any(text.startswith("unpacking") for text in said)
-    assert text.startswith("Engine ready")
-
-
 DRAWN = """
 class Shown:
     # the preferences themselves to whoever asks, but with a layout that writes down what is drawn

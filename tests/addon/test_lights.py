@@ -76,7 +76,7 @@ def main(archive, result, out):
 """
 
 
-@pytest.mark.parametrize("series", ["4.5", "5.0"])
+@pytest.mark.parametrize("series", ["5.0"])
 def test_lamp_and_environment_light_a_plane_alike(series, extension_zip, result, tmp_path):
     blender = find_blender(series)
     if blender is None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from robir.batch.need import memory_needed
 from robir.batch.plan import keep_plan, kept_plan, read_plan
 from robir.errors import StorageError, UsageError
 from robir.jobs.library import LibraryPaths
@@ -167,17 +166,3 @@ def test_a_library_among_the_captures_is_none_of_them(folder):
     (folder / "shots" / "openjd").mkdir()
     with pytest.raises(UsageError, match="the library needs the name openjd"):
         read_plan([str(folder / "shots" / "*")], {}, paths)
-
-
-def test_finer_settings_and_more_photographs_need_more_memory(folder):
-    for number in range(50):
-        (folder / "shots" / "lamp" / f"{number}.jpg").touch()
-    plan = read_plan([str(folder / "shots" / "*")], {}, HERE)
-    few, many = plan.entries[0], plan.entries[2]
-    fine = read_plan([str(folder / "shots" / "lamp")], {"preset": "high"}, HERE)
-    needs = [memory_needed(plan, few), memory_needed(plan, many)]
-    needs.append(memory_needed(fine, fine.entries[0]))
-    assert needs == sorted(needs)
-    assert len(set(needs)) == 3
-    stated = read_plan([written(folder, "[[capture]]\npath='shots/lamp'\nmemory='3G'")], {}, HERE)
-    assert memory_needed(stated, stated.entries[0]) == 3 * 2**30

@@ -11,7 +11,7 @@ import pytest
 from bench.fake_robir import scores
 
 from robir_bench.chart import pareto_front
-from robir_bench.heat import cases, cause, heat_map, heat_table, vigilance, worst_cases
+from robir_bench.heat import cases, cause, heat_map, heat_table, worst_cases
 
 
 def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", trusted=True, **changes):
@@ -91,14 +91,3 @@ def test_a_cause_is_the_score_that_moved(path, value, words):
     sentence = cause(cases([base, spoilt])[0])
     assert words in sentence
     assert sentence.count(";") == 0
-
-
-def test_vigilance_counts_against_the_unperturbed_runs():
-    sound = [record(value_) for value_ in (22.0, 21.0, 20.0)]  # their median is 21
-    noisy = {"factor": "noise", "value": "1"}
-    spoilt = [record(14.9, trusted=False, **noisy), record(14.5, **noisy)]
-    spoilt += [record(15.1, trusted=False, **noisy), record(19.0, **noisy), failure()]
-    assert vigilance(sound + spoilt) == {"wrong": 3, "told": 2, "sound": 5, "alarms": 1}
-    elsewhere = record(9.0, **noisy) | {"capture": "b"}
-    unjudged = record(9.0, trust=None, **noisy)
-    assert vigilance([*sound, *spoilt, elsewhere, unjudged])["wrong"] == 3

@@ -29,16 +29,6 @@ def test_the_interval_of_a_median_is_the_exact_bootstraps(count):
     assert found.count == count
 
 
-@pytest.mark.parametrize(("count", "hits"), [(12, 3), (40, 10), (40, 39)])
-def test_the_interval_of_a_share_is_binomial(count, hits):
-    """A resampled share of n values is a binomial number over n."""
-    found = estimate([1.0] * hits + [0.0] * (count - hits), mean)
-    expected = stats.binom.ppf([TAIL, 1.0 - TAIL], count, hits / count) / count
-    assert found.value == hits / count
-    # the quantile of a step function may fall on either side of a step
-    assert [found.low, found.high] == pytest.approx(expected, abs=1.0 / count)
-
-
 @pytest.mark.parametrize("statistic", [mean, quantile(0.1), quantile(0.9)])
 def test_intervals_agree_with_those_of_scipy(statistic):
     values = np.random.default_rng(3).gamma(2.0, size=60)

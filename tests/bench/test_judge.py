@@ -54,13 +54,6 @@ def test_scores_of_two_days_compare_in_pairs(tmp_path, capsys):
     assert "after against before" in capsys.readouterr().out
 
 
-def test_what_holds_no_scores_is_refused(tmp_path):
-    file = tmp_path / "other.json"
-    file.write_text("{}")
-    with pytest.raises(UsageError, match="holds no scores"):
-        compared(file, file)
-
-
 def test_each_quantity_is_a_run_of_its_own(capture):
     run = BenchRun(capture=capture, preset="draft", method="ours", seed=0, settings=())
     every = told_runs([run], [])

@@ -12,7 +12,6 @@ from evaluation import sphere_run
 from PIL import Image
 
 from robir.capture.store import load_capture, save_capture
-from robir.evaluation.level_table import level_lines
 from robir.evaluation.levels import LEVELS, level_scores
 from robir.jobs.paths import read_json, write_json
 
@@ -133,20 +132,3 @@ def decoded(display):
 
 def encoded(linear):
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def test_what_is_not_there_is_not_measured_and_may_be_at_fault(paths):
-    (paths.stage("geometry") / "field_held_out.npz").unlink()
-    (paths.stage("appearance") / "held_out_diffuse.npz").unlink()
-    for file in paths.renders.iterdir():
-        file.unlink()
-    spoil(paths.stage("appearance") / "held_out.npz", darker)
-    scores = level_scores(paths, paths.levels_strip)
-    chain = scores["chain"]
-    for name in ("field", "diffuse", "cycles"):
-        assert chain[name]["psnr"] is None and chain[name]["loss"] is None
-    assert (chain["mesh"]["against"], chain["material"]["against"]) == ("a", "c'")
-    assert scores["verdict"].startswith("Texture and light or the material loses")
-    lines = level_lines(scores)
-    assert lines[2].split()[0] == "b" and lines[2].split()[-5:] == ["-"] * 5
-    assert "below the plain mean" in lines[-1]

@@ -11,7 +11,6 @@ from evaluation import sphere_run
 
 from robir.evaluation.evaluate import evaluate
 from robir.evaluation.light_scores import level_and_hue
-from robir.evaluation.truth import load_truth
 
 ROWS = 64
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -74,16 +73,3 @@ def test_a_perfect_light_has_no_error_and_exposure_is_a_part_of_the_level(truth,
     assert found["hue_log_error"] == pytest.approx(0.0, abs=0.01)
     brighter = evaluate(paths, rewritten(truth, tmp_path, exposure=1.0))["light"]
     assert brighter["level_log_error"] - found["level_log_error"] == pytest.approx(-np.log(2.0))
-
-
-def test_every_lamp_is_in_the_true_environment(truth, tmp_path):
-    lamps = [
-        {"direction": [0.6, 0.0, 0.8], "irradiance_rgb": [3.0, 2.0, 1.0], "size": 0.5},
-        {"direction": [0.0, 0.6, 0.8], "irradiance_rgb": [1.0, 1.0, 1.0], "size": 8.0},
-    ]
-    image = load_truth(rewritten(truth, tmp_path, lamps=lamps)).environment_linear
-    rows = image.shape[0]
-    edges = np.sin(np.pi * (0.5 - np.arange(rows + 1) / rows))
-    solid = ((edges[:-1] - edges[1:]) * np.pi / rows)[:, None, None]
-    extra = ((image - sphere_run.SKY) * solid).sum(axis=(0, 1))
-    assert extra == pytest.approx([4.0, 3.0, 2.0], rel=1e-5)

@@ -113,15 +113,6 @@ def test_the_viewer_looks_first_from_where_the_photograph_was_taken():
     assert np.array(towards) == pytest.approx(back, abs=5e-3)
 
 
-def test_the_verdict_stands_on_top(exported, page):
-    text = exported.report.read_text(encoding="utf-8")
-    verdict = read_json(exported.report_json)["trust"]["verdict"]
-    start = text.index('<p class="verdict')
-    assert start < text.index("<model-viewer") < text.index("<summary>Details</summary>")
-    assert f"<b>{verdict['word']}</b>" in text[start : start + 200]
-    assert text.index("<summary>Details</summary>") < text.index(" dB</dd>")
-
-
 NOTICES = ("RGBELoader has been deprecated", "GPU stall", "rAF timed out in updateSource")
 """What the viewer itself writes into the console; no fault."""
 

@@ -18,7 +18,7 @@ from robir.geometry.stereo.fusion import (
     fuse,
     stereo_surface,
 )
-from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
+from robir.geometry.stereo.semiglobal import aggregate, refined_minimum
 from robir.geometry.stereo.smoothest import laplacian, smoothest
 from robir.geometry.stereo.sweep import (
     DepthMap,
@@ -104,16 +104,6 @@ def test_the_least_of_a_parabola_lies_between_labels():
     label, exact = refined_minimum(cost)
     np.testing.assert_array_equal(label[0], [3, 0, 7])
     np.testing.assert_allclose(exact[0], [3.3, 0, 7], atol=1e-4)
-
-
-def test_the_spread_of_a_gaussian_is_its_deviation():
-    label = np.arange(80)
-    cost = 0.05 * ((label - 40) / np.array([[1.5], [4.0]])) ** 2 / 2
-    np.testing.assert_allclose(
-        label_spread(cost[None].astype(np.float32), 0.05)[0], [1.5, 4.0], rtol=1e-3
-    )
-    flat = np.zeros((1, 1, 12), np.float32)
-    assert label_spread(flat, 0.05)[0, 0] == pytest.approx(((12**2 - 1) / 12) ** 0.5)
 
 
 def test_correlation_is_that_of_numpy():

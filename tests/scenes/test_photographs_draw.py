@@ -13,7 +13,6 @@ from blender_scenes.photographs.developing import (
     noise_deviation,
     vignetting,
 )
-from blender_scenes.photographs.matting import mask, wavy_mask
 from blender_scenes.photographs.posing import erroneous, placed, walked_poses
 from blender_scenes.photographs.recipe import Developing, Frame, PhotoRecipe
 from blender_scenes.photographs.response import is_monotone
@@ -129,17 +128,3 @@ def test_wrong_poses_move_the_thing_by_under_a_pixel_or_so(drawn: list[PhotoReci
         np.testing.assert_allclose(again, seen, atol=1e-6)
     assert 0.3 < np.median(found) < 1.0
     assert max(found) < 2.0
-
-
-@pytest.mark.parametrize("growth", [1.6, -1.6])
-def test_masks_that_are_off_are_off_by_so_many_pixels_in_waves(growth: float) -> None:
-    y, x = np.mgrid[:200, :200] - 99.5
-    disc = (np.hypot(x, y) < 60.0).astype(np.float32)
-    drawn = wavy_mask(disc, growth, 4)
-    radius = np.sqrt((drawn > 0).sum() / np.pi)
-    assert radius - 60.0 == pytest.approx(growth, abs=0.6)
-    edge = np.hypot(x, y)[(drawn > 0) != (np.hypot(x, y) < radius)]
-    assert edge.size > 40
-    assert np.abs(edge - radius).max() < 3.0
-    assert set(np.unique(drawn)) == {0, 255}
-    assert ((mask(disc) > 0) == (disc > 0)).all()

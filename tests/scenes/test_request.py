@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests and their fingerprints: what decides the pixels counts, what does not does not."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from blender_scenes import request as request_module
-from blender_scenes.request import SceneError, SceneRequest, code_version, fingerprint
+from blender_scenes.request import SceneError, SceneRequest, fingerprint
 
-PACKAGE = Path(request_module.__file__).parent
 TRUCK = SceneRequest(scene="truck", ground="checker", light="lamp")
 
 
@@ -39,20 +36,6 @@ def test_files_enter_the_fingerprint_by_content_not_by_name(tmp_path: Path) -> N
     other.write_bytes(b"sea")
     hashes = [fingerprint(replace(TRUCK, hdri=file), "1") for file in (first, second, other)]
     assert hashes[0] == hashes[1] != hashes[2]
-
-
-def test_code_version_ignores_comments_and_docstrings_only(tmp_path: Path) -> None:
-    copy = tmp_path / "blender_scenes"
-    shutil.copytree(PACKAGE, copy)
-    before = code_version(copy, "truck")
-    rig = copy / "rig.py"
-    source = rig.read_text()
-    rig.write_text("# a remark\n" + source.replace('"""Cameras on', '"""Some cameras on'))
-    assert code_version(copy, "truck") == before
-    (copy / "scenes" / "hotdog.py").write_text("OTHER = 1\n")
-    assert code_version(copy, "truck") == before
-    rig.write_text(source.replace("radians(40.0)", "radians(41.0)"))
-    assert code_version(copy, "truck") != before
 
 
 @pytest.mark.parametrize(

@@ -36,15 +36,3 @@ def test_paint_of_another_hue_does_not_brighten_the_sky_before_it(stage):
     before, after = (light.irradiance(problem, rows).log().mean() for light in (true, found))
     # .07 by neighbours of all hues
     assert float(after - before) == pytest.approx(0, abs=0.03)
-
-
-def test_by_every_sample_all_that_two_views_see_take_part(stage):
-    scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name("filmic"), num_rows=600)
-    scene.transport.observations.weight[:50, 1:] = 0
-    some = make_problem(scene, curve_from_name("filmic"))
-    every = some.by_every_sample(np.random.default_rng(0))
-    np.testing.assert_array_equal(every.scene.rows, np.arange(50, len(stage.surfels)))
-    position = stage.surfels.position[every.scene.rows]
-    apart = position[every.scene.pairs.first] - position[every.scene.pairs.second]
-    assert np.linalg.norm(apart, axis=1).max() < 0.5
-    assert len(some.scene.rows) == 600

@@ -23,15 +23,6 @@ def hues(shares, spread=0.1):
     return GOLD + shares[:, None] * (RED - GOLD) + noise
 
 
-def test_what_does_not_touch_are_two():
-    at = board(12)
-    at = at[(at[:, 0] < 5) | (at[:, 0] > 6)]
-    number = pieces(at, hues(np.zeros(len(at))), 2.5, 8)
-    np.testing.assert_array_equal(number == number[0], at[:, 0] < 5)
-    assert len(np.unique(number)) == 2
-    assert len(np.unique(pieces(at, hues(np.zeros(len(at))), 3.5, 8))) == 1
-
-
 def test_two_hues_that_touch_and_blend_at_the_border_are_two():
     at = board(20)
     # over three columns one turns into the other, without a step

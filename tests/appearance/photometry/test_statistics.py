@@ -37,14 +37,6 @@ def test_highlights_and_the_darkest_views_are_left_out():
     torch.testing.assert_close(radiance.linear[0], torch.full((3,), (0.3 + 0.31 + 0.32 + 0.7) / 4))
 
 
-def test_views_that_do_not_show_a_sample_do_not_count():
-    linear = torch.tensor([[0.1, 0.5, 0.2], [0.1, 0.5, 0.2]])[..., None].expand(2, 3, 3)
-    weight = np.array([[0, 1, 1], [0, 1, 0]])
-    radiance = diffuse_radiance(observations(weight), linear)
-    assert radiance.linear[:, 0].tolist() == pytest.approx([0.2, 0.5])
-    assert radiance.seen.tolist() == [True, False]
-
-
 def test_clipped_is_judged_by_the_views_that_are_used():
     linear = torch.tensor([[0.2, 0.3, 0.4, 9.0], [1.0, 1.0, 1.0, 1.0]])[..., None].expand(2, 4, 3)
     clipped = np.zeros((2, 4, 3), bool)
@@ -123,27 +115,3 @@ def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
     np.testing.assert_allclose(step.numpy(), [-0.6, -0.45, -0.3], atol=0.03)
     none = pairs.of(torch.zeros(2400, dtype=torch.bool))
     assert none.common_step(log_albedo).tolist() == [0] * 3
-
-
-BROWN_TO_WHITE, GREY_TO_PINK = [-0.72, -0.99, -1.26], [-1.85, -1.25, -1.75]
-"""Steps in log albedo between two paints: of the first by how blue a light may be, of the second by
-how green none is."""
-
-
-@pytest.mark.parametrize(
-    ("paints", "count", "is_lights"),
-    [(BROWN_TO_WHITE, 220, True), (BROWN_TO_WHITE, 400, False), (GREY_TO_PINK, 2000, True)],
-)
-def test_of_steps_about_as_common_the_lights_is_the_one_that_lights_have(paints, count, is_lights):
-    """Two paints on either side of a shadow, and 200 pairs of one paint."""
-    steps = torch.tensor([paints, [-0.3, -0.33, -0.25]])
-    apart = torch.cat([steps[:1].expand(count, 3), steps[1:].expand(200, 3)])
-    apart = apart + 0.05 * torch.randn(apart.shape, generator=torch.Generator().manual_seed(2))
-    number = len(apart)
-    pairs = Pairs(
-        first=torch.arange(number),
-        second=torch.full((number,), number),
-        weight=torch.full((number,), 1 / number),
-    )
-    step = pairs.common_step(torch.cat([apart, torch.zeros(1, 3)]))
-    torch.testing.assert_close(step, steps[int(is_lights)], rtol=0, atol=0.02)

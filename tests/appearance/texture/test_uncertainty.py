@@ -2,30 +2,13 @@
 """The stated error of albedo: variances add, each piece of evidence counts, nothing is certain."""
 
 import numpy as np
-import pytest
 
-from robir.appearance.texture import uncertainty
 from robir.appearance.texture.uncertainty import LARGEST, distance_to_seen, standard_error
 
 
 def error(spread=0.0, changed=0.0, count=1e9, distance=0.0):
     causes = (np.float32([v]) for v in (spread, changed, count, distance))
     return float(standard_error(*causes)[0])
-
-
-def test_each_cause_alone_and_all_together():
-    assert error() == pytest.approx(uncertainty._FLOOR, rel=1e-4)
-    parts = {"spread": 0.02, "changed": 0.03, "count": 4.0, "distance": 0.01}
-    alone = [error(**{name: value}) ** 2 - uncertainty._FLOOR**2 for name, value in parts.items()]
-    factors = (
-        uncertainty._SPREAD * 0.02,
-        uncertainty._CHANGED * 0.03,
-        uncertainty._FEW / 2,
-        uncertainty._DISTANCE * 0.01,
-    )
-    by_hand = [each**2 for each in factors]
-    np.testing.assert_allclose(alone, by_hand, rtol=1e-3)
-    assert error(**parts) ** 2 == pytest.approx(uncertainty._FLOOR**2 + sum(by_hand), rel=1e-4)
 
 
 def test_what_no_view_is_near_is_unknown():

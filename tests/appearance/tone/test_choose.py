@@ -124,13 +124,6 @@ def test_the_best_curve_with_a_shoulder(scores, expected):
     assert NAMES[chosen] == expected
 
 
-def test_the_neutral_curve_does_not_stand_for_those_with_a_shoulder():
-    names, scores = ["standard", "filmic", "khronos_pbr_neutral"], (10.0, 11.0, 10.1)
-    assert best_shoulder(names, [table(score) for score in scores]) == 1
-    names, tables = ["standard", "khronos_pbr_neutral"], [table(10.0), table(9.0)]
-    assert best_shoulder(names, tables) is None
-
-
 @pytest.mark.parametrize(
     ("plain", "neutral", "scores", "expected"),
     [

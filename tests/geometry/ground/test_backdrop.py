@@ -12,10 +12,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
-from robir.geometry.ground import backdrop
 from robir.geometry.ground.backdrop import (
     Backdrop,
-    common_colour,
     pixel_noise,
 )
 from robir.geometry.ground.flatten import Ground
@@ -24,8 +22,6 @@ from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
 from robir.geometry.rays import Photo, reduce_view
 from tests.geometry.scenes import capture_of, checker, disc
-
-BINS = backdrop._BINS
 
 TOP = -0.3
 """Height of the ground's surface."""
@@ -82,18 +78,6 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     solid &= (nodes[:, 2] > TOP) & (nodes[:, 2] < TOP + 0.27)
     # the same two colours all over: the fit must find a core that it can bring the rest back to
     assert (free[solid] < 0).mean() > 0.4
-
-
-def test_a_spot_takes_the_colour_most_photographs_agree_on() -> None:
-    palette = np.ones((BINS,) * 3, bool)
-    rng = np.random.default_rng(0)
-    colours = rng.uniform(0.0, 1.0, (20, 2, 3)).astype(np.float32)
-    colours[:6, 0] = np.array([0.5, 0.4, 0.3]) + rng.normal(0.0, 0.01, (6, 3))
-    colours[10:, 1] = np.nan
-    colours[:10, 1] = np.linspace(0.0, 0.9, 10)[:, None]
-    found = common_colour(colours, palette)
-    assert found[0] == pytest.approx([0.5, 0.4, 0.3], abs=0.03)
-    assert np.isnan(found[1]).all()
 
 
 NOISE = 0.03

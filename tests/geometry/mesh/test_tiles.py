@@ -11,7 +11,6 @@ from export.tiled_run import TILES, own_uvs, tiled_mesh
 
 from robir.errors import StorageError
 from robir.geometry.mesh import tiles
-from robir.geometry.mesh.atlas import sample_texture
 from robir.geometry.mesh.triangles import Mesh
 
 
@@ -78,13 +77,3 @@ def test_tiles_that_cannot_be_are_damage(tmp_path, numbers):
     broken.save(tmp_path / "mesh.npz")
     with pytest.raises(StorageError, match="do not fit together"):
         Mesh.load(tmp_path / "mesh.npz")
-
-
-def test_a_look_at_a_border_takes_texels_of_its_own_tile_only():
-    texture = np.zeros((8, 8, 1))
-    texture[:, 4:] = 1.0  # the right two of four cells
-    texture[:4] += 2.0  # and the upper two
-    edge = 0.5 - 1e-6
-    uv = np.array([[edge, 0.2], [1 - edge, 0.2], [0.2, edge], [0.2, 1 - edge]])
-    assert sample_texture(texture, uv, cells=2)[:, 0].tolist() == [0.0, 1.0, 0.0, 2.0]
-    assert sample_texture(texture, uv)[:, 0] == pytest.approx([0.5, 0.5, 1.0, 1.0], abs=1e-4)
