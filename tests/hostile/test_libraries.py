@@ -55,7 +55,11 @@ ENTRIES = (
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [*((name, "link") for name in ENTRIES), ("openjd", "folder"), ("plan.json", "pipe")],
+    [
+        *((name, "link") for name in (*ENTRIES, ".batch/cap.toml")),
+        ("openjd", "folder"),
+        ("plan.json", "pipe"),
+    ],
 )
 def test_links_and_pipes_of_a_library_are_refused(planned, tmp_path, capsys, name, kind):
     before = replaced_by(planned.root / name, kind, tmp_path / "elsewhere")
