@@ -82,6 +82,11 @@ def test_layers_are_means_over_pixels():
     centres = np.stack(np.meshgrid([-2 / 3, 0, 2 / 3], [2 / 3, 0, -2 / 3]), axis=-1)
     assert layers.position[..., :2] == pytest.approx(centres, abs=1e-6)
     assert layers.normal == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], (3, 3, 3)), abs=1e-6)
+    pose[0, 3] = 0.2  # the last column reaches beyond the edge: the mean of what is met
+    aside = Camera(width=3, height=3, fx=15, fy=15, cx=1.5, cy=1.5, camera_to_world=pose)
+    (layers,) = view_layers(quad(), textures, [aside])
+    assert layers.hit.all()
+    assert layers.albedo_linear[:, 2, 0] == pytest.approx(np.full(3, 0.6))
 
 
 def test_texture_sampling_is_linear_and_blind_to_empty_texels():
