@@ -11,7 +11,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from window.screen import HEIGHT, WIDTH, Screen
 
@@ -64,6 +64,9 @@ class BlenderWindow:
         pictures: folder of the screenshots; what Blender prints goes into blender.log beside it.
     """
 
+    _found: ClassVar[dict[str, Place]] = {}
+    """Where controls were found in this or an earlier window: it is looked there first."""
+
     def __init__(self, screen: Screen, home: Path, pictures: Path) -> None:
         self.screen = screen
         self.pictures = pictures
@@ -74,7 +77,6 @@ class BlenderWindow:
             folder.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
         self._taken = 0
-        self._found: dict[str, Place] = {}
 
     def install(self, package: Path) -> None:
         """Install the add-on's zip through Blender's own command line, and enable it."""
