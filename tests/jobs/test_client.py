@@ -32,7 +32,7 @@ def program(pause: object) -> list[str]:
     return [sys.executable, "-P", str(FAKE), str(pause)]
 
 
-def until(root: Path, wanted: Callable[[client.Snapshot], bool], seconds: float = 20.0):
+def until(root: Path, wanted: Callable[[client.Snapshot], bool], seconds: float = 60.0):
     """The first snapshot that fits."""
     end = time.monotonic() + seconds
     while not wanted(found := client.snapshot(root)):
