@@ -32,6 +32,9 @@ def test_what_grazes_a_sun_or_lies_at_its_shadows_edge_is_not_sure(problem):
     assert 0.05 < 1 - sure[floor].mean() < 0.4
     # walls turned well away from it get nothing, whatever their normals' errors
     assert sure[cosine < -_GRAZING_COSINE].all()
+    (pairs,) = Sunlight.of(problem, axis).across_shadows()
+    share = wide / np.maximum(cosine, 1e-3)
+    assert share[pairs.first].max() < 0.5 < share[pairs.second].min()
 
 
 def test_where_hardly_anything_is_sure_all_counts(problem):
