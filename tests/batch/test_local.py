@@ -65,7 +65,7 @@ def begun(library: LibraryPaths, template: Path, *more: object) -> subprocess.Po
     )
 
 
-def until(condition, seconds: float = 30.0):
+def until(condition, seconds: float = 120.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
@@ -126,7 +126,7 @@ def test_two_batches_on_one_library_do_not_meet(tmp_path, library, template):
     with pytest.raises(UsageError, match=f"is in use by process {first.pid}"):
         run_batch(template, words(library, "--resume"))
     go.touch()
-    assert first.wait(30) == 0
+    assert first.wait(120) == 0
     assert starts(library, "a") == 1
 
 
@@ -144,7 +144,7 @@ def test_what_a_killed_batch_leaves_at_work_is_found(tmp_path, library, template
     assert holder(JobPaths(library.root / "a").lock) == worker  # the very same
     assert states(library)["b"] == "waiting"  # and its core is counted
     go.touch()
-    assert second.wait(30) == 0
+    assert second.wait(120) == 0
     assert (starts(library, "a"), starts(library, "b")) == (1, 1)
 
 
@@ -154,7 +154,7 @@ def test_a_batch_that_is_told_to_stop_ends_its_processes(tmp_path, library, temp
     running = begun(library, template, captures / "*", "--jobs", 1)
     until(lambda: snapshot(library.root / "a").state == "running")
     running.send_signal(number)
-    assert running.wait(30) != 0
+    assert running.wait(120) != 0
     assert holder(JobPaths(library.root / "a").lock) is None
     assert not (library.root / "b").exists()
 
@@ -168,7 +168,7 @@ def test_a_capture_may_be_dropped_while_it_waits(tmp_path, library, template):
     (library.dropped / "b").touch()
     until(lambda: library.state.exists() and states(library)["b"] == "dropped")
     go.touch()
-    assert running.wait(30) == 0
+    assert running.wait(120) == 0
     assert states(library) == {"a": "done", "b": "dropped", "c": "done"}
 
 
