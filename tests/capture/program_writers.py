@@ -237,11 +237,10 @@ def splats(root: Path, shots: Shots) -> Path:
     return root
 
 
-def colmap_rig(root: Path, shots: Shots, binary: bool = False) -> Path:
-    """A model of COLMAP 4 whose rigs and frames say where cameras were; two cameras a frame.
+def colmap_rig(root: Path, shots: Shots) -> Path:
+    """A model as COLMAP 4 makes it of rigs and frames that say where cameras were."""
+    import pycolmap
 
-    The images file holds other poses, as after an edit of the rig.
-    """
     names = _pictures(root, shots, "images", "c{:02d}.png")
     lens, folder = shots[0].camera, root / "sparse/0"
     folder.mkdir(parents=True)
@@ -262,13 +261,10 @@ def colmap_rig(root: Path, shots: Shots, binary: bool = False) -> Path:
     (folder / "frames.txt").write_text("# frames\n" + "\n".join(frames) + "\n")
     (folder / "images.txt").write_text("".join(images))
     (folder / "points3D.txt").write_text("")
-    if binary:
-        import pycolmap
-
-        model = pycolmap.Reconstruction(folder)
-        for file in folder.iterdir():
-            file.unlink()
-        model.write_binary(folder)
+    model = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    model.write_binary(folder)
     return root
 
 

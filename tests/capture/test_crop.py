@@ -18,7 +18,7 @@ from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import check_masks, mask_share
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion, Frame, Lens, posed_otherwise
-from robir.capture.images.reading import LEAST_SAVED, MARGIN, DrawnMask, object_box, read_view
+from robir.capture.images.reading import LEAST_SAVED, MARGIN, drawn_mask, object_box, read_view
 from robir.capture.recognise import read_capture
 from robir.capture.store import load_capture, save_capture
 from robir.cli import main
@@ -130,7 +130,7 @@ def test_a_cut_picture_shows_what_the_whole_shows(lens, max_side, tmp_path, monk
         lens=lens,
         camera_to_world=np.eye(4),
     )
-    mask = DrawnMask(spot(420, 100, 560, 200))
+    mask = drawn_mask(spot(420, 100, 560, 200))
     cut = read_view(frame, "train", mask, max_side)
     assert max(cut.view.mask.shape) <= min(max_side, 180)
     monkeypatch.setattr("robir.capture.images.reading.object_box", lambda mask: None)

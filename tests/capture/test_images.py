@@ -94,17 +94,6 @@ def test_masks_of_a_preview_size_are_fitted():
     assert fitted_mask(mask, (114, 86)).shape == (86, 114)
 
 
-@pytest.mark.parametrize("size", [(31, 23), (47, 40), (17, 1), (1, 41), (48, 47)])
-def test_large_pictures_are_shrunk_in_bands_to_the_same(shots, monkeypatch, size):
-    image, mask = (np.ascontiguousarray(shots[0].rgba[:, :, part]) for part in (np.s_[:3], 3))
-    at_once = shrink(image, mask, *size)
-    monkeypatch.setattr("robir.capture.images.loading._AT_ONCE", 100)
-    monkeypatch.setattr("robir.capture.images.loading._BAND", 7)
-    for one, other in zip(at_once, shrink(image, mask, *size), strict=True):
-        assert one.shape == other.shape
-        assert np.abs(one.astype(int) - other).max() <= 1
-
-
 def test_every_16_bit_code_becomes_the_nearest_8_bit_one(tmp_path):
     codes = np.arange(65536, dtype=np.uint16).reshape(256, 256)
     Image.fromarray(codes).save(tmp_path / "grey.png")

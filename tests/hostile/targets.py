@@ -70,8 +70,6 @@ _POSES = {
     "stray_matrix": (program_writers.stray_scanner, "camera_matrix.csv"),
     "arkit": (program_writers.arkit, "frame_00000.json"),
     "splats": (program_writers.splats, "cameras.json"),
-    "colmap_rigs": (program_writers.colmap_rig, "sparse/0/rigs.txt"),
-    "colmap_frames": (program_writers.colmap_rig, "sparse/0/frames.txt"),
 }
 MESHES = {f"mesh_{suffix[1:]}": suffix for suffix in SUFFIXES}
 """Targets that are meshes, with the suffix of each."""

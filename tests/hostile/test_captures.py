@@ -114,7 +114,7 @@ def test_a_tiff_of_a_million_strips(synthetic, tag):
     for path in (synthetic / "train").iterdir():
         path.write_bytes(content + bytes(4_000_400))
     start = time.process_time()
-    assert "its entry 273 has 1000000 numbers" in refused(synthetic)
+    assert "its entry StripOffsets has 1000000 numbers" in refused(synthetic)
     assert time.process_time() - start < 5
 
 

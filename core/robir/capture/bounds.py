@@ -19,7 +19,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, View
-from robir.capture.frames import Sphere
 
 Array = NDArray[np.float64]
 
@@ -35,31 +34,24 @@ _FINEST = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hull:
-    """The visual hull of the masks.
+    """The visual hull of the masks."""
 
-    Attributes:
-        sphere: Its bounding sphere with margin.
-        agreement: (V,) share of each mask that the hull covers, 1 where masks and poses agree.
-        strict: Median of the same if no mask may be wrong: near 1 only for the right poses.
-    """
-
-    sphere: Sphere
-    agreement: Array
-    strict: float
+    sphere: Bounds  # its bounding sphere with margin
+    agreement: Array  # (V,) share of each mask that the hull covers, 1 where masks and poses agree
+    strict: float  # median of the same if no mask may be wrong: near 1 only for the right poses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silhouette:
-    """A mask with its camera, to be asked by `kept`."""
+    """A mask with its camera, as `kept` reads it."""
 
     camera: Camera
-    distance: NDArray[np.float32]
-    """(H, W) pixels to the nearest object pixel, 0 on it."""
+    distance: NDArray[np.float32]  # (H, W) pixels to the nearest object pixel, 0 on it
+    # whether the object is cut off at the left, right, upper and lower border
     is_open: tuple[bool, bool, bool, bool]
-    """Whether the object is cut off at the left, right, upper and lower border."""
 
 
-def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | None:
+def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | None:
     """Bounding sphere of the visual hull of views whose masks are not empty.
 
     `start` says where to look first, or None to start from the directions of the masks' centres.
@@ -91,12 +83,7 @@ def sphere_from_masks(views: Sequence[View], start: Sphere | None) -> Hull | Non
     return best
 
 
-def bounds_of(sphere: Sphere) -> Bounds:
-    """The value that goes into a capture."""
-    return Bounds(centre=sphere.centre, radius=sphere.radius, origin=sphere.origin)
-
-
-def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
+def sphere_from_points(points: Array, views: Sequence[View]) -> Bounds | None:
     """Sphere about the central 98 % of the sparse points (N, 3) that lie inside the masks.
 
     A point counts if nine in ten of the masks that have it in frame contain it; None below 20.
@@ -113,12 +100,8 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Sphere | None:
         return None
     centre = np.median(inner, axis=0)
     radius = float(np.quantile(np.linalg.norm(inner - centre, axis=1), 0.98))
-    return Sphere(
-        centre=centre,
-        radius=1.3 * radius,
-        origin=f"{len(inner)} sparse points inside the masks",
-        is_limit=False,
-    )
+    origin = f"{len(inner)} sparse points inside the masks"
+    return Bounds(centre=centre, radius=1.3 * radius, origin=origin)
 
 
 def enclosing_sphere(points: Array) -> tuple[Array, float]:
@@ -146,7 +129,7 @@ def silhouette(camera: Camera, mask: NDArray[np.bool_]) -> Silhouette:
     return Silhouette(camera=camera, distance=distance, is_open=(left, right, top, bottom))
 
 
-def _first_guess(silhouettes: Sequence[Silhouette]) -> Sphere | None:
+def _first_guess(silhouettes: Sequence[Silhouette]) -> Bounds | None:
     """The point nearest to the rays through the masks' centres, and a generous radius."""
     system, right = np.zeros((3, 3)), np.zeros(3)
     for silhouette in silhouettes:
@@ -169,11 +152,11 @@ def _first_guess(silhouettes: Sequence[Silhouette]) -> Sphere | None:
             radii.append(offset / focal * depth[0])
     if not radii:
         return None
-    return Sphere(centre=centre, radius=1.2 * float(np.median(radii)), origin="", is_limit=False)
+    return Bounds(centre=centre, radius=1.2 * float(np.median(radii)), origin="")
 
 
 def _coarse(
-    silhouettes: Sequence[Silhouette], where: Sphere, limit: Sphere | None, dissent: int
+    silhouettes: Sequence[Silhouette], where: Bounds, limit: Bounds | None, dissent: int
 ) -> tuple[Array, float]:
     """Kept cells of the coarse grid about the hull: centres (N, 3) and half their side.
 
@@ -208,7 +191,7 @@ def _carved_cube(
     return cells[kept(silhouettes, cells, half, dissent)], half
 
 
-def _within(cells: Array, half: float, limit: Sphere | None) -> Array:
+def _within(cells: Array, half: float, limit: Bounds | None) -> Array:
     if limit is None:
         return cells
     return cells[np.linalg.norm(cells - limit.centre, axis=1) <= limit.radius + half]
@@ -283,7 +266,7 @@ def shown(camera: Camera, cells: Array, half: float) -> NDArray[np.bool_]:
     return np.asarray(ndimage.distance_transform_edt(empty)) <= max(float(reach), 1.0)
 
 
-def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int) -> Sphere:
+def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int) -> Bounds:
     """Bounding sphere of the hull after dividing the outermost cells `_LEVELS` times."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)
@@ -299,9 +282,6 @@ def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, disse
             break
         cells = children
         centre, radius = enclosing_sphere(cells)
-    return Sphere(
-        centre=centre,
-        radius=MARGIN * (radius + float(np.sqrt(3.0)) * half),
-        origin=f"visual hull of {len(silhouettes)} masks",
-        is_limit=False,
-    )
+    radius = MARGIN * (radius + float(np.sqrt(3.0)) * half)
+    origin = f"visual hull of {len(silhouettes)} masks"
+    return Bounds(centre=centre, radius=radius, origin=origin)

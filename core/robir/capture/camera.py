@@ -23,28 +23,18 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A pinhole camera without lens distortion.
+    """A pinhole camera without lens distortion."""
 
-    Attributes:
-        width: Image width in pixels.
-        height: Image height in pixels.
-        fx: Focal length along the row, pixels.
-        fy: Focal length along the column, pixels.
-        cx: Principal point from the left edge, pixels.
-        cy: Principal point from the top edge, pixels.
-        camera_to_world: 4x4 rigid transform, OpenGL axes.
-        whole: Left, top, right and bottom edge of the photograph that this picture was cut from,
-            in pixels of the picture; None if it is the whole photograph. What lies between the
-            picture's edges and these is known to be background.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    camera_to_world: Array
+    width: int  # image width in pixels
+    height: int  # image height in pixels
+    fx: float  # focal length along the row, pixels
+    fy: float  # focal length along the column, pixels
+    cx: float  # principal point from the left edge, pixels
+    cy: float  # principal point from the top edge, pixels
+    camera_to_world: Array  # 4x4 rigid transform, OpenGL axes
+    # left, top, right and bottom edge of the photograph that this picture was cut from, in pixels
+    # of the picture; None if it is the whole photograph. What lies between the picture's edges and
+    # these is known to be background.
     whole: tuple[float, float, float, float] | None = None
 
     @property

@@ -16,40 +16,29 @@ from robir.capture.support import Plane
 from robir.maths.similarity import Similarity
 
 Split = Literal["train", "held_out"]
+Level = Literal["note", "warning", "error"]  # of a finding; an error refuses the capture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One photograph with its camera.
+    """One photograph with its camera."""
 
-    Attributes:
-        name: Unique within the capture, fit for a file name.
-        image_display: (H, W, 3) uint8, display-referred, straight (not multiplied by the mask).
-        mask: (H, W) uint8, coverage of the object, 255 inside.
-        camera: Camera of exactly this image size.
-        split: "train" views are fitted, "held_out" views only judge.
-    """
-
-    name: str
+    name: str  # unique within the capture, fit for a file name
+    # (H, W, 3) uint8, display-referred, straight (not multiplied by the mask)
     image_display: NDArray[np.uint8]
-    mask: NDArray[np.uint8]
-    camera: Camera
-    split: Split
+    mask: NDArray[np.uint8]  # (H, W) uint8, coverage of the object, 255 inside
+    camera: Camera  # camera of exactly this image size
+    split: Split  # "train" views are fitted, "held_out" views only judge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """Bounding sphere of the object, in the capture's own frame and unit.
+    """Bounding sphere of the object, in the capture's own frame and unit."""
 
-    Attributes:
-        centre: (3,) float64.
-        radius: In the capture's unit, > 0.
-        origin: How it was found, one sentence for the user.
-    """
-
-    centre: NDArray[np.float64]
-    radius: float
-    origin: str
+    centre: NDArray[np.float64]  # (3,) float64
+    radius: float  # in the capture's unit, > 0
+    origin: str  # how it was found, one clause for the user
+    is_limit: bool = False  # whether a format promises that the object lies inside
 
     def moved(self, place: Similarity) -> Bounds:
         """The sphere where a similarity brings it."""
@@ -59,23 +48,14 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Something `robir check` tells the user.
+    """Something `robir check` tells the user."""
 
-    Attributes:
-        level: "note" informs, "warning" lowers the result, "error" refuses the capture.
-        code: Short stable name such as "missing-images".
-        message: What was found, where.
-        cure: What to do about it.
-        files: File names concerned, at most a dozen.
-        numbers: What was measured, plain values for JSON; the check that makes a finding says
-            which.
-    """
-
-    level: Literal["note", "warning", "error"]
-    code: str
-    message: str
-    cure: str = ""
-    files: tuple[str, ...] = ()
+    level: Level  # "note" informs, "warning" lowers the result, "error" refuses the capture
+    code: str  # short stable name such as "missing-images"
+    message: str  # what was found, where
+    cure: str = ""  # what to do about it
+    files: tuple[str, ...] = ()  # file names concerned, at most a dozen
+    # what was measured, plain values for JSON; the check that makes a finding says which
     numbers: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -93,26 +73,17 @@ BACKDROP_MASKS, MESH_MASKS = "backdrop-masks", "mesh-masks"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
-    """Posed, masked photographs of one object.
+    """Posed, masked photographs of one object."""
 
-    Attributes:
-        source: Folder or file it was read from.
-        format: Name of the format as recognised, for example "nerf-synthetic".
-        views: Photographs in the capture's own frame.
-        bounds: Bounding sphere of the object.
-        findings: What the readers and checks noticed.
-        table: What the object stands on, where masks were guessed and it was found.
-        is_linear: Whether no photograph went through a tone curve but sRGB's.
-        photographs: File of each view by its name, while it is known; not stored.
-    """
-
-    source: Path
-    format: str
-    views: tuple[View, ...]
-    bounds: Bounds
-    findings: tuple[Finding, ...] = field(default=())
+    source: Path  # folder or file it was read from
+    format: str  # name of the format as recognised, for example "nerf-synthetic"
+    views: tuple[View, ...]  # photographs in the capture's own frame
+    bounds: Bounds  # bounding sphere of the object
+    findings: tuple[Finding, ...] = field(default=())  # what the readers and checks noticed
+    # what the object stands on, where masks were guessed and it was found
     table: Plane | None = None
-    is_linear: bool = False
+    is_linear: bool = False  # whether no photograph went through a tone curve but sRGB's
+    # file of each view by its name, while it is known; not stored
     photographs: Mapping[str, Path] = field(default_factory=dict)
 
     @property
@@ -122,7 +93,7 @@ class Capture:
 
     @property
     def held_out(self) -> tuple[View, ...]:
-        """Views kept aside to judge the result."""
+        """Views held out to judge the result."""
         return tuple(view for view in self.views if view.split == "held_out")
 
     @property

@@ -32,17 +32,9 @@ _REACH = 0.25
 def check_capture(
     source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
 ) -> tuple[Capture | None, tuple[Finding, ...], FrameSet | None]:
-    """Read a capture and say what was noticed; a bad capture is no exception here.
+    """The capture, or None if errors are among its findings; these, errors first.
 
-    Args:
-        source: Folder of the capture, or its file of poses; never written to.
-        masks: Folder of masks, or None.
-        config: Settings of the capture stage.
-        progress: Told how far reading is.
-
-    Returns:
-        The capture, or None if errors are among the findings; all findings, errors first; of a
-        refused capture the posed photographs, if there are any.
+    Of a refused capture the posed photographs come last, if there are any.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="robir-") as folder:
@@ -62,12 +54,8 @@ def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 def stands_of(frames: FrameSet) -> dict[str, Any] | None:
     """Where the photographs of a refused capture were taken, as plain values for JSON.
 
-    Args:
-        frames: Posed photographs, poses without fault.
-
-    Returns:
-        "cameras" like those of an accepted capture, each with its "image"; "centre" and "radius"
-        of where they look; "points", (N, 3) sparse points. None where no photograph can be read.
+    "cameras" are like those of an accepted capture, each with its "image"; "centre" and "radius"
+    say where they look; "points" are sparse, (N, 3). None where no photograph can be read.
     """
     posed = [(frame, camera) for frame in frames.frames if (camera := _camera(frame)) is not None]
     if not posed:

@@ -16,9 +16,9 @@ class CaptureConfig:
     Attributes:
         max_side: Longer side, in pixels, of what is kept of a photograph about the object, at
             least 16; what is larger is averaged down to it, what is smaller stays as it is.
-        held_out_every: Every how many-th view is kept aside, at least 2; used only if the
+        held_out_every: Every how many-th view is held out, at least 2; used only if the
             capture brings no test views of its own.
-        max_held_out: Number of views kept aside at most, at least 1.
+        max_held_out: Number of views held out at most, at least 1.
         held_out_sector: Degrees about the object, seen from above, of which no photograph takes
             part: those held out then lie outside what was seen, not between it. 0 for none.
         adjust_cameras: Whether given cameras are moved where points that stand out in the

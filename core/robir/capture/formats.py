@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which reader a folder or a file of poses needs, told from names and content."""
+"""Which reader a folder or a file of poses needs, recognised by names and content."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -16,21 +17,12 @@ from robir.capture.readers import (
     meshroom,
     metashape,
     neus,
+    phones,
+    programs,
     reality_scan,
     transforms,
 )
-from robir.capture.readers.files import children
-from robir.capture.readers.programs import (
-    arkit,
-    bundler,
-    nerfactor,
-    openmvg,
-    opensfm,
-    record3d,
-    sdfstudio,
-    splats,
-    stray_scanner,
-)
+from robir.capture.readers.files import children, head
 from robir.capture.refusal import note, warning
 
 Reader = Callable[[], FrameSet]
@@ -42,26 +34,22 @@ KNOWN = (
     "internal/external camera parameters (CSV) or XMP files, Metashape's cameras (XML), "
     "Meshroom's cameras.sfm, or what docs/formats.md lists besides"
 )
-# formats that are told by what a file holds, and the suffixes of such files
+# suffixes of files, how files of one format begin, and what reads them
 _FILES = (
-    (meshroom, (".json", ".sfm")),
-    (opensfm, (".json",)),
-    (openmvg, (".json",)),
-    (sdfstudio, (".json",)),
-    (splats, (".json",)),
-    (stray_scanner, (".csv",)),
-    (reality_scan, (".csv", ".txt")),
-    (metashape, (".xml",)),
-    (bundler, (".out",)),
-    (record3d, (".json", "")),
+    ((".json", ".sfm"), r'(?=.*"views")(?=.*"viewId")', meshroom.read),
+    ((".json",), r'\s*\[(?=.*"projection_type")', programs.read_opensfm),
+    ((".json",), r'(?=.*"sfm_data_version")', programs.read_openmvg),
+    ((".json",), r'(?=.*"camtoworld")(?=.*"rgb_path")', transforms.read_sdfstudio),
+    ((".json",), r'\s*\[(?=.*"img_name")(?=.*"rotation")', transforms.read_splats),
+    ((".csv",), r"(?=[^\n]*\bframe\b)(?=[^\n]*\bqx\b)(?=[^\n]*\bqw\b)", phones.read_stray_scanner),
+    ((".xml",), r"(?=.*<chunk)(?=.*<sensor)", metashape.read),
+    ((".out",), r"\s*# bundle file", programs.read_bundler),
 )
 _MOST = 200  # files of one folder that are looked into for poses
 # files of poses that are known but not read: name, what it is, how its poses can be read
 _UNREAD = (
-    ("*.psx", "a Metashape project", "export its cameras (File > Export > Export Cameras, XML)"),
-    ("*.psz", "a Metashape project", "export its cameras (File > Export > Export Cameras, XML)"),
-    ("*.rcproj", "a RealityScan project", 'export "Internal/External camera parameters" (CSV)'),
-    ("*.rsproj", "a RealityScan project", 'export "Internal/External camera parameters" (CSV)'),
+    ("*.ps[xz]", "a Metashape project", "export its cameras (File > Export > Export Cameras, XML)"),
+    ("*.r[cs]proj", "a RealityScan project", 'export "Internal/External camera parameters" (CSV)'),
     ("*.mg", "a Meshroom project", "copy cameras.sfm from its StructureFromMotion node here"),
     ("sfm_data.bin", "OpenMVG's scene", "convert it: openMVG_main_ConvertSfM_DataFormat -i "
      "sfm_data.bin -o sfm_data.json"),
@@ -80,27 +68,25 @@ def reader_of(source: Path) -> Reader | None:
     """
     if source.is_file():
         return file_reader(source)
-    found = list(_readers(source))
-    if not found:
-        return None
-    (chosen, reader), *others = found
-    if not others:
+    (chosen, reader), *others = list(_readers(source)) or [("", None)]
+    if reader is None or not others:
         return reader
     left = ", ".join(name for name, _ in others[:3])
     left += f" and {len(others) - 3} more" if len(others) > 3 else ""
     message = f"Poses are taken from {chosen}, which says most; {left} is left aside"
-    return lambda: _with(reader(), note("several-poses", message))
+    return partial(_noted, reader, note("several-poses", message))
 
 
-def _with(frames: FrameSet, finding: Finding) -> FrameSet:
+def _noted(reader: Reader, finding: Finding) -> FrameSet:
+    frames = reader()
     return replace(frames, findings=(*frames.findings, finding))
 
 
 def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
     """Everything in a folder that poses can be read from, what says most first."""
-    keyframes = transforms.find_keyframes(source)
+    keyframes = phones.find_keyframes(source)
     if keyframes is not None:
-        yield f"{keyframes.name}/", partial(transforms.read_keyframes, keyframes)
+        yield f"{keyframes.name}/", partial(phones.read_keyframes, keyframes)
     is_synthetic = (source / transforms.TRAIN).is_file()
     if is_synthetic:
         yield transforms.TRAIN, partial(transforms.read_synthetic, source)
@@ -110,9 +96,10 @@ def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
     archive = neus.find(source)
     if archive is not None:
         yield archive.name, partial(neus.read, archive)
-    for module in (nerfactor, arkit):
-        if module.find(source):
-            yield f"folders of {module.FORMAT}", partial(module.read, source)
+    if transforms.is_nerfactor(source):
+        yield "folders of nerfactor", partial(transforms.read_nerfactor, source)
+    if phones.is_arkit(source):
+        yield "folders of arkit", partial(phones.read_arkit, source)
     models = colmap.find_models(source)
     if models:
         yield models[0].relative_to(source).as_posix(), partial(colmap.read, source)
@@ -130,21 +117,24 @@ def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
 
 def _files(source: Path) -> list[Path]:
     """Files of a folder that may hold poses, and those at the usual places below it."""
-    suffixes = {suffix for _, some in _FILES for suffix in some if suffix} | {".npz"}
+    suffixes = {suffix for some, *_ in _FILES for suffix in some} | {".npz", ".txt"}
     own = [path for path in children(source) if path.suffix.lower() in suffixes][:_MOST]
-    below = [source / "opensfm" / opensfm.NAME, record3d.find(source)]
+    below = [source / "opensfm" / "reconstruction.json", phones.find_record3d(source)]
     found = [path for path in (*own, *below) if path is not None and path.is_file()]
     return list(dict.fromkeys(found))
 
 
 def file_reader(path: Path) -> Reader | None:
-    """What reads a file of poses, told by what the file holds."""
-    suffix = path.suffix.lower()
-    for module, suffixes in _FILES:
-        if suffix in suffixes and module.looks_like(path):
-            return partial(module.read, path)
-    is_json = suffix == ".json" and path.name != transforms.TRAIN
-    if is_json and transforms.looks_like(path):
+    """What reads a file of poses, recognised by what the file holds."""
+    suffix, start = path.suffix.lower(), head(path)
+    for suffixes, begin, read in _FILES:
+        if suffix in suffixes and re.match(begin, start, re.DOTALL | re.IGNORECASE):
+            return partial(read, path)
+    if suffix in (".csv", ".txt") and reality_scan.looks_like(path):
+        return partial(reality_scan.read, path)
+    if phones.is_record3d(path):
+        return partial(phones.read_record3d, path)
+    if suffix == ".json" and path.name != transforms.TRAIN and transforms.looks_like(path):
         return partial(transforms.read, path)
     return partial(neus.read, path) if suffix == ".npz" and neus.is_camera_file(path) else None
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
-from robir.capture.capture import Finding
+from robir.capture.capture import Bounds, Finding
 from robir.capture.refusal import CaptureRefusedError, refuse
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
 
@@ -53,25 +53,17 @@ MAX_ANGLE = 3.14  # widest field of view of a pinhole camera, radians
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distortion:
-    """Brown-Conrady lens distortion; all zero means none.
+    """Brown-Conrady lens distortion; all zero means none."""
 
-    Attributes:
-        radial: k1, k2, k3, k4 of the numerator.
-        rational: d1, d2, d3 of the denominator (OpenCV's k4, k5, k6).
-        tangential: p1, p2.
-        skew: s, how far a step down moves along the row.
-        is_fisheye: Whether the radius is the angle to the axis, not its tangent.
-        model: Name of another model of COLMAP instead of all this, or nothing.
-        others: Its parameters after focal length and principal point.
-    """
-
+    # k1, k2, k3, k4 of the numerator
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    # d1, d2, d3 of the denominator (OpenCV's k4, k5, k6)
     rational: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
-    skew: float = 0.0
-    is_fisheye: bool = False
-    model: str = ""
-    others: tuple[float, ...] = ()
+    tangential: tuple[float, float] = (0.0, 0.0)  # p1, p2
+    skew: float = 0.0  # s, how far a step down moves along the row
+    is_fisheye: bool = False  # whether the radius is the angle to the axis, not its tangent
+    model: str = ""  # name of another model of COLMAP instead of all this, or nothing
+    others: tuple[float, ...] = ()  # its parameters after focal length and principal point
 
     @property
     def parameters(self) -> tuple[float, ...]:
@@ -111,30 +103,19 @@ class Distortion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """Intrinsics as a format states them; what it leaves open follows from the image size.
+    """Intrinsics as a format states them; what it leaves open follows from the image size."""
 
-    Attributes:
-        width: Declared image width in pixels, or None.
-        height: Declared image height in pixels, or None.
-        fx: Focal length along the row in pixels, or None if only `angle_x` is known.
-        fy: Focal length along the column in pixels, or None for square pixels.
-        cx: Principal point from the left edge in pixels, or None for the middle.
-        cy: Principal point from the top edge in pixels, or None for the middle.
-        angle_x: Horizontal field of view in radians, used where fx is None.
-        angle_y: Vertical field of view in radians, used where fx and fy are None.
-        distortion: Lens distortion.
-        is_scalable: Whether the format lets photographs be smaller or larger than declared.
-    """
-
-    width: int | None = None
-    height: int | None = None
+    width: int | None = None  # declared image width in pixels, or None
+    height: int | None = None  # declared image height in pixels, or None
+    # focal length along the row in pixels, or None if only `angle_x` is known
     fx: float | None = None
-    fy: float | None = None
-    cx: float | None = None
-    cy: float | None = None
-    angle_x: float | None = None
-    angle_y: float | None = None
-    distortion: Distortion = field(default_factory=Distortion)
+    fy: float | None = None  # focal length along the column in pixels, or None for square pixels
+    cx: float | None = None  # principal point from the left edge in pixels, or None for the middle
+    cy: float | None = None  # principal point from the top edge in pixels, or None for the middle
+    angle_x: float | None = None  # horizontal field of view in radians, used where fx is None
+    angle_y: float | None = None  # vertical field of view in radians, used where fx and fy are None
+    distortion: Distortion = field(default_factory=Distortion)  # lens distortion
+    # whether the format lets photographs be smaller or larger than declared
     is_scalable: bool = False
 
     @property
@@ -176,86 +157,47 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One photograph on disk with its pose.
+    """One photograph on disk with its pose."""
 
-    Attributes:
-        name: Unique within the capture, fit for a file name.
-        image: The photograph.
-        relative: The photograph's path as the format names it; masks are found by it.
-        mask: Mask the format names itself, or None.
-        lens: Intrinsics as stated.
-        camera_to_world: 4x4, OpenGL axes, as stated; not yet checked.
-        split: "test" if the format keeps the view aside, else "train".
-        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it; None
-            where only its size can tell.
-        is_mask_upright: The same of the mask.
-    """
-
-    name: str
-    image: Path
-    relative: str
-    mask: Path | None = None
-    lens: Lens
-    camera_to_world: Array
+    name: str  # unique within the capture, fit for a file name
+    image: Path  # the photograph
+    relative: str  # the photograph's path as the format names it; masks are found by it
+    mask: Path | None = None  # mask the format names itself, or None
+    lens: Lens  # intrinsics as stated
+    camera_to_world: Array  # 4x4, OpenGL axes, as stated; not yet checked
+    # "test" if the format holds the view out, else "train"
     split: Literal["train", "test"] = "train"
+    # whether the pose is for the photograph as its EXIF orientation turns it; None where only its
+    # size can tell
     is_upright: bool | None = None
-    is_mask_upright: bool | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sphere:
-    """Where a format says the object is.
-
-    Attributes:
-        centre: (3,), capture frame.
-        radius: Capture unit.
-        origin: How it is known, one clause for the user.
-        is_limit: Whether the object is promised to lie inside.
-    """
-
-    centre: Array
-    radius: float
-    origin: str
-    is_limit: bool
+    is_mask_upright: bool | None = None  # the same of the mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameSet:
-    """Everything a format says, before a pixel is read.
+    """Everything a format says, before a pixel is read."""
 
-    Attributes:
-        root: Folder that holds the capture.
-        format: Name of the format, for example "colmap".
-        frames: Posed photographs.
-        sphere: Where the format says the object is, or None.
-        other_order: The same frames with their poses in the other plausible order, or none.
-        points: (N, 3) sparse surface points, capture frame; empty if the format has none.
-        findings: What the reader noticed.
-    """
-
-    root: Path
-    format: str
-    frames: tuple[Frame, ...]
+    root: Path  # folder that holds the capture
+    format: str  # name of the format, for example "colmap"
+    frames: tuple[Frame, ...]  # posed photographs
+    # the same frames with their poses in the other plausible order, or none
     other_order: tuple[Frame, ...] = ()
-    sphere: Sphere | None = None
+    sphere: Bounds | None = None  # where the format says the object is, or None
+    # (N, 3) sparse surface points, capture frame; empty if the format has none
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # what the reader noticed
 
 
 def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
     """The lens, if its numbers are finite and sizes and focal lengths positive; or a refusal."""
     sizes = [value for value in (lens.width, lens.height) if value is not None]
     focals = [value for value in (lens.fx, lens.fy, lens.angle_x) if value is not None]
-    others = [value for value in (lens.cx, lens.cy) if value is not None]
-    numbers = (*sizes, *focals, *others, *lens.distortion.parameters)
-    if (
-        not all(abs(value) < MAX_NUMBER for value in numbers)
-        or min((*sizes, *focals), default=1) <= 0
-    ):
+    middle = [value for value in (lens.cx, lens.cy) if value is not None]
+    others, positive = (*middle, *lens.distortion.parameters), (*sizes, *focals)
+    if not all(abs(v) < MAX_NUMBER for v in (*positive, *others)) or min(positive, default=1) <= 0:
         size = "x".join(f"{value:g}" for value in sizes) or "unknown size"
         message = f"{path}: {whose} has {size} pixels, a focal length of "
-        message += f"{' and '.join(f'{value:g}' for value in focals)} and the lens parameters "
-        message += f"{(*others, *lens.distortion.parameters)}"
+        message += f"{' and '.join(f'{value:g}' for value in focals)} and parameters {others}"
         cure = "Estimate the cameras again, or export them again."
         raise refuse("bad-intrinsics", message, cure, path.name)
     return lens
@@ -290,11 +232,7 @@ def rigid(pose: Array) -> Array:
 
 
 class PosedRefusedError(CaptureRefusedError):
-    """The capture cannot be reconstructed, though its photographs are posed.
-
-    Attributes:
-        frames: The posed photographs, in which a user may look for the fault.
-    """
+    """The capture cannot be reconstructed, though its photographs are posed: its `frames`."""
 
     def __init__(self, findings: Iterable[Finding], frames: FrameSet) -> None:
         """Make the message from the errors among the findings."""
@@ -316,7 +254,7 @@ def unique_names(relatives: list[str]) -> list[str]:
     while parts and all(len(p) > 1 and p[0] == parts[0][0] for p in parts):
         parts = [p[1:] for p in parts]
     full = ["_".join(p) for p in parts]
-    stems = [name.rsplit(".", 1)[0] if _has_image_suffix(name) else name for name in full]
+    stems = [n.rsplit(".", 1)[0] if n.lower().endswith(IMAGE_SUFFIXES) else n for n in full]
     names = stems if len(set(stems)) == len(stems) else full
     for name, relative in zip(names, relatives, strict=True):
         _check_name(name, relative)
@@ -336,7 +274,3 @@ def _check_name(name: str, relative: str) -> None:
         message = f"A photograph cannot be named: {fault}"
         cure = "Give the photographs short names of letters and digits, in the file of poses too."
         raise refuse("bad-name", message, cure) from None
-
-
-def _has_image_suffix(name: str) -> bool:
-    return name.lower().endswith(IMAGE_SUFFIXES)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from robir.capture.gltf_json import COMPRESSED, MeshFaultError, buffer_of, entry, refuse_extension
 from robir.capture.images.decode import MAX_DECODED, MAX_PIXELS, MAX_SIDE, SCAN
@@ -37,21 +38,14 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Triangles of one material.
+    """Triangles of one material."""
 
-    Attributes:
-        vertices: (N, 3) float64.
-        faces: (F, 3) int64.
-        uvs: (N, 2) float64, v upwards; None where there are none.
-        normals: (N, 3) float64, as the file has them; None where it has none.
-        material: Its number; -1 for none.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uvs: NDArray[np.float64] | None = None
+    vertices: NDArray[np.float64]  # (N, 3) float64
+    faces: NDArray[np.int64]  # (F, 3) int64
+    uvs: NDArray[np.float64] | None = None  # (N, 2) float64, v upwards; None where there are none
+    # (N, 3) float64, as the file has them; None where it has none
     normals: NDArray[np.float64] | None = None
-    material: int = -1
+    material: int = -1  # its number; -1 for none
 
 
 def read_parts(
@@ -117,17 +111,10 @@ def _place(node: dict[str, Any], number: int) -> NDArray[np.float64]:
             raise MeshFaultError(f"the {key} of node {number} is no {length} numbers of sane size")
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    place = np.eye(4)
-    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    if length < 1e-9:
+    place, turn = np.eye(4), np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+    if np.linalg.norm(turn) < 1e-9:
         raise MeshFaultError(f"the rotation of node {number} is none")
-    x, y, z, w = x / length, y / length, z / length, w / length
-    place[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    place[:3, :3] = Rotation.from_quat(turn).as_matrix()
     place[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     place[:3, 3] = node.get("translation", (0, 0, 0))
     return place

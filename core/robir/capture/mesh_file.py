@@ -52,37 +52,25 @@ _OFF_COUNTS = re.compile(rb"\AOFF\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detail:
-    """Normal maps of tangent space, over a mesh's own normals and texture coordinates.
+    """Normal maps of tangent space, over a mesh's own normals and texture coordinates."""
 
-    Attributes:
-        maps: (H, W, 3) codes each, row 0 at v = 1, green towards larger v; they repeat outside
-            0..1.
-        of_face: (Nf,) int32, which map a face has; -1 for none.
-    """
-
+    # (H, W, 3) codes each, row 0 at v = 1, green towards larger v; they repeat outside 0..1
     maps: tuple[NDArray[np.uint8], ...]
-    of_face: NDArray[np.int32]
+    of_face: NDArray[np.int32]  # (Nf,) int32, which map a face has; -1 for none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Given:
-    """Triangles as a file has them.
+    """Triangles as a file has them."""
 
-    Attributes:
-        vertices: (Nv, 3) float64, the capture's frame and unit or, placed, the unit frame.
-        faces: (Nf, 3) int32, in the file's order.
-        uvs: (Nv, 2) float64, v upwards; NaN for vertices without any.
-        normals: (Nv, 3) float64, unit; None where there is no normal map.
-        detail: Normal maps over these normals; None if the file has none.
-        notes: Sentences for the user.
-    """
-
+    # (Nv, 3) float64, the capture's frame and unit or, placed, the unit frame
     vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    uvs: NDArray[np.float64]
+    faces: NDArray[np.int32]  # (Nf, 3) int32, in the file's order
+    uvs: NDArray[np.float64]  # (Nv, 2) float64, v upwards; NaN for vertices without any
+    # (Nv, 3) float64, unit; None where there is no normal map
     normals: NDArray[np.float64] | None = None
-    detail: Detail | None = None
-    notes: tuple[str, ...] = ()
+    detail: Detail | None = None  # normal maps over these normals; None if the file has none
+    notes: tuple[str, ...] = ()  # sentences for the user
 
     def noted(self, *notes: str) -> Given:
         """The same with more to tell."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which format a capture has, told from its files' content; the one door to every reader."""
+"""Which format a capture has, recognised by its files' content; the one door to every reader."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from robir.capture.poses.register import register
 from robir.capture.poses.sources import find_photographs, is_video
 from robir.capture.readers.files import children
 from robir.capture.readers.transforms import SYNTHETIC
-from robir.capture.refusal import CaptureRefusedError, error, note, refuse
+from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard, without_left_out
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
@@ -46,15 +46,10 @@ _REGISTERING = 0.9  # share of the progress that finding poses takes where there
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workshop:
-    """Where the poses of photographs without any are worked out.
+    """Where the poses of photographs without any are worked out."""
 
-    Attributes:
-        folder: Its own; what a stopped call left in it is taken up again.
-        seed: Seed of the estimators.
-    """
-
-    folder: Path
-    seed: int
+    folder: Path  # its own; what a stopped call left in it is taken up again
+    seed: int  # seed of the estimators
 
 
 def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> FrameSet:
@@ -89,9 +84,8 @@ def _check_path(path: Path | None) -> None:
     try:
         checked_name("" if path is None else str(path))
     except UnsafeNameError as fault:
-        raise refuse(
-            "bad-name", f"A photograph or mask cannot be opened: {fault}", "Rename it."
-        ) from None
+        message = f"A photograph or mask cannot be opened: {fault}"
+        raise refuse("bad-name", message, "Rename it.") from None
 
 
 def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
@@ -104,8 +98,7 @@ def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
         if path.parent in strange or (path.is_symlink() and leads_out(path, homes))
     ]
     if elsewhere:
-        message = f"{len(elsewhere)} photographs or masks lie outside the capture's folder "
-        message += f"{homes[0]}"
+        message = f"{len(elsewhere)} photographs or masks lie outside the folder {homes[0]}"
         cure = "Bring them into it; or, if you trust the capture, take them from where they are "
         cure += "with --set capture.outside=take."
         raise refuse("outside", message, cure, *elsewhere)
@@ -144,9 +137,8 @@ def _lacks_poses(source: Path) -> bool:
         return True
     if not source.is_dir() or reader_of(source) is not None:
         return False
-    return not any(reader_of(child) for child in _folders(source)) and bool(
-        find_photographs(source)
-    )
+    has_photographs = bool(find_photographs(source))
+    return has_photographs and not any(reader_of(child) for child in _folders(source))
 
 
 def read_capture(
@@ -158,7 +150,7 @@ def read_capture(
     guesses: Path | None = None,
     mesh: Path | None = None,
 ) -> Capture:
-    """Read a capture of any known format and check it.
+    """Views in the capture's own frame, the object's bounds, and findings without errors.
 
     Args:
         source: Folder of the capture, or its file of poses; never written to.
@@ -166,12 +158,8 @@ def read_capture(
         config: Settings of the stage.
         progress: Told how far reading is.
         workshop: Where missing poses are worked out; None refuses captures without poses.
-        guesses: Folder to write masks to where the capture has none and they are guessed, or None
-            to keep no files of them.
+        guesses: Folder for the masks where these are guessed, or None to keep no files of them.
         mesh: Mesh of the object that the user hands in: cuts it out where nothing else can.
-
-    Returns:
-        Views in the capture's own frame, the object's bounds, and findings without errors.
 
     Raises:
         CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
@@ -263,7 +251,7 @@ def _load_masked(
     # where nothing can be a mask, a small copy of each photograph is enough for a guess
     is_survey = not (has_masks or any(may_hold_alpha(frame.image) for frame, _ in chosen))
     side = SURVEY_SIDE if is_survey else config.max_side
-    loaded = load_views(chosen, drawn, side, lambda share, text: progress(first * share, text))
+    loaded = load_views(chosen, drawn, side, _part_of(progress, 0.0, first))
     findings = [*loaded.findings]
     unusable = any(finding.level == "error" for finding in findings)
     if unusable or not loaded.views or len(loaded.maskless) < len(loaded.views):
@@ -271,13 +259,8 @@ def _load_masked(
     # OpenCV, which most captures need not
     from robir.capture.masks.unmasked import with_guessed_masks
 
-    loaded, about = with_guessed_masks(
-        frames,
-        chosen,
-        loaded,
-        how,
-        lambda share, text: progress(first + (_READING - first) * share, text),
-    )
+    rest = _part_of(progress, first, _READING)
+    loaded, about = with_guessed_masks(frames, chosen, loaded, how, rest)
     return loaded, findings + about
 
 
@@ -295,10 +278,10 @@ def _folder_of_masks(frames: FrameSet) -> Path | None:
 
 
 def _check_mask_supply(loaded: Loaded) -> list[Finding]:
-    if not loaded.maskless or len(loaded.maskless) == len(loaded.views):
-        return []  # where none has a mask they were guessed, or it was said why they cannot be
+    if len(loaded.maskless) == len(loaded.views):
+        return []  # they were guessed, or it was said why they cannot be
     message = f"{len(loaded.maskless)} of {len(loaded.views)} photographs have no mask"
-    return [error("missing-masks", message, mask_files.HOW_TO_SUPPLY, *loaded.maskless)]
+    return some("error", "missing-masks", loaded.maskless, message, mask_files.HOW_TO_SUPPLY)
 
 
 def _stop_on_errors(findings: list[Finding]) -> None:

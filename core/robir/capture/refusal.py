@@ -6,11 +6,11 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from robir.capture.capture import Finding
+from robir.capture.capture import Finding, Level
 from robir.errors import CaptureError
 
 MAX_FILES = 12  # files a finding names at most; the message holds the count
@@ -18,17 +18,8 @@ SHOWN_FILES = 3  # files that a line of text names; the table of findings has al
 MAX_LETTERS = 2000  # letters of a message or a name that are shown
 # what reading a damaged file of arrays raises
 DAMAGED_ARRAYS = (
-    OSError,
-    ValueError,
-    KeyError,
-    EOFError,
-    SyntaxError,
-    RuntimeError,
-    MemoryError,
-    OverflowError,
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
+    *(OSError, ValueError, LookupError, EOFError, SyntaxError, RuntimeError, MemoryError),
+    *(OverflowError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
 
 
@@ -51,16 +42,14 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     kinds: dict[tuple[str, str, str], list[Finding]] = {}
     for finding in findings:
         kinds.setdefault((finding.level, finding.code, finding.cure), []).append(finding)
-    return tuple(_joined(group) for group in kinds.values())
-
-
-def _joined(group: list[Finding]) -> Finding:
-    first, *others = group
-    if not others:
-        return first
-    names = tuple(dict.fromkeys(name for finding in group for name in finding.files))
-    message = f"{first.message}; so it is with {len(others)} more"
-    return replace(first, message=message, files=names[:MAX_FILES])
+    joined = []
+    for first, *others in kinds.values():
+        if others:
+            names = dict.fromkeys(name for one in (first, *others) for name in one.files)
+            message = f"{first.message}; so it is with {len(others)} more"
+            first = replace(first, message=message, files=tuple(names)[:MAX_FILES])
+        joined.append(first)
+    return tuple(joined)
 
 
 def describe(finding: Finding) -> str:
@@ -79,35 +68,37 @@ def refuse(code: str, message: str, cure: str, *files: str) -> CaptureRefusedErr
 
 def error(code: str, message: str, cure: str, *files: str) -> Finding:
     """A finding that refuses the capture."""
-    return Finding(
-        level="error",
-        code=code,
-        message=_printable(message),
-        cure=cure,
-        files=tuple(map(_printable, files[:MAX_FILES])),
-    )
+    return _finding("error", code, message, cure, files)
 
 
 def warning(code: str, message: str, cure: str, *files: str, **numbers: Any) -> Finding:
     """A finding that lowers the result."""
-    return Finding(
-        level="warning",
-        code=code,
-        message=_printable(message),
-        cure=cure,
-        files=tuple(map(_printable, files[:MAX_FILES])),
-        numbers=numbers,
-    )
+    return _finding("warning", code, message, cure, files, numbers)
 
 
 def note(code: str, message: str, *files: str, **numbers: Any) -> Finding:
     """A finding that informs."""
+    return _finding("note", code, message, "", files, numbers)
+
+
+def some(
+    level: Level, code: str, names: Sequence[str], message: str, cure: str = ""
+) -> list[Finding]:
+    """A finding about files; none where there are no such files."""
+    return [_finding(level, code, message, cure, names)] if names else []
+
+
+def _finding(
+    level: Level,
+    code: str,
+    message: str,
+    cure: str,
+    files: Sequence[str],
+    numbers: dict[str, Any] | None = None,
+) -> Finding:
+    names, text = tuple(map(_printable, files[:MAX_FILES])), _printable(message)
     return Finding(
-        level="note",
-        code=code,
-        message=_printable(message),
-        files=tuple(map(_printable, files[:MAX_FILES])),
-        numbers=numbers,
+        level=level, code=code, message=text, cure=cure, files=names, numbers=numbers or {}
     )
 
 

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,6 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
 from robir.maths.similarity import Similarity
 
-# what reading a damaged file of the stage raises
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, SyntaxError)
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
 
@@ -60,12 +59,8 @@ def save_capture(folder: Path, capture: Capture) -> None:
 
 
 def load_capture(folder: Path) -> Capture:
-    """Read what `save_capture` wrote: the capture in its own frame.
-
-    Raises:
-        StorageError: If a file is missing or damaged.
-    """
-    try:
+    """What `save_capture` wrote: the capture in its own frame; `StorageError` where damaged."""
+    with _reading(folder, "capture"):
         plain = read_record(folder / "capture.json", _CAPTURE)
         views = tuple(_view(folder, entry) for entry in plain["views"])
         return Capture(
@@ -77,26 +72,25 @@ def load_capture(folder: Path) -> Capture:
             table=next((_plane(entry) for entry in plain["table"]), None),
             is_linear=plain.get("is_linear", False),
         )
-    except _DAMAGE as fault:
-        raise _damaged(folder, fault) from fault
+
+
+@contextmanager
+def _reading(path: Path, stage: str) -> Iterator[None]:
+    """Say of what is missing or damaged which stage has to run again."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, SyntaxError) as fault:
+        cure = f"Run the {stage} stage again."
+        raise StorageError(f"{path} cannot be read ({fault}). {cure}") from fault
 
 
 def load_bounds(paths: JobPaths) -> Bounds:
     """The object's sphere alone, without the photographs, in the frame of `load_settled`."""
     folder = paths.stage("capture")
-    try:
+    with _reading(folder, "capture"):
         bounds = _bounds(read_record(folder / "capture.json", _CAPTURE)["bounds"])
-    except _DAMAGE as fault:
-        raise _damaged(folder, fault) from fault
     moved = _load_frame(paths)
     return bounds if moved is None else moved[1]
-
-
-def _damaged(folder: Path, fault: Exception) -> StorageError:
-    return StorageError(
-        f"The capture stage's files in {folder} cannot be read ({fault}). "
-        "Run the capture stage again."
-    )
 
 
 def _plain_bounds(bounds: Bounds) -> dict[str, Any]:
@@ -123,21 +117,15 @@ def _load_frame(paths: JobPaths) -> tuple[Similarity, Bounds] | None:
     """What `save_frame` wrote, if anything."""
     if not paths.frame.exists():
         return None
-    try:
+    with _reading(paths.frame, "geometry"):
         plain = read_record(paths.frame, _FRAME)
         turn, shift = np.array(plain["turn"]), np.array(plain["shift"])
         if turn.shape != (3, 3) or shift.shape != (3,) or plain["scale"] <= 0:
             raise ValueError("it is no similarity")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise ValueError("its turn is none")
-        bounds = _bounds(plain["bounds"])
-    except _DAMAGE as fault:
-        raise _unsettled(paths.frame, fault) from fault
-    return Similarity(turn=turn, scale=float(plain["scale"]), shift=shift), bounds
-
-
-def _unsettled(path: Path, fault: Exception) -> StorageError:
-    return StorageError(f"{path} cannot be read ({fault}). Run the geometry stage again.")
+        frame = Similarity(turn=turn, scale=float(plain["scale"]), shift=shift)
+        return frame, _bounds(plain["bounds"])
 
 
 def _plane(plain: dict[str, Any]) -> Plane:
@@ -170,13 +158,10 @@ def load_settled(paths: JobPaths) -> Capture:
 def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
     """Mask of a view from the geometry stage."""
     path = file_in(paths.cut_masks, f"{view.name}.png")
-    try:
-        with Image.open(path, formats=["PNG"]) as picture:
-            if picture.mode != "L" or picture.size != (view.camera.width, view.camera.height):
-                raise ValueError(f"it is {picture.mode} of size {picture.size}")
-            return np.array(picture)
-    except _DAMAGE as fault:
-        raise _unsettled(path, fault) from fault
+    with _reading(path, "geometry"), Image.open(path, formats=["PNG"]) as picture:
+        if picture.mode != "L" or picture.size != (view.camera.width, view.camera.height):
+            raise ValueError(f"it is {picture.mode} of size {picture.size}")
+        return np.array(picture)
 
 
 def view_path(folder: Path, name: str) -> Path:

@@ -24,17 +24,11 @@ BELOW = 0.25  # greatest share of patches below a support plane, against those o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plane:
-    """What the object stands on.
+    """What the object stands on."""
 
-    Attributes:
-        normal: (3,) unit, towards the cameras.
-        offset: Points p on the plane have normal . p = offset.
-        tolerance: How far points on it may lie off it, capture unit.
-    """
-
-    normal: Array
-    offset: float
-    tolerance: float
+    normal: Array  # (3,) unit, towards the cameras
+    offset: float  # points p on the plane have normal . p = offset.
+    tolerance: float  # how far points on it may lie off it, capture unit
 
     def height(self, points: Array) -> Array:
         """Height of points (N, 3) above the plane."""

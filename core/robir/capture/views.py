@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From posed files to views: choosing what is kept aside, reading one photograph at a time."""
+"""From posed files to views: choosing what is held out, reading one photograph at a time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robir.capture.frames import Frame, FrameSet
 from robir.capture.images.decode import header, stored_size
 from robir.capture.images.linear import LINEAR, common_exposure
 from robir.capture.images.reading import MaskSource, Reading, read_view
-from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, warning
+from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, some
 from robir.capture.support import Plane
 
 # a photograph of so many pixels is decoded in a second, whatever the others have
@@ -37,21 +37,14 @@ def unheard(fraction: float, message: str) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loaded:
-    """Photographs that could be read.
+    """Photographs that could be read."""
 
-    Attributes:
-        views: In the order of the frames; a view without a mask has a full one.
-        maskless: Names of the views without a mask.
-        findings: One error a photograph that could not be read, and notes.
-        table: What the object stands on, where masks were guessed and it was found.
-        is_linear: Whether no photograph went through a tone curve but sRGB's.
-    """
-
-    views: tuple[View, ...]
-    maskless: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    views: tuple[View, ...]  # in the order of the frames; a view without a mask has a full one
+    maskless: tuple[str, ...]  # names of the views without a mask
+    findings: tuple[Finding, ...]  # one error a photograph that could not be read, and notes
+    # what the object stands on, where masks were guessed and it was found
     table: Plane | None = None
-    is_linear: bool = False
+    is_linear: bool = False  # whether no photograph went through a tone curve but sRGB's
 
 
 def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
@@ -65,19 +58,14 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
     known = {name for frame in chosen for name in (frame.name, frame.relative)}
     skips = config.missing == "skip"
     missing = [f for f in frames.frames if skips and f.name not in known and not f.image.is_file()]
-    found = []
-    if chosen:
-        names = [frame.name for frame in chosen]
-        found.append(note("left-out", f"{len(chosen)} photographs are left out as asked", *names))
-    if unwanted - known:
-        message = "Photographs that were to be left out are not in the capture"
-        cure = "Name them as the findings do."
-        found.append(warning("unknown-photographs", message, cure, *sorted(unwanted - known)))
-    if missing:
-        of = f"{len(missing)} of {len(frames.frames)} posed photographs"
-        cure = "Put them below the capture's folder to have them used."
-        names = [frame.relative for frame in missing]
-        found.append(warning("missing-skipped", f"{of} are missing and left out", cure, *names))
+    message = f"{len(chosen)} photographs are left out as the settings say"
+    found = some("note", "left-out", [frame.name for frame in chosen], message)
+    message, cure = "Photographs to leave out are not in the capture", "Name them as findings do."
+    found += some("warning", "unknown-photographs", sorted(unwanted - known), message, cure)
+    message = f"{len(missing)} of {len(frames.frames)} posed photographs are missing and left out"
+    cure = "Put them below the capture's folder to have them used."
+    names = [frame.relative for frame in missing]
+    found += some("warning", "missing-skipped", names, message, cure)
     gone = {frame.name for frame in (*chosen, *missing)}
     return replace(
         frames,
@@ -147,14 +135,8 @@ def load_views(
 ) -> Loaded:
     """Read photographs one by one: undistorted, cut to the object and reduced.
 
-    Args:
-        chosen: Frames with their split; poses without fault.
-        masks: Masks or their files by frame name; they win over the format's own and over alpha.
-        max_side: Longer side that is kept of what shows the object, pixels.
-        progress: Told after every photograph.
-
-    Returns:
-        What could be read, and what could not.
+    Poses of the frames are without fault. `masks`, or their files, by frame name win over the
+    format's own and over alpha; `max_side` is what is kept of what shows the object, pixels.
     """
     readings, findings = [], []
     most = _most_pixels(chosen)
@@ -167,9 +149,8 @@ def load_views(
             findings.extend(refusal.findings)
         progress((done + 1) / len(chosen), f"reading {frame.name}")
     turned = [reading.view.name for reading in readings if reading.is_turned]
-    if turned:
-        message = f"{len(turned)} photographs were turned upright as their EXIF data says"
-        findings.append(note("exif-orientation", message, *turned))
+    message = f"{len(turned)} photographs were turned upright as their EXIF data says"
+    findings += some("note", "exif-orientation", turned, message)
     findings += _about_colours(readings, exposure)
     if any(not frame.lens.distortion.is_null for frame, _ in chosen):
         findings.append(note("undistorted", "Lens distortion was taken out of the photographs"))
@@ -183,35 +164,33 @@ def load_views(
 
 def _exposure(frames: Sequence[Frame]) -> float:
     """Factor on the values of all linear photographs, 1 where there are none."""
-    linear = [f.image for f in frames if f.image.suffix.lower() in (".exr", ".tif", ".tiff")]
 
     def pictures() -> Iterator[Image.Image]:
-        for path in linear:
-            with suppress(CaptureRefusedError), header(path) as picture:
-                if LINEAR in picture.info:
-                    yield picture
+        for path in (frame.image for frame in frames):
+            if path.suffix.lower() in (".exr", ".tif", ".tiff"):
+                with suppress(CaptureRefusedError), header(path) as picture:
+                    if LINEAR in picture.info:
+                        yield picture
 
-    return common_exposure(pictures()) if linear else 1.0
+    return common_exposure(pictures())
 
 
 def _about_colours(readings: Sequence[Reading], exposure: float) -> list[Finding]:
     """What was found of the photographs' colours, one line; a warning where tone curves differ."""
     of: dict[str, list[str]] = {}
     for reading in readings:
-        for told in reading.colours:
-            of.setdefault(told, []).append(reading.view.name)
+        for kind in reading.colours:
+            of.setdefault(kind, []).append(reading.view.name)
     if not of:
         return []
-    groups = "; ".join(f"{len(names)} {told}" for told, names in of.items())
+    groups = "; ".join(f"{len(names)} {kind}" for kind, names in of.items())
     scaled = "" if exposure == 1.0 else f", times {exposure:g} so that they do not clip"
     found = [note("colours", f"Colours of the photographs: {groups}{scaled}")]
     toned = [reading.view.name for reading in readings if not reading.is_linear]
-    if 0 < len(toned) < len(readings):
-        message = f"{len(toned)} of {len(readings)} photographs went through a tone curve, the "
-        message += "others are linear"
-        cure = "Give all photographs of one kind."
-        found.append(warning("mixed-tone-curves", message, cure, *toned))
-    return found
+    message = f"{len(toned)} of {len(readings)} photographs went through a tone curve, others are "
+    message, cure = f"{message}linear", "Give all photographs of one kind."
+    mixed = toned if len(toned) < len(readings) else []
+    return found + some("warning", "mixed-tone-curves", mixed, message, cure)
 
 
 def _most_pixels(chosen: Sequence[tuple[Frame, Split]]) -> float:

@@ -127,10 +127,10 @@ def test_no_photograph_is_compared_with_itself():
         for i in range(6)
     ]
     nothing, motion = np.zeros((6, 6), np.int64), float("nan")
-    (said,) = judge(photographs, Links(nothing, nothing > 0, motion, 0.0), [])
+    (said,) = judge(photographs, Links(nothing, motion, 0.0), [])
     assert "IMG_0.jpg" not in said.message
     assert "no pair has any" in said.message
     some = nothing.copy()
     some[1, 4] = some[4, 1] = 7
-    (said,) = judge(photographs, Links(some, some > 0, motion, 0.0), [])
+    (said,) = judge(photographs, Links(some, motion, 0.0), [])
     assert "IMG_1.jpg and IMG_4.jpg, has 7 points" in said.message

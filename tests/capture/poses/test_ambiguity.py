@@ -11,7 +11,7 @@ import pytest
 
 from robir.capture.poses import register
 from robir.capture.poses.ambiguity import Verdict, forget, hold_against_links
-from robir.capture.poses.diagnose import Links, look_alikes, strangers
+from robir.capture.poses.diagnose import look_alikes
 from robir.capture.poses.sfm import Prepared, Workplace
 
 pytestmark = pytest.mark.pycolmap
@@ -120,22 +120,6 @@ def test_a_model_led_astray_is_found_out_and_its_ties_are_forgotten(place: Workp
     mended = hold_against_links(place, photographs(), ring(range(0)))
     (warning,) = look_alikes(photographs(), mended, 18)
     assert "18 pairs were left out" in warning.message
-
-
-@pytest.mark.parametrize(
-    ("turned", "compared", "count"),
-    [(range(6, COUNT), True, 6), (range(6, COUNT), False, 0), (range(0), True, 0)],
-    ids=["sides laid on each other", "never compared", "true"],
-)
-def test_photographs_side_by_side_without_matches_are_strangers(turned, compared, count):
-    """0 to 5 and 6 to 11 have neighbours in common, but nothing with the opposite side."""
-    step = np.abs(np.subtract.outer(range(COUNT), range(COUNT)))
-    matches = np.where(np.minimum(step, COUNT - step) <= 2, 200, 0)
-    links = Links(matches, np.full((COUNT, COUNT), compared), 0.1, 0.0)
-    found = strangers(photographs(), links, ring(turned))
-    assert [f"{count} pairs" in finding.message for finding in found] == [True] * bool(count)
-    if found:
-        assert "IMG_0.jpg and IMG_6.jpg" in found[0].files
 
 
 VERDICTS = {

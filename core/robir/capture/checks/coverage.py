@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -57,13 +58,9 @@ def check_coverage(views: Sequence[View], bounds: Bounds) -> list[Finding]:
         f"within {_SEEN:.0f} degrees; the widest gap is {gap:.0f} degrees from the nearest "
         f"photograph, {nearest}, {_words(elevation)}"
     )
-    numbers = {
-        "seen_share": round(share, 3),
-        "gap_degrees": round(gap, 1),
-        "gap_direction": _rounded(direction),
-        "up": _rounded(up),
-        "missing": [_rounded(vector) for vector in sphere[angles > _MISSING]],
-    }
+    numbers: dict[str, Any] = {"seen_share": round(share, 3), "gap_degrees": round(gap, 1)}
+    vectors = {"gap_direction": direction, "up": up, "missing": sphere[angles > _MISSING]}
+    numbers |= {key: np.round(vector, 4).tolist() for key, vector in vectors.items()}
     if gap <= WIDE_GAP:
         return [note("coverage", message, **numbers)]
     cure = "Add photographs from there; what no photograph shows is guessed."
@@ -75,10 +72,6 @@ def _words(elevation: float) -> str:
         return "from above"
     height = "at the height of the object" if abs(elevation) < 15 else f"{elevation:.0f} degrees up"
     return height if elevation > -15 else f"{-elevation:.0f} degrees down"
-
-
-def _rounded(vector: Array) -> list[float]:
-    return [round(float(value), 4) for value in vector]
 
 
 def _spread(count: int) -> Array:

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.capture.bounds import Hull, bounds_of, sphere_from_masks, sphere_from_points
-from robir.capture.capture import Bounds, Finding, View
+from robir.capture.bounds import Hull, sphere_from_masks, sphere_from_points
+from robir.capture.capture import Bounds, Finding, Level, View
 from robir.capture.frames import FrameSet, posed_otherwise
-from robir.capture.refusal import error, note, warning
+from robir.capture.refusal import error, note, some, warning
 
 # distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
 # steps are 1.2e-4 radii there
@@ -30,52 +30,37 @@ MIN_AGREEMENT = 0.8
 
 def check_photographs(views: Sequence[View]) -> list[Finding]:
     """Black, white and repeated photographs, and the object's exposure; masks may be full."""
-    found = []
-    flat: dict[str, list[str]] = {"black": [], "white": []}
-    same: dict[bytes, list[str]] = defaultdict(list)
+    total, same = len(views), defaultdict[bytes, list[str]](list)
+    objects = {view.name: _object_pixels(view) for view in views}
     for view in views:
         same[hashlib.sha256(view.image_display.tobytes()).digest()].append(view.name)
-        pixels = _object_pixels(view)
-        if pixels.max() <= 2:
-            flat["black"].append(view.name)
-        elif pixels.min() >= 253:
-            flat["white"].append(view.name)
-    for what, names in flat.items():
-        if names:
-            message = f"{len(names)} of {len(views)} photographs are {what} all over the object"
-            cure = "Replace them, or remove them together with their poses."
-            found.append(error(f"all-{what}", message, cure, *names))
-    if len(same) == 1 < len(views):
-        message = f"All {len(views)} photographs are the same one, pixel by pixel, with different "
+    black = [name for name, pixels in objects.items() if pixels.max() <= 2]
+    white = [name for name, pixels in objects.items() if pixels.min() >= 253]
+    cure = "Replace them, or remove them together with their poses."
+    message = "photographs are {} all over the object"
+    found = _of("error", "all-black", black, total, message.format("black"), cure)
+    found += _of("error", "all-white", white, total, message.format("white"), cure)
+    if len(same) == 1 < total:
+        message = f"All {total} photographs are the same one, pixel by pixel, with different "
         message += "poses: nothing tells how far away anything is"
         cure = "Give the photographs that the poses belong to."
         found.append(error("same-photograph", message, cure, views[0].name))
     if found:
         return found
     twins = [name for names in same.values() if len(names) > 1 for name in names]
-    if twins:
-        message = f"{len(twins)} of {len(views)} photographs are equal to another, pixel by pixel"
-        cure = "Remove the repeated ones; two poses for one photograph contradict each other."
-        found.append(warning("duplicate-images", message, cure, *twins))
-    return found + _check_exposure(views)
-
-
-def _check_exposure(views: Sequence[View]) -> list[Finding]:
-    found = []
-    brightest = {view.name: _object_pixels(view).max(axis=1) for view in views}
+    cure = "Remove the repeated ones; two poses for one photograph contradict each other."
+    message = "photographs are equal to another, pixel by pixel"
+    found = _of("warning", "duplicate-images", twins, total, message, cure)
+    brightest = {name: pixels.max(axis=1) for name, pixels in objects.items()}
     over = [name for name, values in brightest.items() if (values == 255).mean() > 0.05]
     under = [name for name, values in brightest.items() if (values <= 3).mean() > 0.2]
-    if over:
-        message = f"{len(over)} of {len(views)} photographs are clipped (255) on more than 5 % of "
-        message += f"the object; {100 * clipped_share(views):.1f} % of all object pixels are"
-        cure = "Clipped pixels only tell how bright the object is at least; "
-        cure += "photograph or render with less exposure."
-        found.append(warning("over-exposed", message, cure, *over))
-    if under:
-        share = f"{len(under)} of {len(views)} photographs"
-        message = f"{share} are black on more than 20 % of the object"
-        cure = "Photograph or render with more exposure."
-        found.append(warning("under-exposed", message, cure, *under))
+    message = "photographs are clipped (255) on more than 5 % of the object; "
+    message += f"{100 * clipped_share(views):.1f} % of all object pixels are"
+    cure = "Clipped pixels only tell how bright the object is at least; photograph or render with "
+    found += _of("warning", "over-exposed", over, total, message, cure + "less exposure.")
+    message = "photographs are black on more than 20 % of the object"
+    cure = "Photograph or render with more exposure."
+    found += _of("warning", "under-exposed", under, total, message, cure)
     if has_spike(views):
         found.append(note("clipping", "Object pixels pile up at 255: the tone curve clips"))
     return found
@@ -83,6 +68,7 @@ def _check_exposure(views: Sequence[View]) -> list[Finding]:
 
 def check_masks(views: Sequence[View]) -> list[Finding]:
     """Empty, full, tiny, inverted and cut-off masks."""
+    total = len(views)
     shares = {view.name: _share_of(view, float((view.mask >= _OBJECT).sum())) for view in views}
     border = {view.name: _border_share(view) for view in views}
     empty = [name for name, share in shares.items() if share == 0]
@@ -92,26 +78,22 @@ def check_masks(views: Sequence[View]) -> list[Finding]:
     percent = [100 * share for share in shares.values()]
     message = f"Masks cover {np.mean(percent):.1f} % of the photographs "
     found = [note("mask-share", message + f"({min(percent):.1f} to {max(percent):.1f} %)")]
-    for names, what, means in ((empty, "empty", "no"), (full, "full", "every")):
-        if names:
-            message = f"{len(names)} of {len(views)} masks are {what}: they call {means} pixel "
-            cure = "Draw these masks (white = object), or remove the photographs and poses."
-            found.append(error(f"{what}-masks", message + "object", cure, *names))
-    if tiny:
-        share = f"{len(tiny)} of {len(views)} masks"
-        message = f"{share} cover less than 0.5 % of their photographs"
-        cure = "Check these masks, or crop the photographs."
-        found.append(warning("tiny-masks", message, cure, *tiny))
+    cure = "Draw these masks (white = object), or remove the photographs and poses."
+    message = "masks are empty: they call no pixel object"
+    found += _of("error", "empty-masks", empty, total, message, cure)
+    message = "masks are full: they call every pixel object"
+    found += _of("error", "full-masks", full, total, message, cure)
+    message = "masks cover less than 0.5 % of their photographs"
+    cure = "Check these masks, or crop the photographs."
+    found += _of("warning", "tiny-masks", tiny, total, message, cure)
     middles = [view.mask[view.mask.shape[0] // 2, view.mask.shape[1] // 2] for view in views]
     centre = np.mean(np.array(middles) >= _OBJECT)
     if np.mean(list(border.values())) > 0.8 and centre < 0.5 and not full:
         message = "The masks are white at the border and black in the middle"
         cure = "Invert them if they mark the background: white must be the object."
-        found.append(warning("inverted-masks", message, cure))
-    elif cut:
-        of = f"{len(cut)} of {len(views)} photographs"
-        found.append(note("cut-off", f"The object is cut off by the border of {of}", *cut))
-    return found
+        return [*found, warning("inverted-masks", message, cure)]
+    message = "photographs cut the object off at their border"
+    return found + _of("note", "cut-off", cut, total, message)
 
 
 def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
@@ -121,12 +103,10 @@ def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     found = [note("bounds", message + f"radius {bounds.radius:.4g}")]
     away = [np.linalg.norm(view.camera.position - bounds.centre) for view in views]
     inside = [v.name for v, d in zip(views, away, strict=True) if d < bounds.radius]
-    if inside:
-        of = f"{len(inside)} of {len(views)} cameras"
-        message = f"{of} are inside the object's bounding sphere"
-        cure = "Check that poses and masks belong together; "
-        cure += "masks should hold one object, not its surroundings."
-        found.append(warning("cameras-inside", message, cure, *inside))
+    cure = "Check that poses and masks belong together; "
+    cure += "masks should hold one object, not its surroundings."
+    message = "cameras are inside the object's bounding sphere"
+    found += _of("warning", "cameras-inside", inside, len(views), message, cure)
     far = float(np.linalg.norm(bounds.centre))
     if far > FAR * bounds.radius:
         message = f"The object lies {far:.6g} from the origin and is {2 * bounds.radius:.4g} wide: "
@@ -136,17 +116,24 @@ def check_place(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     return found
 
 
-def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, list[Finding]]:
-    """Find the object's bounding sphere from the masks of the train views.
+def _of(
+    level: Level, code: str, names: Sequence[str], total: int, message: str, cure: str = ""
+) -> list[Finding]:
+    """A finding about some of all photographs; none where there are none."""
+    return some(level, code, names, f"{len(names)} of {total} {message}", cure)
 
-    Returns:
-        Views (with the poses in the order that fits), bounds or None, and findings; without
-        bounds there is an error among them.
+
+def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, list[Finding]]:
+    """The object's bounding sphere from the masks of the train views, which get the right poses.
+
+    Without bounds there is an error among the findings.
     """
     hull = _hull(frames, views)
     findings: list[Finding] = []
     if frames.other_order:
-        others = _with_other_poses(frames, views)
+        stated = {frame.name: frame for frame in frames.other_order}
+        moved = [posed_otherwise(view.camera, stated[view.name]) for view in views]
+        others = tuple(replace(v, camera=c) for v, c in zip(views, moved, strict=True))
         other_hull = _hull(frames, others)
         shares = [0.0 if h is None else h.strict for h in (hull, other_hull)]
         used = int(shares[1] > shares[0])
@@ -168,16 +155,15 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         findings.append(warning("masks-disagree", message + "mask", cure))
     train = [view for view in views if view.split == "train"]
     odd = [v.name for v, share in zip(train, hull.agreement, strict=True) if share < 0.8]
-    if odd:
-        message = f"{len(odd)} of {len(train)} masks show more than the others leave room for"
-        findings.append(warning("odd-masks", message, "Check these masks and poses.", *odd))
+    message, cure = "masks show more than the others leave room for", "Check these masks and poses."
+    findings += _of("warning", "odd-masks", odd, len(train), message, cure)
     sphere = hull.sphere
     start = frames.sphere
     if start is not None and start.is_limit:
         sphere = replace(sphere, origin=f"{sphere.origin}, inside {start.origin}")
         if start.radius <= sphere.radius:
             sphere = start
-    return views, bounds_of(sphere), findings
+    return views, replace(sphere, is_limit=False), findings
 
 
 def _hull(frames: FrameSet, views: Views) -> Hull | None:
@@ -186,13 +172,6 @@ def _hull(frames: FrameSet, views: Views) -> Hull | None:
     if start is None and len(frames.points):
         start = sphere_from_points(frames.points, train)
     return sphere_from_masks(train, start)
-
-
-def _with_other_poses(frames: FrameSet, views: Views) -> Views:
-    by_name = {frame.name: frame for frame in frames.other_order}
-    return tuple(
-        replace(view, camera=posed_otherwise(view.camera, by_name[view.name])) for view in views
-    )
 
 
 def clipped_share(views: Iterable[View]) -> float:

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from robir.capture.capture import Finding
+from robir.capture.capture import PHOTOGRAPHS_ALONE, Finding
 from robir.capture.frames import Frame, FrameSet, pose_fault
 from robir.capture.masks.given import IGNORE
 from robir.capture.readers.files import children, without_others
-from robir.capture.refusal import error, note, warning
+from robir.capture.refusal import error, note, some, warning
 
 MIN_VIEWS = 3  # fewer views cannot fix a surface
 # more than this are refused: ten times as many as any object needs, and each takes time
@@ -38,11 +38,10 @@ def check_frames(frames: FrameSet) -> list[Finding]:
         found.append(warning("few-views", f"Only {trains} views to learn from", cure))
     found += check_count(len(everything))
     missing = [frame.relative for frame in everything if not frame.image.is_file()]
-    if missing:
-        of = f"{len(missing)} of {len(everything)} posed photographs"
-        message = f"{of} are missing below {frames.root}"
-        cure = "Put the photographs there under the names the poses use, or do without them with "
-        found.append(error("missing-images", message, cure + "--skip-missing.", *missing))
+    message = f"{len(missing)} of {len(everything)} posed photographs are missing below "
+    cure = "Put the photographs there under the names the poses use, or do without them with "
+    cure += "--skip-missing."
+    found += some("error", "missing-images", missing, f"{message}{frames.root}", cure)
     unposed = [] if missing else _check_unposed(frames)
     return found + unposed + _check_poses(everything) + _check_lenses(everything)
 
@@ -52,12 +51,15 @@ def check_count(photographs: int) -> list[Finding]:
     if photographs <= MAX_VIEWS:
         return []
     message = f"There are {photographs} photographs; at most {MAX_VIEWS} are read"
-    cure = "Keep every n-th of them: 200 show an object from all sides."
-    return [error("too-many-views", message, cure)]
+    return [error("too-many-views", message, "Keep every n-th of them: 200 show an object well.")]
 
 
 def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
+    # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
+    # estimated here, what has none was named then.
+    if frames.format in ("nerf-synthetic", "nerfactor", PHOTOGRAPHS_ALONE):
+        return []
     images = [frame.image for frame in frames.frames]
     masks = [frame.mask for frame in frames.frames if frame.mask is not None]
     used = {os.path.normpath(path) for path in (*images, *masks)}
@@ -70,13 +72,9 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
         and os.path.normpath(path) not in used
         and not path.name.startswith(IGNORE)
     ]
-    # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
-    # estimated here, what has none was named then.
-    if not beside or frames.format in ("nerf-synthetic", "nerfactor", "photos"):
-        return []
     message = f"{len(beside)} photographs have no pose and are left out"
     cure = "If they show sides that no other does, estimate poses that include them."
-    return [warning("unposed-images", message, cure, *beside)]
+    return some("warning", "unposed-images", beside, message, cure)
 
 
 def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
@@ -94,11 +92,9 @@ def _check_poses(frames: Sequence[Frame]) -> list[Finding]:
         cure = "Estimate the poses again, or remove these photographs."
         found.append(error("bad-pose", message, cure, *names))
     twins = [name for names in places.values() if len(names) > 1 for name in names]
-    if twins:
-        message = f"{len(twins)} of {len(frames)} photographs share their pose with another"
-        cure = "Remove repeated photographs; if they differ, their poses are wrong."
-        found.append(warning("duplicate-poses", message, cure, *twins))
-    return found
+    message = f"{len(twins)} of {len(frames)} photographs share their pose with another"
+    cure = "Remove repeated photographs; if they differ, their poses are wrong."
+    return found + some("warning", "duplicate-poses", twins, message, cure)
 
 
 def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
@@ -109,12 +105,8 @@ def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
     stated = [(f.lens.fx, f.relative) for f in frames if f.lens.fx is not None]
     angles = [(f.lens.angle_x, f.relative) for f in frames if f.lens.fx is None]
     stated += [(1 / angle, name) for angle, name in angles if angle is not None]
-    if not stated:
-        return []
-    middle = float(np.median([value for value, _ in stated]))
+    middle = float(np.median([value for value, _ in stated])) if stated else 1.0
     odd = [name for value, name in stated if not 0.5 <= value / middle <= 2]
-    if not odd:
-        return []
     message = f"{len(odd)} of {len(frames)} photographs have a focal length less than half "
     message += "or more than twice that of the others"
-    return [warning("focal-lengths", message, _SIDES_CURE, *odd)]
+    return some("warning", "focal-lengths", odd, message, _SIDES_CURE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photographs that are blurred at the object, told by comparison with their neighbours.
+"""Photographs that are blurred at the object, found by comparison with their neighbours.
 
 Sharpness along a direction d of the picture is the ratio of fine to coarser gradients well inside
 the mask,
@@ -24,16 +24,12 @@ from robir.capture.frames import Array
 from robir.capture.images.loading import resize_view
 from robir.capture.refusal import warning
 
-# ratio to the neighbours' sharpness below which a photograph counts as blurred. Sharp photographs
-# reach 0.78 and more; blurred by a Gaussian of 2.5 pixels, at most 0.73, and by a motion of 10
-# pixels, 0.62 to 0.81.
+# ratio to the neighbours' sharpness below which a photograph counts as blurred: sharp ones reach
+# 0.78 and more, those blurred by a Gaussian of 2.5 pixels at most 0.73
 BLURRED = 0.76
-# sharpness that no blurred photograph exceeds: behind a Gaussian of 2.5 pixels, white noise has 8.5
-# / 6.5 = 1.31, and edges have less
+# sharpness that no blurred photograph exceeds: behind a Gaussian of 2.5 pixels white noise has 1.31
 SOFT = 1.45
-# ratio to the neighbours' coarser gradients below which a side is plain and nothing can be said.
-# Photographs blurred by 4 pixels keep 0.3 and more; plain sides have 0.14 and less.
-TEXTURED = 0.25
+TEXTURED = 0.25  # ratio to the neighbours' coarser gradients below which a side is plain
 SIDE = 400  # longer side of the photographs that are compared, pixels, at most
 _FINE, _COARSE = 0.5, 1.5
 _DIRECTIONS = np.array([[0.0, 1.0], [1.0, 0.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])

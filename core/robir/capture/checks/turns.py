@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robir.capture.bounds import Hull, bounds_of, sphere_from_masks
+from robir.capture.bounds import Hull, sphere_from_masks
 from robir.capture.capture import Finding, Split, View
 from robir.capture.checks.uneven_exposure import sight
 from robir.capture.frames import LINEAR_SUFFIXES, RAW_SUFFIXES, Array, Frame, FrameSet
@@ -74,9 +74,8 @@ def prepared(
         return chosen, masks, findings
     found = turns[0] if len(turns) == 1 else _tried(turns, frames, chosen, masks, list(exif))
     if has_masks or len(turns) > 1:
-        findings.append(
-            note("exif-turn", f"EXIF data turns {len(exif)} photographs: {found}", *exif)
-        )
+        message = f"EXIF data turns {len(exif)} photographs: {found}"
+        findings.append(note("exif-turn", message, *exif))
     return found.of(chosen), masks, findings
 
 
@@ -126,22 +125,18 @@ def _tried(
         spread = {i: _spread(_brightness(loaded[i].views, hulls[i], frames.points)) for i in left}
         left = [i for i in left if spread[i] <= min(spread.values()) / _ALIKE]
     if len(left) != 1:
-        message = (
-            f"EXIF data turns {len(turned)} photographs, and neither sizes nor masks nor what "
-        )
-        message += (
-            "they show tell whether the poses are for photographs as stored or as EXIF turns "
-        )
+        message = f"EXIF data turns {len(turned)} photographs, and neither sizes nor masks nor "
+        message += "what they show tell whether poses are for photographs as stored or turned"
         cure = "Save the photographs with the turn applied or without EXIF data, as the program "
         cure += "that found the poses saw them."
-        raise refuse("exif-orientation", message + "them", cure, *turned)
+        raise refuse("exif-orientation", message, cure, *turned)
     return turns[left[0]]
 
 
 def _brightness(views: Sequence[View], hull: Hull | None, points: Array) -> Array:
     """Brightness of points of the object, or of the sparse points, (P, V); NaN where not seen."""
     if hull is not None:
-        return sight(views, bounds_of(hull.sphere))
+        return sight(views, hull.sphere)
     result = np.full((len(points[:_POINTS]), len(views)), np.nan)
     for number, view in enumerate(views):
         pixels, depth = view.camera.project(points[:_POINTS])

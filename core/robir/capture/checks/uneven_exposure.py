@@ -21,7 +21,7 @@ from robir.capture.checks.coverage import directions_to
 from robir.capture.frames import Array
 from robir.capture.images.decode import exif_values, header
 from robir.capture.images.loading import resize_view
-from robir.capture.refusal import CaptureRefusedError, warning
+from robir.capture.refusal import CaptureRefusedError, some, warning
 
 POWER = 2.2  # of display values, that stands for the tone curve while it is not known
 SIDE = 400  # longer side of the photographs that are looked at, pixels, at most
@@ -38,7 +38,7 @@ _FRONTAL = 0.3  # cosine to the view direction from which a hull's normal is wor
 _DARKEST = 0.02
 _TIME, _APERTURE, _SPEED, _FLASH = 33434, 33437, 34855, 37385
 _FIRED = 1
-_FEWEST_VIEWS = 18  # views from which nine coefficients can be told from jitter
+_FEWEST_VIEWS = 18  # views from which nine coefficients can be separated from jitter
 _FLOOR = 1e-3
 _CURE = "Photograph with exposure and white balance locked (manual mode) and all lamps left alone."
 
@@ -50,24 +50,20 @@ def check_settings(photographs: Sequence[Path]) -> list[Finding]:
     """
     stated = {path.name: _settings(path) for path in photographs}
     fired = [name for name, (_, flash) in stated.items() if flash]
-    found = []
-    if fired:
-        message = f"The flash fired in {len(fired)} of {len(photographs)} photographs: its light "
-        message += "and reflections move with the camera"
-        cure = "Photograph without flash, under light that stays where it is."
-        found.append(warning("flash-fired", message, cure, *fired))
-    steps = {name: value for name, (value, _) in stated.items() if value is not None}
-    spread = max(steps.values(), default=0.0) - min(steps.values(), default=0.0)
+    message = f"The flash fired in {len(fired)} of {len(photographs)} photographs: its light "
+    message += "and reflections move with the camera"
+    cure = "Photograph without flash, under light that stays where it is."
+    found = some("warning", "flash-fired", fired, message, cure)
+    stops = {name: value for name, (value, _) in stated.items() if value is not None}
+    spread = max(stops.values(), default=0.0) - min(stops.values(), default=0.0)
     if spread > SETTINGS_SPREAD:
-        middle = float(np.median(list(steps.values())))
-        apart = sorted(steps, key=lambda name: -abs(steps[name] - middle))
-        far = [name for name in apart if abs(steps[name] - middle) > 0.5 * SETTINGS_SPREAD]
+        middle = float(np.median(list(stops.values())))
+        apart = sorted(stops, key=lambda name: -abs(stops[name] - middle))
+        far = [name for name in apart if abs(stops[name] - middle) > 0.5 * SETTINGS_SPREAD]
         message = "The camera's exposure (time, aperture and sensitivity) differs by "
-        message += f"{spread:.1f} steps between photographs; {len(far)} of {len(photographs)} "
-        rounded = round(spread, 3)
-        found.append(
-            warning("exposure-settings", message + "are off", _CURE, *far, spread_steps=rounded)
-        )
+        message += f"{spread:.1f} stops between photographs; {len(far)} of {len(photographs)} "
+        numbers = {"spread_steps": round(spread, 3)}
+        found.append(warning("exposure-settings", message + "are off", _CURE, *far, **numbers))
     return found
 
 
@@ -94,11 +90,9 @@ def check_brightness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
     order = np.argsort(-np.abs(offsets))
     far = [views[i].name for i in order if abs(offsets[i]) > POINT_SPREAD]
     outliers = f" ({len(far)} of {len(views)} stand out)" if far else ""
-    message = f"The object's brightness changes by {spread:.2f} steps between photographs of the "
+    message = f"The object's brightness changes by {spread:.2f} stops between photographs of the "
     message += f"same places{outliers}: exposure, white balance or the light changed"
-    return [
-        warning("brightness-changes", message, _CURE, *far, spread_steps=round(spread, 3)),
-    ]
+    return [warning("brightness-changes", message, _CURE, *far, spread_steps=round(spread, 3))]
 
 
 def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -> Array | None:
@@ -110,13 +104,8 @@ def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -
     function of the direction it is seen from: what nine spherical harmonics leave, for each view
     fitted to the others, is the exposure's doing; that fails for hard light on plain objects.
 
-    Args:
-        views: V photographs with masks.
-        bounds: The object's sphere.
-        brightness: Of points of the object in these photographs, as `sight` gives it.
-
-    Returns:
-        Stops (V,) as of `exposure_offsets`; None where the photographs count as exposed alike.
+    `brightness` is that of `sight`. Stops (V,) as of `exposure_offsets`; None where the photographs
+    count as exposed alike.
     """
     if len(views) < _FEWEST_VIEWS:
         return None

@@ -53,19 +53,13 @@ _CMS_FAULTS = (ImageCms.PyCMSError, OSError, ValueError, TypeError)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """Colours of a file: by matrix and curves, an ICC profile, both, or unknown.
+    """Colours of a file: by matrix and curves, an ICC profile, both, or unknown."""
 
-    Attributes:
-        name: For the user.
-        matrix: (3, 3) linear values to linear Rec.709.
-        curves: Codes in [0, 1] to linear values, for each channel.
-        profile: ICC profile.
-    """
-
-    name: str
-    matrix: Matrix | None = None
+    name: str  # for the user
+    matrix: Matrix | None = None  # (3, 3) linear values to linear Rec.709
+    # codes in [0, 1] to linear values, for each channel
     curves: tuple[Callable[[Matrix], Matrix], ...] = ()
-    profile: bytes = b""
+    profile: bytes = b""  # ICC profile
 
     @property
     def is_known(self) -> bool:
@@ -135,8 +129,8 @@ def converted(codes: NDArray[Any], space: Space) -> NDArray[np.uint8]:
 
 def has_gain_map(picture: Image.Image) -> bool:
     """Whether a second picture says how much brighter the first may be shown."""
-    is_told = b"hdrgm" in bytes(picture.info.get("xmp", b""))
-    return is_told or any("gainmap" in str(kind) for kind in picture.info.get("aux", ()))
+    is_stated = b"hdrgm" in bytes(picture.info.get("xmp", b""))
+    return is_stated or any("gainmap" in str(kind) for kind in picture.info.get("aux", ()))
 
 
 def by_profile(picture: Image.Image, space: Space) -> Image.Image:
@@ -197,10 +191,8 @@ def _opened(profile: bytes) -> ImageCms.ImageCmsProfile:
 
 @lru_cache(maxsize=64)
 def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform:
-    intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
-    return ImageCms.buildTransform(
-        _opened(profile), ImageCms.createProfile("sRGB"), mode, "RGB", intent
-    )
+    intent, target = ImageCms.Intent.RELATIVE_COLORIMETRIC, ImageCms.createProfile("sRGB")
+    return ImageCms.buildTransform(_opened(profile), target, mode, "RGB", intent)
 
 
 def _matrix_and_curves(profile: bytes) -> tuple[Matrix | None, tuple[Any, ...]]:
@@ -225,16 +217,15 @@ def _curve(tag: bytes) -> Callable[[Matrix], Matrix]:
         table = np.frombuffer(tag, ">u2", count, 12) / 65535
         return lambda code: np.interp(code, np.linspace(0.0, 1.0, count), table)
     if kind == b"curv":
-        gamma = struct.unpack_from(">H", tag, 12)[0] / 256 if count else 1.0
-        return lambda code: code**gamma
+        g = struct.unpack_from(">H", tag, 12)[0] / 256 if count else 1.0
+        return lambda code: code**g
     form = count >> 16
     if kind != b"para" or form > 4:
         raise ValueError("no curve that is known")
-    number = (1, 3, 4, 5, 7)[form]
-    stated = (np.frombuffer(tag, ">i4", number, 12) / 65536).tolist()
+    stated = (np.frombuffer(tag, ">i4", (1, 3, 4, 5, 7)[form], 12) / 65536).tolist()
     g, a, b, c, d, e, f = (*stated, *[0.0] * 6)[:7]
     if form == 0:
-        return lambda code: code**g
-    if form < 3:
+        a = 1.0
+    elif form < 3:
         c, d, e, f = 0.0, -b / a, c, c
     return lambda code: np.where(code >= d, np.maximum(a * code + b, 0.0) ** g + e, c * code + f)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one door for photographs and masks: which files are opened, how large, and by what.
 
-A file counts only if it is a regular one and holds one of a few formats, told by content: PNG,
+A file counts only if it is a regular one and holds one of a few formats by content: PNG,
 JPEG, TIFF, BMP, WebP, or, under its own suffix, EXR, HEIC or RAW; optional packages decode the
 last two. Its size is looked at before a pixel is decoded. Nothing else of Pillow's is ever asked,
 for it knows formats that start other programs.
@@ -25,7 +25,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from robir.capture.frames import HEIF_SUFFIXES, LINEAR_SUFFIXES, RAW_SUFFIXES
 from robir.capture.images.colour import code_points
-from robir.capture.images.linear import read_linear
+from robir.capture.images.linear import is_floating_tiff, read_linear
 from robir.capture.images.opencv import cv2
 from robir.capture.images.regular import regular
 from robir.capture.refusal import CaptureRefusedError, refuse
@@ -43,11 +43,6 @@ MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a
 DEVELOPED = "developed"
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
-# numbers that an entry of a TIFF may have: a picture of 65,535 rows has as many strips
-_MAX_VALUES = 1 << 17
-_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
-_TEXTS = (1, 2, 7)  # kinds of entries that stay bytes
-_EXIF, _SAMPLE_FORMAT, _FLOATING = 34665, 339, 3
 
 # what Pillow raises for broken files
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError, MemoryError)
@@ -69,9 +64,7 @@ _TURNS = {
 def opened(path: Path) -> Iterator[Image.Image]:
     """A picture file of any kind of `IMAGE_SUFFIXES`, decoded, as stored; RAW comes upright.
 
-    Raises:
-        CaptureError: If the file is missing, damaged, no picture, or of a kind whose package is
-            not installed.
+    `CaptureError` if it is missing, damaged, no picture, or of a kind whose package is missing.
     """
     with header(path) as picture:
         load(picture, path)
@@ -111,10 +104,10 @@ def reduce(picture: Image.Image, factor: int) -> int:
     Returns the reduction that decoding will apply, at most the 1, 2, 4 or 8 wanted. Pixels past the
     right and lower border fill the last ones where the size is no multiple of it.
     """
-    before = picture.size
+    width, height = picture.size
     if factor > 1 and picture.format == "JPEG":
-        picture.draft(None, (max(1, before[0] // factor), max(1, before[1] // factor)))
-    return round(before[0] / picture.size[0])
+        picture.draft(None, (max(1, width // factor), max(1, height // factor)))
+    return round(width / picture.size[0])
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
@@ -141,8 +134,7 @@ def may_hold_alpha(path: Path) -> bool:
 def header(path: Path) -> Iterator[Image.Image]:
     """A picture file whose pixels are read when they are asked for, of a size that can be decoded.
 
-    Raises:
-        CaptureError: As `opened`, but for damage to the pixels.
+    `CaptureError` as for `opened`, but for damage to the pixels.
     """
     suffix = path.suffix.lower()
     formats = _FORMATS
@@ -157,7 +149,7 @@ def header(path: Path) -> Iterator[Image.Image]:
             file = stack.enter_context(regular(path, MAX_FILE_BYTES))
             if suffix in RAW_SUFFIXES:
                 picture = _developed(path, file)
-            elif _is_floating_tiff(file) or suffix in LINEAR_SUFFIXES:
+            elif is_floating_tiff(file) or suffix in LINEAR_SUFFIXES:
                 picture = read_linear(path, file, MAX_PIXELS // 4)
             else:
                 picture = Image.open(file, formats=formats)
@@ -185,11 +177,8 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 def _check_scans(path: Path, pixels: int) -> None:
     """Refuse a JPEG that goes over its pixels again and again, as no camera's does."""
-    scans, last = 0, b""
     with regular(path, MAX_FILE_BYTES) as file:
-        while block := file.read(1 << 20):
-            scans += (last + block).count(SCAN)
-            last = block[-1:]
+        scans = file.read().count(SCAN)
     if scans > 1 and scans * pixels > MAX_DECODED:
         message = f"{path} stores its picture in {scans} passes, which takes too long to decode"
         raise refuse("too-large", message, "Save it again.", path.name)
@@ -250,13 +239,8 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
-            pixels = raw.postprocess(
-                half_size=True,
-                use_camera_wb=True,
-                no_auto_bright=True,
-                output_bps=8,
-                gamma=(2.4, 12.92),
-            )
+            words = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
+            pixels = raw.postprocess(**words, output_bps=8, gamma=(2.4, 12.92))
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
     picture = Image.fromarray(pixels)
@@ -275,38 +259,3 @@ def _damaged(path: Path, fault: Exception) -> CaptureRefusedError:
     message = f"{path} is truncated or damaged ({fault})"
     cure = "Copy it again from the camera, or remove it and its pose."
     return refuse("unreadable-images", message, cure, path.name)
-
-
-def _is_floating_tiff(file: BinaryIO) -> bool:
-    """Whether a file, left at its beginning, is a TIFF file of floating-point numbers.
-
-    One with endless entries is refused before a decoder makes millions of numbers of them.
-    """
-    order = _ORDERS.get(file.read(4))
-    try:
-        if order is not None:
-            return _is_floating(file, order, *struct.unpack(f"{order}I", file.read(4)))
-    except struct.error:
-        pass  # it ends too early, which the decoder says
-    finally:
-        file.seek(0)
-    return False
-
-
-def _is_floating(file: BinaryIO, order: str, start: int, is_exif: bool = False) -> bool:
-    file.seek(start)
-    is_floating = False
-    (count,) = struct.unpack(f"{order}H", file.read(2))
-    for _ in range(count):
-        tag, kind, values, content = struct.unpack(f"{order}HHII", file.read(12))
-        if kind not in _TEXTS and values > _MAX_VALUES:
-            raise ValueError(f"its entry {tag} has {values} numbers")
-        after = file.tell()
-        if tag == _SAMPLE_FORMAT:
-            file.seek(content if values > 2 else after - 4)
-            is_floating = struct.unpack(f"{order}H", file.read(2))[0] == _FLOATING
-            file.seek(after)
-        if tag == _EXIF and not is_exif:
-            _is_floating(file, order, content, is_exif=True)
-            file.seek(after)
-    return is_floating

@@ -7,6 +7,7 @@ They went through no tone curve. Their primaries are Rec.709 unless an EXR state
 from __future__ import annotations
 
 import io
+import logging
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -27,6 +28,11 @@ Floats = NDArray[np.float32]
 LINEAR = "linear"
 BRIGHT = 0.995  # share of the pixels that have to be below white
 _STEP = 7  # every how many-th pixel is looked at for that
+# numbers that an entry of a TIFF may have: a picture of 65,535 rows has as many strips
+_MAX_VALUES = 1 << 17
+_EXIF, _FLOATING, _TEXTS = 34665, 3, (1, 2, 7)  # of these kinds entries stay bytes
+
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong is said in refusals
 
 
 def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
@@ -38,6 +44,31 @@ def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
     if values.ndim != 3 or values.shape[2] not in (3, 4):
         raise ValueError("its channels are no colours")
     return _picture(np.nan_to_num(values, nan=0.0, posinf=65504.0, neginf=0.0))
+
+
+def is_floating_tiff(file: BinaryIO) -> bool:
+    """Whether a file, left at its beginning, is a TIFF file of floating-point numbers.
+
+    ValueError for endless entries, before a decoder makes millions of numbers of them.
+    """
+    counts, is_floating = {}, False
+    try:
+        if file.read(4) in (b"II*\0", b"MM\0*"):
+            file.seek(0)
+            with tifffile.TiffFile(file, name="photograph") as opened:
+                page = opened.pages.first
+                is_floating = page.sampleformat == _FLOATING
+                counts = {tag.name: tag.count for tag in page.tags if tag.dtype not in _TEXTS}
+                exif = page.tags.valueof(_EXIF, {})
+                counts |= {key: len(v) for key, v in exif.items() if isinstance(v, tuple)}
+    except Exception:  # a foreign parser on foreign bytes may raise anything
+        return False  # what is wrong, the decoder says
+    finally:
+        file.seek(0)
+    endless = next((name for name, count in counts.items() if count > _MAX_VALUES), None)
+    if endless is not None:
+        raise ValueError(f"its entry {endless} has {counts[endless]} numbers")
+    return is_floating
 
 
 def coded(picture: Image.Image, exposure: float) -> Image.Image:

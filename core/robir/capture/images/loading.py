@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -35,27 +34,18 @@ from robir.capture.refusal import refuse
 Bytes = NDArray[np.uint8]
 Size = tuple[int, int]
 
-_AT_ONCE = 1 << 24  # largest picture, in pixels, that is shrunk as a whole
-_BAND = 64  # rows of the result that are made at a time of larger ones
 # pixels between those at which a lens distortion is evaluated; it is all but linear between
 _MESH = 8
 
 
 @dataclass(frozen=True, slots=True)
 class StoredPhoto:
-    """A photograph that is open and not yet decoded.
+    """A photograph that is open and not yet decoded."""
 
-    Attributes:
-        picture: As the file holds it.
-        path: Its file.
-        orientation: EXIF orientation to apply, 1 to 8.
-        stated: EXIF orientation that the file states.
-    """
-
-    picture: Image.Image
-    path: Path
-    orientation: int
-    stated: int
+    picture: Image.Image  # as the file holds it
+    path: Path  # its file
+    orientation: int  # EXIF orientation to apply, 1 to 8
+    stated: int  # EXIF orientation that the file states
 
     @property
     def size(self) -> Size:
@@ -64,11 +54,9 @@ class StoredPhoto:
         return (height, width) if self.orientation >= 5 else (width, height)
 
     def read(self, reduction: int = 1, exposure: float = 1.0) -> Photo:
-        """Decode it, once.
+        """Decode it, once, reduced by up to 1, 2, 4 or 8 where that spares decoding.
 
-        Args:
-            reduction: 1, 2, 4 or 8: by how much it may be reduced if that spares decoding.
-            exposure: Factor on linear values; others are as they are.
+        Linear values are multiplied by the exposure; others are as they are.
         """
         is_linear = LINEAR in self.picture.info
         applied = 1 if is_linear else reduce(self.picture, reduction)
@@ -90,14 +78,8 @@ def open_photo(
     """Open a photograph, whose size may still differ from the declared one.
 
     Programs that write poses with an image size ignore the EXIF orientation, so it is applied
-    only if the pixels as stored do not have the declared size, or none is declared, unless it is
-    known what the poses are for.
-
-    Args:
-        path: PNG, JPEG, TIFF or whatever else can be decoded; 8 or 16 bits.
-        declared: (width, height) that belongs to the pose, or None.
-        is_upright: Whether the pose is for the photograph as its EXIF orientation turns it; None
-            if that is not known.
+    only if the pixels as stored do not have the declared size, or none is declared. `is_upright`
+    is whether the pose is for the photograph as EXIF turns it, where that is known.
     """
     with header(path) as picture:
         stated = orientation(picture)
@@ -108,13 +90,8 @@ def open_photo(
 def read_mask(path: Path, size: Size, turn: int = 1, is_turned: bool | None = False) -> Bytes:
     """Read a mask, (H, W) of its own size: alpha where it varies, else brightness; 255 is object.
 
-    Masks of zeros and ones are stretched to 0 and 255.
-
-    Args:
-        path: Mask file.
-        size: Width and height of its photograph.
-        turn: EXIF orientation that brings a mask to its photograph if one of them was turned.
-        is_turned: Whether that is so; None if it is where the mask fits only thus.
+    Masks of zeros and ones are stretched to 0 and 255. `size` is that of its photograph, `turn` the
+    EXIF orientation that brings the mask to it where `is_turned`; None asks the sizes.
     """
     with opened(path) as picture:
         picture = upright(picture, orientation(picture))
@@ -153,50 +130,19 @@ def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, B
     """
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
-    if mask.size > _AT_ONCE:
-        return _shrink_in_bands(image, mask, width, height)
-    return _straight(
-        cv2.resize(_weighted(image, mask), (width, height), interpolation=cv2.INTER_AREA)
-    )
-
-
-def _weighted(image: Bytes, mask: Bytes) -> NDArray[np.float32]:
-    """Colours times the mask, and the mask, (H, W, 4)."""
-    layers = np.empty((*mask.shape, 4), np.float32)
-    # A grain of weight keeps the picture where there is no object at all.
-    np.add(mask, np.float32(1e-3), out=layers[:, :, 3])
-    np.multiply(image, layers[:, :, 3:], out=layers[:, :, :3])
-    return layers
-
-
-def _straight(layers: NDArray[np.float32]) -> tuple[Bytes, Bytes]:
-    """The picture and the mask of `_weighted`."""
-    layers[:, :, :3] /= layers[:, :, 3:]
-    return _parted(np.clip(np.rint(layers), 0, 255).astype(np.uint8))
+    # A grain of weight keeps the picture where there is no object at all. One layer after another:
+    # all at once takes 20 bytes a pixel and more.
+    weight, size = mask + np.float32(1e-3), (width, height)
+    small = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    layers = [
+        cv2.resize(image[:, :, i] * weight, size, interpolation=cv2.INTER_AREA) / small
+        for i in range(3)
+    ]
+    return _parted(np.clip(np.rint(np.dstack([*layers, small])), 0, 255).astype(np.uint8))
 
 
 def _parted(layers: Bytes) -> tuple[Bytes, Bytes]:
     return np.ascontiguousarray(layers[:, :, :3]), np.ascontiguousarray(layers[:, :, 3])
-
-
-def _shrink_in_bands(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
-    """As `shrink`, some rows at a time: all at once takes 20 bytes a pixel and more."""
-    small = np.empty((height, width, 3), np.uint8)
-    small_mask = np.empty((height, width), np.uint8)
-    step = len(mask) / height
-    for top in range(0, height, _BAND):
-        rows = np.arange(top, min(top + _BAND, height))
-        first, last = int(top * step), min(len(mask), math.ceil((rows[-1] + 1) * step))
-        part, size = np.s_[first:last], (width, last - first)
-        layers = cv2.resize(_weighted(image[part], mask[part]), size, interpolation=cv2.INTER_AREA)
-        # what each row of the file has in common with each row that is wanted
-        at = np.arange(first, last)
-        start = np.maximum(at, (rows * step)[:, None])
-        end = np.minimum(at + 1, ((rows + 1) * step)[:, None])
-        share = (np.maximum(end - start, 0.0) / step).astype(np.float32)
-        band = (share @ layers.reshape(len(at), -1)).reshape(len(rows), width, 4)
-        small[rows], small_mask[rows] = _straight(band)
-    return small, small_mask
 
 
 def resize_view(view: View, max_side: int) -> View:
@@ -219,15 +165,10 @@ def straightened(camera: Camera, distortion: Distortion) -> Camera:
 def undistort(
     image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion, straight: Camera
 ) -> tuple[Bytes, Bytes]:
-    """Take out the lens distortion by bilinear remapping.
+    """Take out the lens distortion of a photograph and its mask, uint8, by bilinear remapping.
 
-    Args:
-        image: (H, W, 3) uint8 as photographed.
-        mask: (H, W) uint8.
-        camera: Its camera, distortion aside.
-        distortion: Lens distortion.
-        straight: The camera of the picture that is wanted: as `straightened` has it, or of a
-            part of that.
+    `camera` is the photograph's, distortion aside; `straight` that of the picture that is wanted:
+    as `straightened` has it, or of a part of that.
     """
     # exact in the middle of every few pixels, and one such square beyond the border
     sides = (straight.width, straight.height)

@@ -16,27 +16,21 @@ from robir.capture.refusal import refuse
 
 Bytes = NDArray[np.uint8]
 
-_FEWEST = 20  # soft pixels by which colours multiplied by alpha are told
+_FEWEST = 20  # soft pixels by which colours multiplied by alpha are recognised
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photo:
-    """A photograph as stored.
+    """A photograph as stored."""
 
-    Attributes:
-        image_display: (H, W, 3) uint8, display-referred, straight.
-        alpha: (H, W) uint8, or None if the file has no transparency or is opaque throughout.
-        orientation: EXIF orientation that was applied, 1 to 8; 1 if none was.
-        reduction: How many pixels of the file, along rows and columns, went into one of these.
-        colours: What was found of its colours, and done, for the user.
-        is_linear: Whether it is light itself, to which no tone curve but sRGB's was applied.
-    """
-
-    image_display: Bytes
+    image_display: Bytes  # (H, W, 3) uint8, display-referred, straight
+    # (H, W) uint8, or None if the file has no transparency or is opaque throughout
     alpha: Bytes | None
-    orientation: int
+    orientation: int  # EXIF orientation that was applied, 1 to 8; 1 if none was
+    # how many pixels of the file, along rows and columns, went into one of these
     reduction: int = 1
-    colours: tuple[str, ...] = ()
+    colours: tuple[str, ...] = ()  # what was found of its colours, and done, for the user
+    # whether it is light itself, to which no tone curve but sRGB's was applied
     is_linear: bool = False
 
     @property
@@ -52,22 +46,17 @@ def _array_of(picture: Image.Image, mode: str) -> Bytes:
 
 def pixels_of(picture: Image.Image, turn: int = 1) -> Photo:
     """Pixels of a decoded picture, turned as EXIF said, as 8-bit RGB and alpha."""
-    if picture.mode.startswith("I"):
-        # 16-bit grey; 65535 / 255 = 257.
+    if picture.mode.startswith("I"):  # 16-bit grey
         grey = _eight_bits(np.clip(np.asarray(picture), 0, 65535))
-        return Photo(
-            image_display=np.repeat(grey[:, :, None], 3, axis=2), alpha=None, orientation=turn
-        )
+        image = np.repeat(grey[:, :, None], 3, axis=2)
+        return Photo(image_display=image, alpha=None, orientation=turn)
     if not picture.has_transparency_data:
         image = _array_of(picture, "RGB")
         return Photo(image_display=image, alpha=None, orientation=turn)
     pixels = _array_of(picture, "RGBA")
-    alpha = np.ascontiguousarray(pixels[:, :, 3])
-    return Photo(
-        image_display=np.ascontiguousarray(pixels[:, :, :3]),
-        alpha=None if alpha.min(initial=255) == 255 else alpha,
-        orientation=turn,
-    )
+    image, alpha = (np.ascontiguousarray(part) for part in (pixels[:, :, :3], pixels[:, :, 3]))
+    opaque = alpha.min(initial=255) == 255
+    return Photo(image_display=image, alpha=None if opaque else alpha, orientation=turn)
 
 
 def in_srgb(
@@ -82,23 +71,23 @@ def in_srgb(
         message = f"{path} holds HDR codes ({space.name}), which are no display values"
         cure = "Export it as a standard photograph (SDR), or linearly as EXR."
         raise refuse("hdr-colours", message, cure, path.name)
-    told = [name_of(picture) if space is None else space.name]
+    facts = [name_of(picture) if space is None else space.name]
     if space is not None and space.is_known and not picture.mode.startswith("I"):
-        told = [f"{space.name} (converted to sRGB)"]
+        facts = [f"{space.name} (converted to sRGB)"]
     else:
         space = None
     if has_gain_map(picture):
-        told.append("an HDR gain map (the base picture is taken)")
+        facts.append("an HDR gain map (the base picture is taken)")
     has_alpha, codes = picture.has_transparency_data, deep
     if codes is None and not has_alpha and (space is None or space.profile):
-        return (picture if space is None else by_profile(picture, space)), tuple(told)
+        return (picture if space is None else by_profile(picture, space)), tuple(facts)
     if codes is None:
         codes = _array_of(picture, "RGBA" if has_alpha else "RGB")
     if codes.shape[2] == 4 and is_premultiplied(codes):
         codes = straight_codes(codes)
-        told.append("colours multiplied by alpha (divided again)")
+        facts.append("colours multiplied by alpha (divided again)")
     elif space is None and deep is None:
-        return picture, tuple(told)
+        return picture, tuple(facts)
     colour, alpha = codes[:, :, :3], codes[:, :, 3:]
     if space is not None and space.curves and (deep is not None or not space.profile):
         shown = converted(colour, space)
@@ -106,7 +95,7 @@ def in_srgb(
         shown = _eight_bits(colour)
         if space is not None:
             shown = np.asarray(by_profile(Image.fromarray(shown), space))
-    return Image.fromarray(np.dstack([shown, _eight_bits(alpha)])), tuple(told)
+    return Image.fromarray(np.dstack([shown, _eight_bits(alpha)])), tuple(facts)
 
 
 def _eight_bits(codes: NDArray[Any]) -> Bytes:

@@ -7,9 +7,9 @@ Pixels are for the object, not for its surroundings.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -44,52 +44,20 @@ _OVERVIEW_SIDE = 192  # longer side of small copies by which a distorted object 
 _SPARE = 1.25  # least pixels that are decoded, along a side, for one that is kept
 
 
-class MaskSource(Protocol):
-    """Where the mask of a photograph comes from."""
-
-    def outline(self, size: Size) -> Bytes:
-        """The mask, as photographed, at any size; the photograph itself has the one given."""
-        ...
-
-    def of(self, photo: Photo, size: Size) -> Bytes:
-        """The mask of a photograph at the size it was decoded to, (H, W) uint8."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnMask:
-    """A mask that was given, (h, w) uint8, of the photograph's shape."""
-
-    mask: Bytes
-
-    def outline(self, size: Size) -> Bytes:
-        """The mask as it was given."""
-        del size
-        return self.mask
-
-    def of(self, photo: Photo, size: Size) -> Bytes:
-        """The mask at the size the photograph was decoded to."""
-        del size
-        return fitted_mask(self.mask, photo.size)
+# the mask of a photograph of some size, (H, W) uint8: as photographed, at any size, while there is
+# no photograph; else at the size that this was decoded to
+MaskSource = Callable[[Photo | None, Size], Bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """What became of one photograph.
+    """What became of one photograph."""
 
-    Attributes:
-        view: Cut to the object and reduced; its mask is full where there is none.
-        has_mask: Whether anything says which pixels are the object.
-        is_turned: Whether an EXIF orientation was applied.
-        colours: What was found of its colours, and done, for the user.
-        is_linear: Whether it went through no tone curve but sRGB's.
-    """
-
-    view: View
-    has_mask: bool
-    is_turned: bool
-    colours: tuple[str, ...]
-    is_linear: bool
+    view: View  # cut to the object and reduced; its mask is full where there is none
+    has_mask: bool  # whether anything says which pixels are the object
+    is_turned: bool  # whether an EXIF orientation was applied
+    colours: tuple[str, ...]  # what was found of its colours, and done, for the user
+    is_linear: bool  # whether it went through no tone curve but sRGB's
 
 
 def read_view(
@@ -115,7 +83,7 @@ def read_view(
         source = _drawn(given, stored, frame) if isinstance(given, Path) else given
         photo = stored.read(_reduction(size, source, max_side), exposure)
     camera = _reduced(frame.lens.camera(rigid(frame.camera_to_world), *size), photo)
-    mask = photo.alpha if source is None else source.of(photo, size)
+    mask = photo.alpha if source is None else source(photo, size)
     image, bent = photo.image_display, frame.lens.distortion
     picture = _Picture(image, np.full_like(image[:, :, 0], 255) if mask is None else mask, camera)
     part = picture.part(bent, picture.box(bent) if max(size) > _NEVER_CUT else None, max_side)
@@ -159,7 +127,7 @@ def _check_size(size: Size, frame: Frame) -> None:
         raise refuse("wrong-size", message + sides, cure, frame.image.name)
 
 
-def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> DrawnMask:
+def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> MaskSource:
     """A mask from its file."""
     is_turned, turn = None, stored.orientation
     if frame.is_mask_upright is not None:
@@ -172,14 +140,19 @@ def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> DrawnMask:
         message += f"{stored.path.name} is {stored.size[0]}x{stored.size[1]}"
         cure = "Draw the mask on the photograph itself, uncropped."
         raise refuse("wrong-size", message, cure, path.name)
-    return DrawnMask(mask)
+    return drawn_mask(mask)
+
+
+def drawn_mask(mask: Bytes) -> MaskSource:
+    """The mask (h, w) of a photograph of its shape."""
+    return lambda photo, _: mask if photo is None else fitted_mask(mask, photo.size)
 
 
 def _reduction(size: Size, source: MaskSource | None, max_side: int) -> int:
     """By how much a photograph of some size may be reduced while it is decoded."""
     share = 1.0
     if source is not None:
-        outline = source.outline(size)
+        outline = source(None, size)
         box = object_box(outline)
         if box is not None:
             share = max(box[2] - box[0], box[3] - box[1]) / max(outline.shape)

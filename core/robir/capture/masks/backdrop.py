@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from robir.capture.camera import Camera
+from robir.capture.capture import View
 from robir.capture.images.opencv import cv2
-from robir.capture.masks.guess import Array, Layer, Posed, sampled
+from robir.capture.masks.guess import Array, Layer, sampled
 from robir.capture.masks.region import focus
 
 RING = 2  # width of the strip along the edges of a photograph that shows the backdrop, pixels
@@ -36,18 +37,20 @@ CARVED = 2  # other photographs that must see the backdrop through a point for i
 NEAR_RIM = 3.0  # pixels from a rim within which the object's own colour is read
 
 
-def backdrop_masks(views: Sequence[Posed], *, is_lossy: bool) -> tuple[Layer, ...] | None:
+def backdrop_masks(views: Sequence[View], *, is_lossy: bool) -> tuple[Layer, ...] | None:
     """Share (H, W) of each pixel that the object covers, where all photographs have one backdrop.
 
     None where there is none of one colour, or nothing before it. `is_lossy` compression leaves
     ringing about the object.
     """
-    colour = _common_colour(views)
-    if colour is None:
+    edges = np.concatenate([_strip(view.image_display) for view in views]).astype(np.int16)
+    colour = np.median(edges, axis=0).astype(np.int16)
+    if (np.abs(edges - colour).max(axis=1) <= FLAT).mean() < BARE:
         return None
     limit = RINGING if is_lossy else FLAT
     alike = [np.abs(view.image_display - colour).max(axis=2) <= limit for view in views]
-    parts = [_parted(each) for each in alike]
+    # number of the connected piece of every pixel of the backdrop's colour, else 0
+    parts = [cv2.connectedComponents(a.astype(np.uint8), connectivity=4)[1] for a in alike]
     outside = [near & np.isin(each, _strip(each)) for near, each in zip(alike, parts, strict=True)]
     shares = [1.0 - float(each.mean()) for each in outside]
     if not LEAST < np.median(shares) < MOST:
@@ -60,27 +63,10 @@ def backdrop_masks(views: Sequence[Posed], *, is_lossy: bool) -> tuple[Layer, ..
     )
 
 
-def _common_colour(views: Sequence[Posed]) -> NDArray[np.int16] | None:
-    """Colour (3,) of the backdrop, or None where the photographs' edges show more than one."""
-    edges = np.concatenate([_strip(view.image_display) for view in views]).astype(np.int16)
-    colour = np.median(edges, axis=0).astype(np.int16)
-    share = (np.abs(edges - colour).max(axis=1) <= FLAT).mean()
-    return colour if share >= BARE else None
-
-
 def _strip(picture: NDArray) -> NDArray:
     """Values (N, ...) of a picture (H, W, ...) along its edges."""
-    rows, columns = picture[:RING], picture[:, :RING]
-    last_rows, last_columns = picture[-RING:], picture[:, -RING:]
-    tail = picture.shape[2:]
-    return np.concatenate(
-        [part.reshape(-1, *tail) for part in (rows, columns, last_rows, last_columns)]
-    )
-
-
-def _parted(alike: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Number of the connected piece of every pixel (H, W) of the backdrop's colour, else 0."""
-    return cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)[1]
+    parts = (picture[:RING], picture[:, :RING], picture[-RING:], picture[:, -RING:])
+    return np.concatenate([part.reshape(-1, *picture.shape[2:]) for part in parts])
 
 
 def _with_holes(
@@ -101,7 +87,7 @@ def _with_holes(
             inside = parts[index] == piece
             rows = np.argwhere(inside)
             rows = rows[rng.choice(len(rows), min(RAYS, len(rows)), replace=False)]
-            points = _along(cameras[index], rows, aim)
+            points = _along(cameras[index], rows, aim[0])
             others = [k for k in range(len(cameras)) if k != index]
             if _is_empty(points, others, (outside, enclosed), cameras).mean() > 0.5:
                 whole |= inside
@@ -109,9 +95,8 @@ def _with_holes(
     return behind
 
 
-def _along(camera: Camera, rows: NDArray[np.int64], aim: tuple[Array, float]) -> Array:
+def _along(camera: Camera, rows: NDArray[np.int64], middle: Array) -> Array:
     """Points (N, STEPS, 3) on the rays through pixels (row, column) (N, 2), about the focus."""
-    middle, _ = aim
     origins, directions = camera.rays(rows[:, ::-1] + 0.5)
     distance = float(np.linalg.norm(camera.position - middle))
     depth = distance * np.linspace(0.3, 1.7, STEPS)
@@ -153,6 +138,6 @@ def _coverage(apart: NDArray[np.int16], behind: NDArray[np.bool_]) -> Layer:
     own = apart[nearest[0][rows, columns], nearest[1][rows, columns]].astype(np.float32)
     size = (own**2).sum(axis=1)
     share = (mixed * own).sum(axis=1) / np.maximum(size, 1.0)
-    is_told = size > (4 * FLAT) ** 2
-    covered[rows, columns] = np.where(is_told, np.clip(share, 0.0, 1.0), 1.0)
+    is_known = size > (4 * FLAT) ** 2
+    covered[rows, columns] = np.where(is_known, np.clip(share, 0.0, 1.0), 1.0)
     return covered

@@ -17,7 +17,7 @@ from robir.capture.capture import Finding, Split
 from robir.capture.frames import IMAGE_SUFFIXES, Frame
 from robir.capture.images.decode import may_hold_alpha
 from robir.capture.images.loading import read_mask
-from robir.capture.refusal import note, refuse, warning
+from robir.capture.refusal import refuse, some, warning
 
 _AFFIX = re.compile(
     r"^(?:dynamic_)?(?:mask|alpha|matte|seg)[-_.]|"
@@ -25,7 +25,7 @@ _AFFIX = re.compile(
 )
 
 IGNORE = "dynamic_mask"  # how the names of pictures begin that say what to ignore (instant-ngp)
-_FEWEST = 3  # photographs by which one mask for all is told from a coincidence
+_FEWEST = 3  # photographs by which one mask for all is no coincidence
 _OPEN = 0.5  # share of the border that a mask has to leave in to outline nothing
 MAX_FILES = 100_000  # files that a folder of masks may hold
 # the cure for missing masks, in one place
@@ -89,10 +89,8 @@ def without_ignoring(
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
     beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]
     dynamic = [path.name for path in beside if path.is_file()]
-    found = []
-    if dynamic:
-        what = f"{len(dynamic)} pictures {IGNORE}_* say what to ignore, outline no object"
-        found.append(note("ignore-masks", f"{what} and are not used", *dynamic))
+    message = f"{len(dynamic)} pictures {IGNORE}_* say what to ignore, outline no object, are not "
+    found = some("note", "ignore-masks", dynamic, message + "used")
     if len(chosen) < _FEWEST or not _are_one(masks):
         return list(chosen), dict(drawn), found
     message = f"The masks of all {len(chosen)} photographs are the same picture and leave the "

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.bounds import kept, shown, silhouette
 from robir.capture.camera import Camera
+from robir.capture.capture import View
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import Region
 
@@ -30,9 +30,8 @@ SIDE = 320  # longer side at which masks are made, pixels
 DISSENT = (0.15, 0.10, 0.07, 0.05)
 CELLS = 64  # along the longest side of the region
 _SLIM = 0.6  # of a cell that masks carve and pictures show: whole ones would make it fat
-_ROOM = (
-    12  # pixels beyond the volume's picture at which nothing is looked for after the first round
-)
+# pixels beyond the volume's picture at which nothing is looked for after the first round
+_ROOM = 12
 _DEEP = 4  # pixels within it from which it is believed against the colours in the end
 _CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
 _RING = 10  # pixels on both sides of an outline by which colours are judged
@@ -45,25 +44,6 @@ _BAND = 3  # small pixels on both sides of an outline that are looked at anew in
 _FINE_SIDE = 640  # longer side of what is looked at then, pixels
 
 
-class Posed(Protocol):
-    """A photograph with its camera."""
-
-    @property
-    def name(self) -> str:
-        """Unique within the capture."""
-        ...
-
-    @property
-    def image_display(self) -> Bytes:
-        """(H, W, 3) uint8, display-referred."""
-        ...
-
-    @property
-    def camera(self) -> Camera:
-        """Camera of exactly this image size."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Picture:
     """A photograph reduced to the size masks are made at: CIE L*a*b* (H, W, 3) uint8, camera."""
@@ -74,20 +54,14 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Guess:
-    """Masks and how far they are to be trusted.
+    """Masks and how far they are to be trusted."""
 
-    Attributes:
-        masks: (H, W) float32, 1 on the object, at most `SIDE` long.
-        agreement: (V,) intersection over union of each mask with the volume all masks allow.
-        contrast: (V,) share of the pixels along each outline that colours learnt from the other
-            photographs put on the right side; one half where object and background look alike.
-        region: Where the object was looked for.
-    """
-
-    masks: tuple[Layer, ...]
-    agreement: Array
+    masks: tuple[Layer, ...]  # (H, W) float32, 1 on the object, at most `SIDE` long
+    agreement: Array  # (V,) intersection over union of each mask with the volume all masks allow
+    # (V,) share of the pixels along each outline that colours learnt from the other photographs put
+    # on the right side; one half where object and background look alike
     contrast: Array
-    region: Region
+    region: Region  # where the object was looked for
 
     def fault(self) -> str | None:
         """Why the masks are not to be trusted, a clause for the user, or None."""
@@ -113,7 +87,7 @@ class Guess:
         return self.agreement < _ODD
 
 
-def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[float], None]) -> Guess:
+def guess_masks(views: Sequence[View], region: Region, progress: Callable[[float], None]) -> Guess:
     """Cut the object of a region out of photographs; `progress` hears the share of the work."""
     pictures = reduced(views, SIDE)
     cells, half = region.cells(CELLS)
@@ -149,7 +123,7 @@ def guess_masks(views: Sequence[Posed], region: Region, progress: Callable[[floa
     )
 
 
-def reduced(views: Sequence[Posed], side: int) -> list[Picture]:
+def reduced(views: Sequence[View], side: int) -> list[Picture]:
     """Photographs at most `side` pixels long, in the same order."""
     pictures = []
     for view in views:
@@ -162,16 +136,10 @@ def reduced(views: Sequence[Posed], side: int) -> list[Picture]:
 
 
 def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]:
-    """Cut the object out again near the outlines of a surface.
+    """Masks (H, W), 1 on the object, cut again near the outlines of a surface.
 
     Colours alone cannot tell a shadow from what casts it; a surface can, to within a few pixels.
-
-    Args:
-        pictures: Photographs.
-        outlines: (H, W) signed distances to the outline of the surface, pixels, negative on it.
-
-    Returns:
-        (H, W) each, 1 on the object.
+    `outlines` (H, W) are signed distances to the surface's outline, pixels, negative on it.
     """
     masks = []
     for picture, outline in zip(pictures, outlines, strict=True):
@@ -182,14 +150,9 @@ def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]
 
 
 def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
-    """Mask of a photograph whose outline follows the photograph's edges.
+    """Mask (H, W) uint8 of a photograph (H, W, 3), 255 on the object, along the photograph's edges.
 
-    Args:
-        image_display: (H, W, 3) uint8, the photograph.
-        belief: (h, w) in [0, 1], the same picture smaller.
-
-    Returns:
-        (H, W) uint8, 255 on the object.
+    `belief` (h, w) in [0, 1] is the same picture smaller.
     """
     height, width = image_display.shape[:2]
     small = _without_crumbs(belief > 0.5)

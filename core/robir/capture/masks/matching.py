@@ -17,8 +17,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from robir.capture.camera import Camera
+from robir.capture.capture import View
 from robir.capture.images.opencv import cv2
-from robir.capture.masks.guess import Array, Posed
+from robir.capture.masks.guess import Array
 
 Rows = NDArray[np.int64]
 
@@ -36,34 +37,21 @@ _LEAST_ANGLE = 2.0  # degrees between the outermost rays of a surface point
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Features:
-    """What stands out in a photograph.
+    """What stands out in a photograph."""
 
-    Attributes:
-        name: Name of the photograph.
-        camera: Camera of the size the features were found at.
-        pixels: (N, 2) image points.
-        words: (N, 128) unit descriptors.
-    """
-
-    name: str
-    camera: Camera
-    pixels: Array
-    words: NDArray[np.float32]
+    name: str  # name of the photograph
+    camera: Camera  # camera of the size the features were found at
+    pixels: Array  # (N, 2) image points
+    words: NDArray[np.float32]  # (N, 128) unit descriptors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracks:
-    """Points that stand out, each found in several photographs.
+    """Points that stand out, each found in several photographs."""
 
-    Attributes:
-        view: (O,) photograph of each observation.
-        point: (O,) point of each observation, from 0 without gaps.
-        pixels: (O, 2) where it is seen.
-    """
-
-    view: Rows
-    point: Rows
-    pixels: Array
+    view: Rows  # (O,) photograph of each observation
+    point: Rows  # (O,) point of each observation, from 0 without gaps
+    pixels: Array  # (O, 2) where it is seen
 
     def of(self, kept: NDArray[np.bool_]) -> Tracks:
         """The points kept (N,), numbered anew."""
@@ -77,7 +65,7 @@ class Tracks:
         return int(self.point.max()) + 1 if len(self.point) else 0
 
 
-def features(views: Sequence[Posed], most: int = FEATURES) -> list[Features]:
+def features(views: Sequence[View], most: int = FEATURES) -> list[Features]:
     """What stands out in photographs, those without features left out."""
     sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=0.02)
     found = []

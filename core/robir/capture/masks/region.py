@@ -34,32 +34,23 @@ _FLOATING, _FOOT = 0.15, 0.5
 _ROOM = 0.6  # room left about the points of the object, against their largest extent
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Region:
-    """The upright box in which the object lies, and what is known of the object within.
+    """The upright box in which the object lies, and what is known of the object within."""
 
-    Attributes:
-        centre: (3,), capture frame.
-        half: (3,) half the sides of the box.
-        core: (K, 4) half spaces (normal, offset; inside <= 0) whose intersection is the convex
-            hull of what is known of the object.
-        points: (N, 3) surface points that belong to the object, possibly none.
-        plane: What the object stands on, or None.
-        origin: How the region was found, one clause for the user.
-    """
-
-    centre: Array
-    half: Array
+    centre: Array  # (3,), capture frame
+    half: Array  # (3,) half the sides of the box
+    # (K, 4) half spaces (normal, offset; inside <= 0) whose intersection is the convex hull of what
+    # is known of the object
     core: Array
-    points: Array
-    plane: Plane | None
-    origin: str
+    points: Array  # (N, 3) surface points that belong to the object, possibly none
+    plane: Plane | None  # what the object stands on, or None
+    origin: str  # how the region was found, one clause for the user
 
     def cells(self, count: int) -> tuple[Array, float]:
         """Centres (N, 3) of cells that fill the box above the plane, and half the side of one.
 
-        Args:
-            count: Cells along the longest side.
+        There are `count` along the longest side.
         """
         side = 2.0 * float(self.half.max()) / count
         number = np.maximum(np.ceil(2.0 * self.half / side - 1e-9).astype(int), 1)
@@ -116,20 +107,13 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
     if core is None:
         half = np.full(3, _BLIND * distance)
         core, own = _half_spaces_of_box(middle, half), own[:0]
-        return _region(
-            middle, (1 + 2 * _ROOM) * half, core, own, plane, "the cameras' common focus"
-        )
+        half, origin = (1 + 2 * _ROOM) * half, "the cameras' common focus"
+        return Region(middle, half, core, own, plane, origin)
     room = _ROOM * float(np.ptp(np.quantile(own, [0.01, 0.99], axis=0), axis=0).max())
     lower, upper = np.quantile(whole, [0.01, 0.99], axis=0)
     half = 0.5 * (upper - lower) + room
     origin = f"{len(own)} points about the cameras' common focus"
-    return _region(0.5 * (lower + upper), half, core, own, plane, origin)
-
-
-def _region(
-    centre: Array, half: Array, core: Array, points: Array, plane: Plane | None, origin: str
-) -> Region:
-    return Region(centre=centre, half=half, core=core, points=points, plane=plane, origin=origin)
+    return Region(0.5 * (lower + upper), half, core, own, plane, origin)
 
 
 def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
@@ -146,7 +130,7 @@ def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array
         own = own[plane.height(own) > 2.0 * plane.tolerance]
     core = _half_spaces(own)
     core = _half_spaces_of_box(centre, 0.6 * half) if core is None else core
-    return _region(centre, half, core, own, plane, "the box that was given")
+    return Region(centre, half, core, own, plane, "the box that was given")
 
 
 def _object_points(points: Array, plane: Plane | None, middle: Array, distance: float) -> Array:

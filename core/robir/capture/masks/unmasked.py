@@ -30,7 +30,7 @@ from robir.capture.masks.given import HOW_TO_SUPPLY
 from robir.capture.masks.guess import Guess, Layer, guess_masks, sharpened
 from robir.capture.masks.region import find_region, region_of_box
 from robir.capture.mesh_file import read_mesh
-from robir.capture.refusal import error, note, warning
+from robir.capture.refusal import error, note, some
 from robir.capture.views import Loaded, Progress, load_views, unheard
 from robir.jobs.paths import replacing
 
@@ -50,17 +50,9 @@ def with_guessed_masks(
 ) -> tuple[Loaded, list[Finding]]:
     """Guess the masks of photographs that have none, and read the photographs again with them.
 
-    Args:
-        frames: What the format says.
-        chosen: Frames that were read, with their split.
-        loaded: The photographs read from them, none with a mask.
-        how: Settings of the stage, the folder where the masks are written, or None to keep no
-            files, and the mesh that the user hands in, or None.
-        progress: Told the share of this work.
-
-    Returns:
-        Photographs with masks, and findings; an error among them where no masks could be made,
-        and the photographs are then as they came.
+    `how` is the settings of the stage, the folder where the masks are written, or None to keep no
+    files, and the mesh that the user hands in, or None. Where no masks could be made, there is an
+    error among the findings, and the photographs are as they came.
     """
     config, folder, mesh = how
     progress(0.0, "looking for the object")
@@ -137,29 +129,19 @@ def about_mesh(vertices: Array, chosen: Chosen, views: Sequence[View]) -> dict[s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuessedMask:
-    """A guess that is finished once its photograph is decoded.
+    """A guess that is finished once its photograph is decoded."""
 
-    Attributes:
-        lens: Lens of the photograph.
-        camera: Camera of the belief, undistorted.
-        belief: (h, w) in [0, 1].
-        is_rough: Whether it is taken without a look at colours.
-        path: File the mask is written to, or None.
-    """
+    lens: Lens  # lens of the photograph
+    camera: Camera  # camera of the belief, undistorted
+    belief: Layer  # (h, w) in [0, 1]
+    is_rough: bool = False  # whether it is taken without a look at colours
+    path: Path | None = None  # file the mask is written to, or None
 
-    lens: Lens
-    camera: Camera
-    belief: Layer
-    is_rough: bool = False
-    path: Path | None = None
-
-    def outline(self, size: tuple[int, int]) -> Bytes:
-        """The guess itself, as photographed."""
-        return np.where(self._bent(size) > 0.5, np.uint8(255), np.uint8(0))
-
-    def of(self, photo: Photo, size: tuple[int, int]) -> Bytes:
-        """The mask at the size the photograph was decoded to; written where it shall be."""
+    def __call__(self, photo: Photo | None, size: tuple[int, int]) -> Bytes:
+        """The guess itself, or the mask of its photograph; written where it shall be."""
         belief = self._bent(size)
+        if photo is None:
+            return np.where(belief > 0.5, np.uint8(255), np.uint8(0))
         if self.is_rough:
             large = cv2.resize(belief, photo.size, interpolation=cv2.INTER_LINEAR)
             mask = np.where(large > 0.5, np.uint8(255), np.uint8(0))
@@ -229,19 +211,17 @@ def _where_masks(folder: Path | None) -> str:
 
 
 def _account(guess: Guess, views: Sequence[View], folder: Path | None) -> list[Finding]:
-    """What the user is told about guessed masks."""
+    """Findings about guessed masks."""
     agreement, contrast = (100 * float(np.median(x)) for x in (guess.agreement, guess.contrast))
     message = f"The photographs have no masks, so masks were guessed from {guess.region.origin}: "
     message += f"they agree with each other to {agreement:.0f} %, colour alone decides "
     message += f"{contrast:.0f} % of the pixels along the outlines; {_where_masks(folder)}"
     found = [note(GUESSED_MASKS, message)]
     odd = [view.name for view, is_odd in zip(views, guess.odd, strict=True) if is_odd]
-    if odd:
-        message = f"{len(odd)} of {len(views)} guessed masks disagree with the others"
-        cure = "Look at these masks first, and mend them or leave these photographs out."
-        found.append(warning("odd-guesses", message, cure, *odd))
-    has_table = guess.region.plane is not None
-    none = "No table was found under the object"
+    message = f"{len(odd)} of {len(views)} guessed masks disagree with the others"
+    cure = "Look at these masks first, and mend them or leave these photographs out."
+    found += some("warning", "odd-guesses", odd, message, cure)
+    has_table, none = guess.region.plane is not None, "No table was found under the object"
     return [*found, note("ground", "The table under the object is cut away" if has_table else none)]
 
 

@@ -46,18 +46,13 @@ _NOTEWORTHY = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adjustment:
-    """Cameras that meet the photographs better than the given ones.
+    """Cameras that meet the photographs better than the given ones."""
 
-    Attributes:
-        cameras: By the view's name, in the given cameras' frame.
-        before: Mean distance, pixels of photographs `matching.SIDE` long, between where held-out
-            points of the object fall and where they are seen, with the given cameras.
-        after: The same with these.
-    """
-
-    cameras: dict[str, Camera]
+    cameras: dict[str, Camera]  # by the view's name, in the given cameras' frame
+    # mean distance, pixels of photographs `matching.SIDE` long, between where held-out points of
+    # the object fall and where they are seen, with the given cameras
     before: float
-    after: float
+    after: float  # the same with these
 
 
 def with_adjusted_cameras(capture: Capture) -> Capture:
@@ -144,25 +139,19 @@ def moved_cameras(given: Sequence[Camera], tracks: Tracks, *, zooms: bool) -> li
         pose = np.eye(4)
         pose[:3] = model.image(number + 1).cam_from_world().inverse().matrix()
         pose = pose @ OPENGL_FROM_OPENCV
-        moved.append(
-            replace(camera, camera_to_world=pose, fx=zoom * camera.fx, fy=zoom * camera.fy)
-        )
+        zoomed = replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
+        moved.append(replace(zoomed, camera_to_world=pose))
     return aligned(moved, given)
 
 
 def aligned(cameras: Sequence[Camera], others: Sequence[Camera]) -> list[Camera]:
-    """Cameras in the frame where their centres lie nearest to those of others.
-
-    Umeyama 1991, "Least-squares estimation of transformation parameters between two point
-    patterns", eq. 40 to 42.
-    """
+    """Cameras in the frame where their centres lie nearest to those of others (least squares)."""
     own, its = (np.array([c.position for c in some]) for some in (cameras, others))
-    mean, wanted = own.mean(0), its.mean(0)
-    left, spread, right = np.linalg.svd((its - wanted).T @ (own - mean))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left * sign) @ right
-    scale = float((spread * sign).sum() / ((own - mean) ** 2).sum())
-    place = Similarity(turn=turn, scale=scale, shift=wanted - scale * turn @ mean)
+    found = sfm.library().estimate_sim3d(own, its)
+    if found is None:
+        return list(cameras)
+    turn = found.rotation.matrix()
+    place = Similarity(turn=turn, scale=found.scale, shift=found.translation)
     return [camera.moved(place) for camera in cameras]
 
 

@@ -5,11 +5,11 @@ A round tub with its label three times over matches itself a third of a turn awa
 puts whole stretches of a walk on the wrong side. Each stretch fits in itself, but where it ends,
 photographs that have a great deal in common are placed far apart.
 
-How much two photographs have in common is told by how much of the picture their matches cover, not
+What two photographs have in common is measured by how much of the picture their matches cover, not
 by how many they are: a label that repeats holds many in one place, while neighbours share the
-object, the ground and what stands behind. So a model is held against the maximum spanning tree of
-the covered area: each photograph's surest link to the others. Where links of the tree contradict
-the model, they cut the photographs into stretches; the matches by which the model ties different
+object, the ground and what stands behind. A model is held against the maximum spanning tree of the
+covered area: each photograph's surest link to the others. Where links of the tree contradict the
+model, they cut the photographs into stretches; the matches by which the model ties different
 stretches together are then the suspects.
 """
 
@@ -39,16 +39,12 @@ MAX_OFF = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A model held against the surest links.
+    """A model held against the surest links."""
 
-    Attributes:
-        broken: Pairs of names of copies whose matches cover a great deal of both and that are far
-            apart in the model; the surest first.
-        suspects: Pairs of names of copies by which the model ties together what the broken links
-            separate.
-    """
-
+    # pairs of names of copies whose matches cover a great deal of both and that are far apart in
+    # the model; the surest first
     broken: tuple[tuple[str, str], ...]
+    # pairs of names of copies by which the model ties together what the broken links separate
     suspects: tuple[tuple[str, str], ...]
 
 

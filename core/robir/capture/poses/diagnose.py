@@ -25,12 +25,6 @@ _LINK = 30  # verified matches from which on two photographs count as showing th
 _STILL = 0.004
 # a second model of this share of the first is no leftover but half of the capture
 _COMPARABLE = 0.5
-# photographs stand side by side within this angle and this share of the cameras' distance from
-# their middle
-_BESIDE_DEGREES, _BESIDE_SHARE = 15.0, 0.3
-# matches of photographs side by side, against what either has with its third best partner, below
-# which they are strangers: no pair of five right models, nine of a tub with its sides confused
-_STRANGE, _MIN_STRANGE = 0.35, 3
 _FEW = 0.7  # below this share of photographs placed, the user is warned
 _TEXTURE = (
     "Features are corners and patterns: light the object evenly, keep photographs sharp, and put "
@@ -48,20 +42,12 @@ _TELL_APART = (
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """What pairs of photographs have in common.
+    """What pairs of photographs have in common."""
 
-    Attributes:
-        matches: (N, N) int, verified matches, symmetric.
-        compared: (N, N) bool, pairs that were looked at, symmetric.
-        motion: Median motion of matched points over all linked pairs, in longer sides of the
-            picture; NaN without any.
-        flat_share: Share of the linked pairs that a plane or a mere turn of the camera explains.
-    """
-
-    matches: NDArray[np.int64]
-    compared: NDArray[np.bool_]
+    matches: NDArray[np.int64]  # (N, N), verified matches, symmetric
+    # median motion of matched points over all linked pairs, in longer sides; NaN without any
     motion: float
-    flat_share: float
+    flat_share: float  # share of the linked pairs that a plane or a mere turn explains
 
 
 def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
@@ -72,7 +58,6 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
     flat_kinds = [int(k) for k in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)]
     rows = {photograph.copy: row for row, photograph in enumerate(photographs)}
     matches = np.zeros((len(rows), len(rows)), dtype=np.int64)
-    compared = np.zeros(matches.shape, dtype=bool)
     motions, flat = [], []
     with closing(pycolmap.Database.open(place.database)) as database:
         images = {image.image_id: rows[image.name] for image in database.read_all_images()}
@@ -81,16 +66,14 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
             one, two = pycolmap.pair_id_to_image_pair(pair)
             i, j = images[one], images[two]
             inliers = geometry.inlier_matches
-            compared[i, j] = compared[j, i] = True
             matches[i, j] = matches[j, i] = len(inliers)
-            if len(inliers) < _LINK:
-                continue
-            sides = [max(photographs[row].width, photographs[row].height) for row in (i, j)]
-            moved = points[one][inliers[:, 0]] / sides[0] - points[two][inliers[:, 1]] / sides[1]
-            motions.append(np.median(np.linalg.norm(moved, axis=1)))
-            flat.append(geometry.config in flat_kinds)
+            if len(inliers) >= _LINK:
+                a, b = (max(photographs[row].width, photographs[row].height) for row in (i, j))
+                moved = points[one][inliers[:, 0]] / a - points[two][inliers[:, 1]] / b
+                motions.append(np.median(np.linalg.norm(moved, axis=1)))
+                flat.append(geometry.config in flat_kinds)
     motion = float(np.median(motions)) if motions else float("nan")
-    return Links(matches, compared, motion, float(np.mean(flat)) if flat else 0.0)
+    return Links(matches, motion, float(np.mean(flat)) if flat else 0.0)
 
 
 def judge(
@@ -125,7 +108,6 @@ def judge(
     found = [note("placed", f"{message}{photographs[0].height})")]
     message = "The cameras' axes and unit are COLMAP's: photographs do not tell which way is up, "
     found.append(note("frame", message + "nor how large the object is"))
-    found += strangers(photographs, links, models[0])
     if rest:
         best = [int(links.matches[row, first].max()) for row in rest]
         message = "Only " if len(first) < _FEW * total else ""
@@ -146,42 +128,14 @@ def look_alikes(photographs: Sequence[Prepared], verdict: Verdict, forgotten: in
     if not verdict.broken and not forgotten:
         return []
     message = "The object looks alike from several sides"
-    if not verdict.broken:
-        message += "; matches of different sides contradicted the surest links between "
-        message += f"photographs, and {forgotten} pairs were left out until none did"
-        return [warning("look-alike", message, "Look at the cameras before you go on.")]
     names = {photograph.copy: photograph.relative for photograph in photographs}
     between = [f"{names[one]} and {names[two]}" for one, two in verdict.broken[:MAX_FILES]]
-    message += ", and some photographs may have been put on the wrong one: "
-    message += f"{len(verdict.broken)} pairs that have much in common are far apart"
-    return [warning("look-alike", message, _TELL_APART, *between)]
-
-
-def strangers(
-    photographs: Sequence[Prepared], links: Links, model: pycolmap.Reconstruction
-) -> list[Finding]:
-    """A warning where the model puts photographs side by side that have little in common."""
-    posed = {image.name: image for image in model.images.values() if image.has_pose}
-    placed = [row for row, photograph in enumerate(photographs) if photograph.copy in posed]
-    images = [posed[photographs[row].copy] for row in placed]
-    turned = np.stack([image.cam_from_world().rotation.matrix() for image in images])
-    centres = np.stack([image.projection_center() for image in images])
-    away = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
-    near = np.linalg.norm(centres[:, None] - centres, axis=2) < _BESIDE_SHARE * away
-    cosine = (np.einsum("aij,bij->ab", turned, turned) - 1) / 2
-    beside = near & (cosine > np.cos(np.radians(_BESIDE_DEGREES)))
-    among = np.ix_(placed, placed)
-    third = np.sort(links.matches[among], axis=1)[:, -3]
-    expected = np.minimum(third[:, None], third)
-    strange = beside & links.compared[among] & (expected >= _LINK)
-    strange &= links.matches[among] < _STRANGE * expected
-    pairs = np.argwhere(np.triu(strange, 1))
-    if len(pairs) < _MIN_STRANGE:
-        return []
-    names = [photographs[row].relative for row in placed]
-    message = f"{len(pairs)} pairs of photographs were placed side by side and yet have little in "
-    message += "common: sides that look alike may have been laid on each other"
-    between = [f"{names[one]} and {names[two]}" for one, two in pairs]
+    if between:
+        message += ", and some photographs may have been put on the wrong one: "
+        message += f"{len(verdict.broken)} pairs that have much in common are far apart"
+    else:
+        message += "; matches of different sides contradicted the surest links between "
+        message += f"photographs, and {forgotten} pairs were left out until none did"
     return [warning("look-alike", message, _TELL_APART, *between)]
 
 

@@ -46,7 +46,7 @@ from robir.capture.poses.sources import (
     take_frames,
 )
 from robir.capture.readers import colmap
-from robir.capture.refusal import CaptureRefusedError, note, refuse, warning
+from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
 from robir.jobs.paths import read_json, replacing, write_json
 
@@ -56,14 +56,16 @@ if TYPE_CHECKING:
 REVISION = 3  # raised by hand when the results of this room change
 MAX_ANEW = 4  # how often cameras are placed anew where sides that look alike led them astray
 FEATURE_SIDE = 1000  # longer side of the copies in pixels
-_LARGE = 40e6  # pixels from which on the user is told that a photograph was made smaller
 _PANORAMA = 2.2  # no lens takes pictures wider than this; stitching does
 # typical share of each step in the time
 _SHARES = {"frames": 0.1, "copies": 0.1, "features": 0.35, "matches": 0.25, "cameras": 0.2}
 
 
 def register(source: Path, work: Path, seed: int, progress: Progress) -> FrameSet:
-    """Find out where photographs were taken.
+    """Posed frames of the photographs themselves, in COLMAP's frame and unit, with sparse points.
+
+    Photographs that could not be placed are named in a finding. Where none can be, the findings of
+    the refusal say what to shoot differently.
 
     Args:
         source: Folder of photographs, or a video; never written to.
@@ -71,14 +73,6 @@ def register(source: Path, work: Path, seed: int, progress: Progress) -> FrameSe
             the same files and seed; else it is cleared.
         seed: Seed of all robust estimators.
         progress: Told what is being done.
-
-    Returns:
-        Posed frames of the photographs themselves, in the frame and unit of COLMAP, with sparse
-        points. Photographs that could not be placed are named in a finding.
-
-    Raises:
-        CaptureError: If the photographs cannot be placed; a `CaptureRefusedError` whose findings
-            say what to shoot differently.
     """
     return _Registration(source, work, seed, progress).run()
 
@@ -215,7 +209,7 @@ class _Registration:
         unfinished.rename(target)
 
     def _step(self, name: str, verb: str) -> Progress:
-        """What a step is told, as part of the whole."""
+        """The progress of a step, as part of the whole."""
         names = list(_SHARES)
         before = sum(_SHARES[step] for step in names[: names.index(name)])
         return lambda share, text: self._told(before + _SHARES[name] * share, f"{verb} {text}")
@@ -236,25 +230,17 @@ class _Copy:
 
     relative: str
     path: Path
-    stored_size: tuple[int, int]
     size: tuple[int, int]
-    lens: StatedLens | None
+    lens: StatedLens
     digest: bytes
 
 
 def prepare(
     root: Path, photographs: Sequence[Path], folder: Path, progress: Progress
 ) -> tuple[list[Prepared], list[Finding]]:
-    """Copy photographs upright, grey and small.
+    """Copy photographs upright, grey and small; one entry for each that is read and no repetition.
 
-    Args:
-        root: Folder of the capture; photographs are named by their paths below it.
-        photographs: Files.
-        folder: Where the copies go.
-        progress: Told after every photograph.
-
-    Returns:
-        One entry for each photograph that can be read and is no repetition; findings.
+    They are named by their paths below `root`. The copies go to `folder`.
     """
     copies: list[_Copy] = []
     findings: list[Finding] = []
@@ -267,10 +253,9 @@ def prepare(
                 raise
             broken.append(path.relative_to(root).as_posix())
         progress((done + 1) / len(photographs), f"photograph {done + 1} of {len(photographs)}")
-    if broken:
-        message = f"{len(broken)} of {len(photographs)} photographs are damaged and are left out"
-        cure = "Copy them again from the camera."
-        findings.append(warning("unreadable-images", message, cure, *broken))
+    message = f"{len(broken)} of {len(photographs)} photographs are damaged and are left out"
+    cure = "Copy them again from the camera."
+    findings += some("warning", "unreadable-images", broken, message, cure)
     first: dict[bytes, _Copy] = {}
     for copy in copies:
         first.setdefault(copy.digest, copy)
@@ -281,9 +266,8 @@ def prepare(
         fault = refuse("same-photograph", message + "anything is", MORE_PHOTOGRAPHS, name)
         raise CaptureRefusedError([*findings, *fault.findings])
     repeated = [copy.relative for copy in copies if first[copy.digest] is not copy]
-    if repeated:
-        message = f"{len(repeated)} photographs repeat another, pixel by pixel, and are left out"
-        findings.append(note("repeated-images", message, *repeated))
+    message = f"{len(repeated)} photographs repeat another, pixel by pixel, and are left out"
+    findings += some("note", "repeated-images", repeated, message)
     if len(distinct) < MIN_PHOTOGRAPHS:
         message = f"{root} holds {len(distinct)} different photographs without camera poses; at "
         message += f"least {MIN_PHOTOGRAPHS} are needed to find where they were taken"
@@ -297,9 +281,8 @@ def _copy(root: Path, path: Path, target: Path) -> _Copy:
     with header(path) as picture:
         exif = exif_values(picture)
         turn = orientation(picture)
-        lens = None if exif is None else lens_of(exif, picture.size)
-        stored_size = picture.size
-        spare = max(stored_size) // (2 * FEATURE_SIDE)
+        lens = StatedLens() if exif is None else lens_of(exif, picture.size)
+        spare = max(picture.size) // (2 * FEATURE_SIDE)
         reduce(picture, max(factor for factor in (1, 2, 4, 8) if factor <= max(1, spare)))
         load(picture, path)
         pixels = pixels_of(upright(picture, turn))
@@ -310,7 +293,7 @@ def _copy(root: Path, path: Path, target: Path) -> _Copy:
     with replacing(target) as temporary:
         grey.save(temporary, format="PNG", compress_level=1)
     digest = hashlib.sha256(grey.tobytes()).digest()
-    return _Copy(path.relative_to(root).as_posix(), target, stored_size, size, lens, digest)
+    return _Copy(path.relative_to(root).as_posix(), target, size, lens, digest)
 
 
 def _grouped(copies: Sequence[_Copy]) -> list[Prepared]:
@@ -318,7 +301,7 @@ def _grouped(copies: Sequence[_Copy]) -> list[Prepared]:
     numbers: dict[object, int] = {}
     result = []
     for copy in copies:
-        lens, (width, height) = copy.lens or StatedLens(), copy.size
+        lens, (width, height) = copy.lens, copy.size
         number = numbers.setdefault((lens.body, lens.setting, copy.size), len(numbers))
         focal = None if lens.focal is None else lens.focal * max(copy.size)
         names = {"relative": copy.relative, "copy": copy.path.name}
@@ -327,29 +310,17 @@ def _grouped(copies: Sequence[_Copy]) -> list[Prepared]:
 
 
 def _remarks(copies: Sequence[_Copy]) -> list[Finding]:
-    """Notes on sizes, lenses and EXIF data."""
-    found = []
-    large = [c for c in copies if c.stored_size[0] * c.stored_size[1] > _LARGE]
-    if large:
-        biggest = max(c.stored_size[0] * c.stored_size[1] for c in large) / 1e6
-        message = f"{len(large)} photographs have up to {biggest:.0f} megapixels; cameras are "
-        message += f"found on copies of {FEATURE_SIDE} pixels"
-        found.append(note("downscaled", message, *(c.relative for c in large)))
+    """Notes on panoramas, lenses and EXIF data."""
     wide = [c.relative for c in copies if max(c.size) > _PANORAMA * min(c.size)]
-    if wide:
-        message = f"{len(wide)} photographs are much longer than high, as stitched panoramas are"
-        cure = "Leave them out: a stitched picture has no single camera."
-        found.append(warning("panorama", message, cure, *wide))
-    damaged = [c.relative for c in copies if c.lens is None]
-    if damaged:
-        message = f"{len(damaged)} photographs have damaged EXIF data, which is ignored"
-        found.append(note("bad-exif", message, *damaged))
+    message = f"{len(wide)} photographs are much longer than high, as stitched panoramas are"
+    cure = "Leave them out: a stitched picture has no single camera."
+    found = some("warning", "panorama", wide, message, cure)
     by_lens = Counter(f"{p.width}x{p.height}, camera {p.lens + 1}" for p in _grouped(copies))
     if len(by_lens) > 1:
         groups = "; ".join(f"{count} of {name}" for name, count in by_lens.items())
         message = f"The photographs come from {len(by_lens)} cameras, lenses or formats ({groups})"
         found.append(note("several-cameras", f"{message}; each has its own intrinsics"))
-    known = sum(c.lens is not None and c.lens.focal is not None for c in copies)
+    known = sum(c.lens.focal is not None for c in copies)
     start = f"of {known} of {len(copies)}" if known else "of none"
     found.append(note("focal-length", f"EXIF data give a start for the focal length {start}"))
     return found

@@ -3,7 +3,7 @@
 
 SIFT (Lowe 2004) with brute-force matches, verified by epipolar geometry, and incremental mapping
 (Schoenberger and Frahm 2016) as pycolmap does them. Everything runs in small portions, so that
-progress is told and a request to stop is heard; a portion that is in the database is not redone.
+progress is shown and a request to stop is heard; a portion in the database is not redone.
 """
 
 from __future__ import annotations
@@ -57,23 +57,14 @@ _THREADS = min(4, os.cpu_count() or 1)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
-    """A copy that features are looked for in.
+    """A copy that features are looked for in."""
 
-    Attributes:
-        relative: Path of the photograph below the capture's folder.
-        copy: File name of its copy.
-        width: Of the copy, pixels.
-        height: Of the copy, pixels.
-        lens: Number of its lens; photographs of one lens share intrinsics.
-        focal: Focal length in pixels of the copy as EXIF states it, or None.
-    """
-
-    relative: str
-    copy: str
-    width: int
-    height: int
-    lens: int
-    focal: float | None
+    relative: str  # path of the photograph below the capture's folder
+    copy: str  # file name of its copy
+    width: int  # of the copy, pixels
+    height: int  # of the copy, pixels
+    lens: int  # number of its lens; photographs of one lens share intrinsics
+    focal: float | None  # focal length in pixels of the copy as EXIF states it, or None
 
 
 class Workplace:

@@ -23,7 +23,7 @@ from robir.capture.images.decode import INSTALL_PHOTOS
 from robir.capture.images.regular import regular
 from robir.capture.masks.given import IGNORE, natural_order
 from robir.capture.readers.files import children, is_other, without_others
-from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
 from robir.jobs.names import UnsafeNameError, checked_name
 from robir.jobs.paths import replacing
@@ -47,17 +47,12 @@ _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # in a unit of EXIF's focal plane res
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedLens:
-    """What EXIF data says about how a photograph was taken.
+    """What EXIF data says about how a photograph was taken."""
 
-    Attributes:
-        body: Maker and model of the camera, empty if not stated.
-        setting: Focal lengths as stated; photographs of one setting share their intrinsics.
-        focal: Focal length in widths of the longer side, or None.
-    """
-
-    body: str = ""
+    body: str = ""  # maker and model of the camera, empty if not stated
+    # focal lengths as stated; photographs of one setting share their intrinsics
     setting: tuple[float, ...] = ()
-    focal: float | None = None
+    focal: float | None = None  # focal length in widths of the longer side, or None
 
 
 def is_video(source: Path) -> bool:
@@ -74,8 +69,7 @@ def find_photographs(source: Path) -> list[Path]:
     own = _photographs_in(source)
     if own:
         return own
-    folders = [path for path in children(source) if path.is_dir()]
-    folders = [path for path in folders if not path.name.startswith(".")]
+    folders = [p for p in children(source) if p.is_dir() and not p.name.startswith(".")]
     usual = [path for path in folders if path.name.lower() in _PHOTO_FOLDERS]
     usual = usual or [path for path in folders if not is_other(path)]
     return [photo for folder in usual for photo in _photographs_in(folder)]
@@ -104,7 +98,7 @@ def stray_files(source: Path, photographs: Iterable[Path]) -> list[Finding]:
         if path.is_file() and path not in used and not path.name.startswith(".")
     ]
     message = f"{len(strays)} files among the photographs are no photographs and are ignored"
-    return [note("stray-files", message, *strays)] if strays else []
+    return some("note", "stray-files", strays, message)
 
 
 def lens_of(exif: dict[int, object], size: tuple[int, int]) -> StatedLens:

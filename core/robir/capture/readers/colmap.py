@@ -3,14 +3,14 @@
 
 A pose there is the rotation (unit quaternion, w first) and translation from world to camera, with
 OpenCV axes; pixel centres lie at half integers, as ours do. Layout: doc/format.rst of COLMAP.
-Where rigs and frames are stated, they and not the images say where a camera was.
+COLMAP 4 writes each image's own pose there too, whatever its rig.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -26,29 +26,14 @@ from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
 from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
 
-FORMAT = "colmap"
-
 # camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)
-_MODELS = {
-    0: ("SIMPLE_PINHOLE", 3),
-    1: ("PINHOLE", 4),
-    2: ("SIMPLE_RADIAL", 4),
-    3: ("RADIAL", 5),
-    4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8),
-    6: ("FULL_OPENCV", 12),
-    7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12),
-    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    12: ("SIMPLE_DIVISION", 4),
-    13: ("DIVISION", 5),
-    14: ("SIMPLE_FISHEYE", 3),
-    15: ("FISHEYE", 4),
-    16: ("EUCM", 6),
-    17: ("EQUIRECTANGULAR", 2),
-}
+_MODELS = (
+    *(("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8)),
+    *(("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4)),
+    *(("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16)),
+    *(("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6)),
+    ("EQUIRECTANGULAR", 2),
+)
 # models that pycolmap evaluates
 _BY_PYCOLMAP = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "DIVISION", "EUCM")
 _MAX_BYTES = 1 << 29  # largest file of a model: every photograph's observations stand in it
@@ -57,9 +42,6 @@ _LONG = 8192  # letters of a line beyond which it holds no photograph's pose and
 _CURE = "Export the model again."
 _Parameters = Annotated[list[float], Meta(max_length=16)]
 _Sides = tuple[Side, Side]
-_Take = Callable[[str], tuple]  # next values of a file of rigs, by their codes in `struct`
-_CAMERA, _RIG_POSE = 0, "7d"
-_SENSORS = {"INVALID": "-1", "CAMERA": "0", "IMU": "1"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,46 +49,35 @@ class _Model:
     folder: Path
     suffix: str
     lenses: dict[int, Lens]
-    images: list[tuple[str, int, Array]]
-    """Name, camera number and camera-to-world of each posed photograph."""
+    images: list[tuple[str, int, Array]]  # name, camera number, camera-to-world of each
 
 
 def find_models(source: Path) -> list[Path]:
     """Folders of sparse models at the usual places below a folder."""
     places = [source, source / "sparse", source / "colmap" / "sparse"]
-    folders = places + [
-        child
-        for place in places[1:]
-        if place.is_dir()
-        for child in children(place)
-        if child.is_dir()
-    ]
+    folders = places + [child for place in places[1:] for child in children(place)]
     return [folder for folder in folders if _suffix(folder)]
 
 
 def read(source: Path, images: Path | None = None) -> FrameSet:
-    """Read the largest sparse model.
-
-    Frames and sparse points in the model's own frame.
-    """
+    """Read the largest sparse model: frames and sparse points in its own frame."""
     models = [_read_model(folder) for folder in find_models(source)]
     model = max(models, key=lambda candidate: len(candidate.images))
     images = images or _image_folder(source, model.folder, [name for name, _, _ in model.images])
-    shots = [
-        Shot(name=name, lens=_lens_of(model, number, name), pose=pose)
-        for name, number, pose in model.images
-    ]
+    shots = []
+    for name, number, pose in model.images:
+        if number not in model.lenses:
+            message = f"{model.folder}: {name} was taken with camera {number}, which is not listed"
+            raise refuse("bad-colmap", message, _CURE)
+        shots.append(Shot(name=name, image=images / name, lens=model.lenses[number], pose=pose))
     findings = []
     if len(models) > 1:
         counts = ", ".join(f"{m.folder.name} ({len(m.images)} photographs)" for m in models)
-        findings.append(
-            note("several-models", f"Of the sparse models {counts}, {model.folder.name} is used")
-        )
+        message = f"Of the sparse models {counts}, {model.folder.name} is used"
+        findings.append(note("several-models", message))
     points = _read_points(model.folder / f"points3D{model.suffix}")
     root = images if images.name == "." else images.parent
-    places = [images / shot.name for shot in shots]
-    listed = root / f"images{model.suffix}"
-    return frame_set(listed, FORMAT, shots, images=places, points=points, findings=findings)
+    return frame_set(root / f"images{model.suffix}", "colmap", shots, findings, points)
 
 
 def _suffix(folder: Path) -> str | None:
@@ -124,13 +95,6 @@ def _image_folder(source: Path, model: Path, names: list[str]) -> Path:
     return folders[int(np.argmax(counts))]
 
 
-def _lens_of(model: _Model, number: int, relative: str) -> Lens:
-    if number not in model.lenses:
-        message = f"{model.folder}: {relative} was taken with camera {number}, which is not listed"
-        raise refuse("bad-colmap", message, _CURE)
-    return model.lenses[number]
-
-
 def _read_model(folder: Path) -> _Model:
     suffix = _suffix(folder) or ""
     cameras, listed = folder / f"cameras{suffix}", folder / f"images{suffix}"
@@ -141,17 +105,12 @@ def _read_model(folder: Path) -> _Model:
         else:
             lenses = dict(_text_cameras(cameras))
             posed = list(_text_images(listed))
-        rigs = [folder / f"{name}{suffix}" for name in ("rigs", "frames")]
-        own = {}
-        if all(path.is_file() for path in rigs):
-            own = _rig_poses(*map(_bytes, rigs), is_text=suffix == ".txt")
     except CaptureRefusedError:
         raise
     except (OSError, ValueError, OverflowError, struct.error) as fault:
         message = f"The COLMAP model in {folder} is truncated or damaged ({fault})"
         raise refuse("bad-colmap", message, _CURE, cameras.name, listed.name) from None
-    images = [(name, camera, own.get(number, pose)) for number, name, camera, pose in posed]
-    return _Model(folder, suffix, lenses, sorted(images, key=lambda entry: entry[0]))
+    return _Model(folder, suffix, lenses, sorted(posed, key=lambda entry: entry[0]))
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -159,12 +118,13 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
         (count,) = struct.unpack("<Q", file.read(8))
         for _ in range(count):
             number, model, width, height = struct.unpack("<iiQQ", file.read(24))
-            name, size = _MODELS.get(model, (f"number {model}", 0))
+            is_known = 0 <= model < len(_MODELS)
+            name, size = _MODELS[model] if is_known else (f"number {model}", 0)
             values = struct.unpack(f"<{size}d", file.read(8 * size))
             yield number, _lens(path, name, width, height, values)
 
 
-def _binary_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
+def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
     content = _bytes(path)
     (count,) = struct.unpack_from("<Q", content, 0)
     at = 8
@@ -177,7 +137,7 @@ def _binary_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
         at = end + 9 + 24 * observations
         if at > len(content):
             raise ValueError(f"{path.name} ends within {name}")
-        yield numbers[0], name, numbers[8], _pose(numbers[1:5], numbers[5:8])
+        yield name, numbers[8], opencv_view(turned_by(numbers[1:5]), numbers[5:8])
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
@@ -189,15 +149,15 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
             yield int(number), _lens(path, name, sides[0], sides[1], tuple(values))
 
 
-def _text_images(path: Path) -> Iterator[tuple[int, str, int, Array]]:
+def _text_images(path: Path) -> Iterator[tuple[str, int, Array]]:
     for line in _lines(path):
         # between the images stand their observations, three numbers each, or an empty line; some
         # programs leave that line away
         if not line or _is_observations(line):
             continue
-        number, *values, camera, name = line.split(maxsplit=9)
+        _, *values, camera, name = line.split(maxsplit=9)
         numbers = checked(path, values, list[float], _CURE, where=name[:80], is_text=True)
-        yield int(number), name, int(camera), _pose(tuple(numbers[:4]), tuple(numbers[4:]))
+        yield name, int(camera), opencv_view(turned_by(numbers[:4]), numbers[4:])
 
 
 def _is_observations(line: str) -> bool:
@@ -241,14 +201,9 @@ def _read_points(path: Path) -> Array:
     return found[(np.abs(found) < MAX_NUMBER).all(axis=1)]
 
 
-def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...]) -> Array:
-    """Our camera-to-world from world-to-camera with OpenCV axes; NaN where the numbers are."""
-    return opencv_view(turned_by(quaternion), translation)
-
-
 def _is_for_pycolmap(name: str, count: int) -> bool:
     """Whether pycolmap is there and evaluates a model of so many parameters."""
-    is_known = name in _BY_PYCOLMAP and (name, count) in _MODELS.values()
+    is_known = name in _BY_PYCOLMAP and (name, count) in _MODELS
     return is_known and importlib.util.find_spec("pycolmap") is not None
 
 
@@ -281,65 +236,3 @@ def _lens(path: Path, name: str, width: int, height: int, values: tuple[float, .
             raise refuse("camera-model", message, cure, path.name)
     lens = Lens(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
     return checked_lens(lens, path, f"a {name} camera")
-
-
-def _rig_poses(rigs: bytes, frames: bytes, is_text: bool) -> dict[int, Array]:
-    """Camera-to-world of images by number, OpenGL axes, where a camera's place in its rig is known.
-
-    COLMAP itself reads these; the poses in its images file are only written beside them
-    (src/colmap/scene/reconstruction_io_binary.cc and _text.cc).
-    """
-    places: dict[tuple[int, int, int], Array] = {}
-    for take in _entries(rigs, is_text):
-        rig, count = take("II")
-        if count:
-            places[(rig, *take("iI"))] = np.eye(4)
-        for _ in range(count - 1):
-            sensor, (has_pose,) = take("iI"), take("B")
-            if has_pose:
-                places[(rig, *sensor)] = _rig_matrix(take(_RIG_POSE))
-    found = {}
-    for take in _entries(frames, is_text):
-        (_, rig), world = take("II"), _rig_matrix(take(_RIG_POSE))
-        for _ in range(take("I")[0]):
-            kind, sensor, image = take("iIQ")
-            if kind == _CAMERA and (rig, kind, sensor) in places:
-                with np.errstate(all="ignore"):
-                    view = places[rig, kind, sensor] @ world
-                found[image] = opencv_view(view[:3, :3], view[:3, 3])
-    return found
-
-
-def _rig_matrix(numbers: tuple[float, ...]) -> Array:
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = turned_by(numbers[:4]), numbers[4:]
-    return result
-
-
-def _entries(content: bytes, is_text: bool) -> Iterator[_Take]:
-    """What takes the values of each entry, one after the other."""
-    if is_text:
-        for line in content.decode("utf-8").splitlines():
-            words = iter(line.split())
-            if line.strip() and not line.startswith("#"):
-                yield lambda codes, words=words: tuple(_word(words, c) for c in _codes(codes))
-        return
-    at = 8
-
-    def take(codes: str) -> tuple:
-        nonlocal at
-        values = struct.unpack_from(f"<{codes}", content, at)
-        at += struct.calcsize(f"<{codes}")
-        return values
-
-    for _ in range(struct.unpack_from("<Q", content)[0]):
-        yield take
-
-
-def _codes(codes: str) -> str:
-    return "d" * 7 if codes == _RIG_POSE else codes
-
-
-def _word(words: Iterator[str], code: str) -> float | int:
-    word = next(words, "")
-    return float(word) if code == "d" else int(_SENSORS.get(word, word))

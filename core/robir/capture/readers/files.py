@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that poses come in: JSON, and photographs named without the folder they lie in."""
+"""Files that poses come in: JSON, XML, tables; and photographs named without their folder."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import json
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree import ElementTree  # nosec B405
 from xml.etree.ElementTree import Element  # nosec B405
 
@@ -27,60 +28,48 @@ _OTHER_PICTURES = re.compile(
     r"mask|matte|alpha|segment|truth|depth|normal|thumb|confidence|albedo|roughness", re.IGNORECASE
 )
 _DEPTH = 3  # folders below the capture's own that are searched for photographs
+T = TypeVar("T")
 
 
-def read_text(path: Path) -> str:
-    """Content of a text file of poses, UTF-8 with or without a mark at its beginning."""
-    with regular(path) as file:
-        return file.read().decode("utf-8-sig")
+def parsed(path: Path, parse: Callable[[str], T], kind: str, cure: str, code: str) -> T:
+    """A text file of poses, UTF-8 with or without a mark at its beginning; or a refusal."""
+    try:
+        with regular(path) as file:
+            return parse(file.read().decode("utf-8-sig"))
+    except (OSError, ValueError, LookupError, RecursionError, SyntaxError, csv.Error) as fault:
+        raise refuse(code, f"{path} is not readable as {kind} ({fault})", cure, path.name) from None
 
 
 def load_json(path: Path) -> Any:
     """Content of a JSON file; whole numbers of absurd size as floating-point ones."""
-    try:
-        return json.loads(_bounded(read_text(path)), parse_int=_whole)
-    except (OSError, ValueError, RecursionError) as fault:
-        message = f"{path} is not readable as JSON ({fault})"
-        raise refuse("bad-json", message, "Write the file again.", path.name) from None
+    return parsed(path, _json, "JSON", "Write the file again.", "bad-json")
+
+
+def _json(text: str) -> Any:
+    # what Python needs for a table, a list and an entry of either
+    if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
+        raise ValueError("it holds too many values")
+    return json.loads(text, parse_int=lambda word: int(word) if len(word) < 18 else float(word))
 
 
 def load_xml(path: Path, cure: str) -> Element:
     """Root of an XML file."""
-    try:
-        return ElementTree.fromstring(_undefined(read_text(path)))  # nosec B314
-    except (OSError, ValueError, LookupError, RecursionError, ElementTree.ParseError) as fault:
-        raise refuse(
-            "bad-xml", f"{path} is not readable as XML ({fault})", cure, path.name
-        ) from None
+    return parsed(path, _xml, "XML", cure, "bad-xml")
+
+
+def _xml(text: str) -> Element:
+    if "<!DOCTYPE" in text:  # definitions could make it grow or read files; no export has any
+        raise ValueError("it defines a document type")
+    return ElementTree.fromstring(text)  # nosec B314
 
 
 def load_table(path: Path, cure: str) -> list[list[str]]:
     """Rows of a CSV file, blank ones left out, spaces around values too."""
-    try:
-        rows = csv.reader(read_text(path).splitlines())
-        return [[word.strip() for word in row] for row in rows if row]
-    except (OSError, ValueError, csv.Error) as fault:
-        message = f"{path} is no readable table of cameras ({fault})"
-        raise refuse("bad-table", message, cure, path.name) from None
+    return parsed(path, _table, "a table of cameras", cure, "bad-table")
 
 
-def _undefined(text: str) -> str:
-    """XML without definitions, which could make it grow or read files; no export has any."""
-    if "<!DOCTYPE" in text:
-        raise ValueError("it defines a document type")
-    return text
-
-
-def _bounded(text: str) -> str:
-    """JSON whose values will fit into memory."""
-    # What Python needs for a table, a list and an entry of either.
-    if 240 * text.count("{") + 64 * text.count("[") + 60 * text.count(",") > MAX_VALUES_BYTES:
-        raise ValueError("it holds too many values")
-    return text
-
-
-def _whole(text: str) -> int | float:
-    return int(text) if len(text) < 18 else float(text)
+def _table(text: str) -> list[list[str]]:
+    return [[word.strip() for word in row] for row in csv.reader(text.splitlines()) if row]
 
 
 def head(path: Path, length: int = 65536) -> str:
@@ -123,10 +112,9 @@ def children(folder: Path) -> list[Path]:
     return [folder / name for name in found]
 
 
-def photographs_in(folder: Path, root: Path) -> list[str]:
-    """Paths below `root` of the pictures in a folder, sorted by name."""
-    pictures = [path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
-    return [path.relative_to(root).as_posix() for path in pictures]
+def pictures_in(folder: Path) -> list[Path]:
+    """Pictures in a folder, sorted by name."""
+    return [path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
 
 
 def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[str]]:
@@ -137,35 +125,30 @@ def locate_photographs(poses: Path, names: Sequence[str]) -> tuple[Path, list[st
     the name counts, then the one in the folder that has most of the names. What was not found
     stays as it is, in the folder `images`.
     """
-    tails = [_parts(name) for name in names]
-    best: tuple[int, Path, list[str | None]] | None = None
-    for root, depth in ((poses.parent, _DEPTH), (poses.parent.parent, 1)):
-        found = _matches(list(_pictures(root, "", depth)), tails)
-        count = sum(match is not None for match in found)
-        if best is None or count > best[0]:
-            best = (count, root, found)
+    tails = [
+        [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..")]
+        or ["unnamed"]
+        for name in names
+    ]
+    best, root, found = -1, poses.parent, list[str | None]()
+    for place, depth in ((poses.parent, _DEPTH), (poses.parent.parent, 1)):
+        matches = _matches(list(_pictures(place, "", depth)), tails)
+        count = sum(match is not None for match in matches)
+        if count > best:
+            best, root, found = count, place, matches
         if count == len(names):
             break
-    assert best is not None
-    _, root, found = best
     missing = [f"{IMAGE_FOLDERS[0]}/{tail[-1]}" for tail in tails]
     return root, [match or lost for match, lost in zip(found, missing, strict=True)]
-
-
-def _parts(name: str) -> list[str]:
-    return [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..")] or [
-        "unnamed"
-    ]
 
 
 def _pictures(root: Path, below: str, depth: int) -> Iterator[str]:
     """Paths of pictures below a folder, "/" between folders."""
     for child in children(root / below):
         relative = f"{below}{child.name}"
-        lower = child.name.lower()
         if child.suffix.lower() in IMAGE_SUFFIXES:
             yield relative
-        elif depth > 0 and not (lower.startswith(".") or is_other(child)) and child.is_dir():
+        elif depth > 0 and not (child.name.startswith(".") or is_other(child)) and child.is_dir():
             yield from _pictures(root, f"{relative}/", depth - 1)
 
 
@@ -175,12 +158,9 @@ def _matches(pictures: Sequence[str], tails: Sequence[Sequence[str]]) -> list[st
         name = picture.lower().rsplit("/", 1)[-1]
         by_name[name].append(picture)
         by_name[name.rsplit(".", 1)[0]].append(picture)
-    candidates = [by_name.get(tail[-1].lower(), []) for tail in tails]
-    # A name may also carry the suffix of what the photograph was before a conversion.
-    candidates = [
-        some or by_name.get(tail[-1].lower().rsplit(".", 1)[0], [])
-        for some, tail in zip(candidates, tails, strict=True)
-    ]
+    # a name may also carry the suffix of what the photograph was before a conversion
+    lower = [tail[-1].lower() for tail in tails]
+    candidates = [by_name.get(n) or by_name.get(n.rsplit(".", 1)[0], []) for n in lower]
     counts = Counter(picture.rpartition("/")[0] for some in candidates for picture in some)
 
     def rank(picture: str, tail: Sequence[str]) -> tuple[int, int, int, str]:
@@ -190,16 +170,12 @@ def _matches(pictures: Sequence[str], tails: Sequence[Sequence[str]]) -> list[st
         return (-_agreement(picture, tail), -counts[folder], order, picture)
 
     return [
-        min(some, key=lambda picture, tail=tail: rank(picture, tail)) if some else None
+        min(some, key=lambda picture, tail=tail: rank(picture, tail), default=None)
         for some, tail in zip(candidates, tails, strict=True)
     ]
 
 
 def _agreement(picture: str, tail: Sequence[str]) -> int:
     """Folders that two paths have in common, counted from the name upwards."""
-    common = 0
-    for one, other in zip(picture.lower().split("/")[-2::-1], tail[-2::-1], strict=False):
-        if one != other.lower():
-            break
-        common += 1
-    return common
+    pairs = zip(picture.lower().split("/")[-2::-1], tail[-2::-1], strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1].lower(), pairs))

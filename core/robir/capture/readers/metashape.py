@@ -28,47 +28,28 @@ import numpy as np
 
 from robir.capture.capture import Finding
 from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.readers.files import head, load_xml
-from robir.capture.readers.shots import Shot, frame_set, rolling_shutter
+from robir.capture.readers.files import load_xml
+from robir.capture.readers.shots import Shot, frame_set, opengl_pose, rolling_shutter
 from robir.capture.readers.values import Side, checked
-from robir.capture.refusal import CaptureRefusedError, note, refuse, warning
-
-FORMAT = "metashape"
+from robir.capture.refusal import CaptureRefusedError, note, refuse, some, warning
 
 _CURE = "Export the cameras as Agisoft XML again (File > Export > Export Cameras)."
 _CALIBRATION = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 
 
-def looks_like(path: Path) -> bool:
-    """Whether a file is XML with a chunk of sensors."""
-    start = head(path)
-    return "<chunk" in start and "<sensor" in start
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Aligned:
-    """A camera with a pose.
-
-    Attributes:
-        camera: Its entry.
-        sensor: Its sensor's entry, or None.
-        master: The entry that holds the transform; in a rig, that of another camera.
-        frame: Chunk and component whose frame the transform is in.
-        name: Its label, below that of its group.
-    """
+    """A camera with a pose."""
 
     camera: Element
     sensor: Element | None
-    master: Element
-    frame: tuple[int, str | None]
-    name: str
+    master: Element  # the entry that holds the transform; in a rig, that of another camera
+    frame: tuple[int, str | None]  # chunk and component whose frame the transform is in
+    name: str  # its label, below that of its group
 
 
 def read(path: Path) -> FrameSet:
-    """Read the aligned cameras that have a frame in common.
-
-    Frames in the coordinate system of the chunks.
-    """
+    """Read the aligned cameras with a frame in common, in the coordinate system of the chunks."""
     document = load_xml(path, _CURE)
     chunks = [document] if document.tag == "chunk" else list(document.iter("chunk"))
     aligned = [camera for index, chunk in enumerate(chunks) for camera in _aligned(index, chunk)]
@@ -88,13 +69,12 @@ def read(path: Path) -> FrameSet:
     ]
     known = {id(seen.camera) for seen in aligned}
     every = [camera for chunk in chunks for camera in chunk.iter("camera")]
-    left_out = [camera.get("label", "") for camera in every if id(camera) not in known]
-    if left_out:
-        message = f"{len(left_out)} photographs of {path.name} are not aligned or switched off"
-        findings.append(note("unaligned-cameras", message, *left_out))
+    left = [camera.get("label", "") for camera in every if id(camera) not in known]
+    message = f"{len(left)} photographs of {path.name} are not aligned or switched off"
+    findings += some("note", "unaligned-cameras", left, message)
     if any(seen.sensor is not None and _is_rolling(seen.sensor) for seen in chosen):
         findings.append(rolling_shutter(path))
-    return frame_set(path, FORMAT, shots, findings=findings)
+    return frame_set(path, "metashape", shots, findings)
 
 
 def _aligned(index: int, chunk: Element) -> list[_Aligned]:
@@ -109,16 +89,10 @@ def _aligned(index: int, chunk: Element) -> list[_Aligned]:
             master = camera
         if master.find("transform") is None or camera.get("enabled", "1") in ("0", "false"):
             continue
-        label = camera.get("label", "")
-        found.append(
-            _Aligned(
-                camera=camera,
-                sensor=sensors.get(camera.get("sensor_id")),
-                master=master,
-                frame=(index, master.get("component_id")),
-                name=f"{groups[id(camera)]}/{label}" if id(camera) in groups else label,
-            )
-        )
+        label, sensor = camera.get("label", ""), sensors.get(camera.get("sensor_id"))
+        name = f"{groups[id(camera)]}/{label}" if id(camera) in groups else label
+        frame = (index, master.get("component_id"))
+        found.append(_Aligned(camera=camera, sensor=sensor, master=master, frame=frame, name=name))
     return found
 
 
@@ -158,9 +132,8 @@ def _numbers(path: Path, element: Element | None, count: int, what: str) -> Arra
     except ValueError:
         values = np.zeros(0)
     if len(values) != count:
-        raise refuse(
-            "bad-xml", f"{path}: {what} is {text[:80]!r}, not {count} numbers", _CURE, path.name
-        )
+        message = f"{path}: {what} is {text[:80]!r}, not {count} numbers"
+        raise refuse("bad-xml", message, _CURE, path.name)
     return values
 
 
@@ -185,20 +158,13 @@ def _pose(path: Path, place: Element | None, seen: _Aligned) -> Array:
         pose[:, 1:3] *= -1.0  # OpenCV's axes
         if place is None:
             return pose
-        turn, move, scale = (
-            _numbers(path, place.find(tag), count, f"the chunk's {tag}")
-            if place.find(tag) is not None
-            else default
-            for tag, count, default in (
-                ("rotation", 9, np.eye(3).ravel()),
-                ("translation", 3, np.zeros(3)),
-                ("scale", 1, np.ones(1)),
-            )
-        )
-        result = np.eye(4)
-        result[:3, :3] = turn.reshape(3, 3) @ pose[:3, :3]
-        result[:3, 3] = scale[0] * turn.reshape(3, 3) @ pose[:3, 3] + move
-        return result
+        parts = {"rotation": np.eye(3).ravel(), "translation": np.zeros(3), "scale": np.ones(1)}
+        for tag, default in parts.items():
+            if place.find(tag) is not None:
+                what = f"the chunk's {tag}"
+                parts[tag] = _numbers(path, place.find(tag), len(default), what)
+        turn, move, scale = parts["rotation"].reshape(3, 3), parts["translation"], parts["scale"]
+        return opengl_pose(turn @ pose[:3, :3], scale[0] * turn @ pose[:3, 3] + move)
 
 
 def _offset(path: Path, seen: _Aligned) -> Array:
@@ -209,10 +175,8 @@ def _offset(path: Path, seen: _Aligned) -> Array:
         message = f"{path}: {label} is part of a rig of cameras whose offsets are not in the file"
         cure = "Export the cameras again, or align the photographs without a rig."
         raise refuse("rig", message, cure, path.name)
-    offset = np.eye(4)
-    offset[:3, :3] = _numbers(path, parts[0], 9, f"the rig's rotation of {label}").reshape(3, 3)
-    offset[:3, 3] = _numbers(path, parts[1], 3, f"the rig's location of {label}")
-    return offset
+    turn = _numbers(path, parts[0], 9, f"the rig's rotation of {label}").reshape(3, 3)
+    return opengl_pose(turn, _numbers(path, parts[1], 3, f"the rig's location of {label}"))
 
 
 def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
@@ -230,15 +194,10 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     size = {} if resolution is None else resolution.attrib
-    width, height = checked(
-        path,
-        [size.get("width", ""), size.get("height", "")],
-        tuple[Side, Side],
-        _CURE,
-        where=f"the resolution of the sensor of {label}",
-        code="bad-intrinsics",
-        is_text=True,
-    )
+    sides, where = [size.get("width", ""), size.get("height", "")], "the resolution of the sensor"
+    code, where = "bad-intrinsics", f"{where} of {label}"
+    kinds = tuple[Side, Side]
+    width, height = checked(path, sides, kinds, _CURE, where=where, code=code, is_text=True)
     value = {
         key: 0.0
         if calibration.find(key) is None

@@ -16,22 +16,21 @@ import numpy as np
 from scipy import linalg
 
 from robir.capture.arrays import read_matrix
-from robir.capture.frames import MAX_NUMBER, OPENGL_FROM_OPENCV, Array, FrameSet, Lens, Sphere
+from robir.capture.capture import Bounds
+from robir.capture.frames import MAX_NUMBER, Array, FrameSet, Lens
 from robir.capture.images.regular import regular
-from robir.capture.readers.files import children, photographs_in
-from robir.capture.readers.shots import Shot, frame_set, with_masks
+from robir.capture.readers.files import children, pictures_in
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose, with_masks
 from robir.capture.refusal import DAMAGED_ARRAYS, refuse
 
-FORMAT = "neus"
 NAME = "cameras_sphere.npz"
 
-_MATRIX = "world_mat_"
-_SCALE = "scale_mat_"
+_MATRIX, _SCALE = "world_mat_", "scale_mat_"
 _MAX_SKEW = 1.0  # largest displacement in pixels by skewed pixel axes that is let pass
 
 
 def find(source: Path) -> Path | None:
-    """The file of cameras in a folder, told by its arrays."""
+    """The file of cameras in a folder, recognised by its arrays."""
     archives = [path for path in children(source) if path.suffix == ".npz"]
     for path in sorted(archives, key=lambda path: path.name != NAME):
         if path.name == NAME or path.name.startswith("cameras") or is_camera_file(path):
@@ -49,21 +48,18 @@ def is_camera_file(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read cameras, the object's sphere and masks.
-
-    Frames in the world frame of `world_mat`.
-    """
+    """Read cameras, the object's sphere and masks, in the world frame of `world_mat`."""
     root = path.parent
     matrices = _matrices(path)
     folder = next((root / n for n in ("image", "images", "rgb") if (root / n).is_dir()), None)
-    photographs = [] if folder is None else photographs_in(folder, root)
-    numbers = _numbers(path, photographs, matrices)
+    pictures = [] if folder is None else pictures_in(folder)
+    numbers = _numbers(path, [picture.name for picture in pictures], matrices)
     shots = []
-    for relative, number in zip(photographs, numbers, strict=True):
-        lens, pose = _decomposed(path, relative, matrices[_MATRIX + number])
-        shots.append(Shot(name=relative, lens=lens, pose=pose))
-    found = frame_set(path, FORMAT, shots, images=[root / shot.name for shot in shots])
-    found = replace(found, sphere=_sphere(path, matrices, numbers))
+    for picture, number in zip(pictures, numbers, strict=True):
+        name = picture.relative_to(root).as_posix()
+        lens, pose = _decomposed(path, name, matrices[_MATRIX + number])
+        shots.append(Shot(name=name, image=picture, lens=lens, pose=pose))
+    found = replace(frame_set(path, "neus", shots), sphere=_sphere(path, matrices, numbers))
     drawn = next((root / n for n in ("mask", "masks") if (root / n).is_dir()), None)
     return found if drawn is None else replace(found, frames=with_masks(drawn, found.frames))
 
@@ -87,26 +83,24 @@ def _matrices(path: Path) -> dict[str, Array]:
     return found
 
 
-def _numbers(path: Path, photographs: list[str], matrices: dict[str, Array]) -> list[str]:
+def _numbers(path: Path, pictures: list[str], matrices: dict[str, Array]) -> list[str]:
     """Which matrix belongs to which photograph: by order, else by the number in the name."""
-    numbers = sorted((k[len(_MATRIX) :] for k in matrices if k.startswith(_MATRIX)), key=_order)
-    if len(numbers) == len(photographs):
+    keys = [key[len(_MATRIX) :] for key in matrices if key.startswith(_MATRIX)]
+    numbers = sorted(keys, key=lambda key: (int(_plain(key) or -1), key))
+    if len(numbers) == len(pictures):
         return numbers
-    by_name = [str(int(s)) if _is_number(s) else "" for s in (Path(p).stem for p in photographs)]
-    if photographs and set(by_name) <= set(numbers):
+    by_name = [_plain(Path(picture).stem) for picture in pictures]
+    if pictures and set(by_name) <= set(numbers):
         return by_name
     message = f"{path} has {len(numbers)} cameras, but {path.parent / 'image'} has "
-    message += f"{len(photographs)} photographs"
+    message += f"{len(pictures)} photographs"
     cure = "Bring all photographs, or number them like the matrices."
-    raise refuse("missing-images", message, cure, *photographs)
+    raise refuse("missing-images", message, cure, *pictures)
 
 
-def _order(number: str) -> tuple[int, str]:
-    return (int(number) if _is_number(number) else -1, number)
-
-
-def _is_number(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) < 18
+def _plain(text: str) -> str:
+    """A number without leading zeros; nothing where the text is none."""
+    return str(int(text)) if text.isascii() and text.isdigit() and len(text) < 18 else ""
 
 
 def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:
@@ -124,31 +118,22 @@ def _decomposed(path: Path, relative: str, matrix: Array) -> tuple[Lens, Array]:
     signs = np.diag(np.sign(np.diag(k)))
     k, rotation = k @ signs, signs @ rotation
     k = k / k[2, 2]
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.T
-    pose[:3, 3] = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
     # Skew moves a pixel in proportion to its row; the principal row is near the middle.
     if abs(k[0, 1]) * abs(k[1, 2]) / k[1, 1] > _MAX_SKEW:
         message = f"{path}: the camera of {relative} has skewed pixel axes ({k[0, 1]:.3g} pixels)"
         cure = "Resample the photograph to rectangular pixels."
         raise refuse("camera-model", message, cure, relative)
-    lens = Lens(
-        fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]) + 0.5, cy=float(k[1, 2]) + 0.5
-    )
-    return lens, pose @ OPENGL_FROM_OPENCV
+    fx, fy, cx, cy = (float(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    position = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    return Lens(fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5), opencv_pose(rotation.T, position)
 
 
-def _sphere(path: Path, matrices: dict[str, Array], numbers: list[str]) -> Sphere | None:
+def _sphere(path: Path, matrices: dict[str, Array], numbers: list[str]) -> Bounds | None:
     """The sphere of `scale_mat`, or None where the archive has no usable one."""
     matrix = matrices.get(_SCALE + numbers[0]) if numbers else None
     if matrix is None or not (np.abs(matrix) < MAX_NUMBER).all():
         return None
     radius = float(np.linalg.norm(matrix[:3, :3], axis=0).max())
-    if radius <= 0:
-        return None
-    return Sphere(
-        centre=matrix[:3, 3].copy(),
-        radius=radius,
-        origin=f"the sphere of {path.name}",
-        is_limit=True,
-    )
+    origin = f"the sphere of {path.name}"
+    centre = matrix[:3, 3].copy()
+    return Bounds(centre=centre, radius=radius, origin=origin, is_limit=True) if radius else None

@@ -26,11 +26,13 @@ distortion model: the export must have been made with a Brown model, as it is by
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from robir.capture.frames import IMAGE_SUFFIXES, Array, Distortion, FrameSet, Lens
+from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
 from robir.capture.readers.files import (
     IMAGE_FOLDERS,
@@ -39,12 +41,11 @@ from robir.capture.readers.files import (
     load_table,
     load_xml,
     locate_photographs,
+    pictures_in,
 )
-from robir.capture.readers.shots import Shot, frame_set, opencv_pose
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opengl_pose
 from robir.capture.readers.values import Number, checked
-from robir.capture.refusal import note, refuse
-
-FORMAT, FORMAT_XMP = "realityscan", "realityscan-xmp"
+from robir.capture.refusal import refuse, some
 
 _SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})
 _MAX_COLUMNS = 1000
@@ -61,14 +62,12 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses and intrinsics.
-
-    Frames in the coordinate system of the export.
-    """
+    """Read poses and intrinsics, in the coordinate system of the export."""
     rows = _rows(path)
     root, relatives = locate_photographs(path, [row["name"] for row in rows])
     places = [root / relative for relative in relatives]
-    return frame_set(path, FORMAT, [_shot(path, r, p) for r, p in zip(rows, places, strict=True)])
+    shots = [_shot(path, row, place) for row, place in zip(rows, places, strict=True)]
+    return frame_set(path, "realityscan", shots)
 
 
 def _columns(words: list[str]) -> list[str]:
@@ -96,49 +95,29 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [dict(zip(columns, row, strict=False)) for row in rows]
 
 
-class _Row(msgspec.Struct):
-    """The numbers of a photograph."""
-
-    x: float
-    y: float
-    alt: float
-    heading: float
-    pitch: float
-    roll: float
-    f: float
-    px: float = 0.0
-    py: float = 0.0
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    t1: float = 0.0
-    t2: float = 0.0
+_NEEDED = [(key, float) for key in _POSE]
+_LENS = [(key, float, 0.0) for key in ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")]
+_Row = msgspec.defstruct("_Row", [*_NEEDED, *_LENS])  # the numbers of a photograph
 
 
 def _shot(path: Path, texts: dict[str, str], photograph: Path) -> Shot:
     where = f"the row of {texts['name'][:80]}"
-    row: _Row = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
-    pose = np.eye(4)
-    pose[:3, :3] = rotation(row.heading, row.pitch, row.roll)
-    pose[:3, 3] = row.x, row.y, row.alt
+    row: Any = checked(path, texts, _Row, _CURE, where=where, code="bad-table", is_text=True)
+    turn = rotation(row.heading, row.pitch, row.roll)
     bent = Distortion(radial=(row.k1, row.k2, row.k3, row.k4), tangential=(row.t2, row.t1))
-    lens = film_lens(photograph, row.f, (row.px, row.py), bent)
-    return Shot(name=texts["name"], lens=lens, pose=pose)
+    lens = _film_lens(photograph, row.f, (row.px, row.py), bent)
+    return Shot(name=texts["name"], lens=lens, pose=opengl_pose(turn, (row.x, row.y, row.alt)))
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Array:
     """Camera-to-world rotation with OpenGL axes from angles in degrees, (3, 3)."""
-    with np.errstate(invalid="ignore"):
-        angles = np.radians([-heading, pitch, roll])
-        cosine, sine = np.cos(angles), np.sin(angles)
-    about_z: Array = np.array([[cosine[0], -sine[0], 0], [sine[0], cosine[0], 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, cosine[1], -sine[1]], [0, sine[1], cosine[1]]])
-    about_y = np.array([[cosine[2], 0, sine[2]], [0, 1, 0], [-sine[2], 0, cosine[2]]])
-    return about_z @ about_x @ about_y
+    angles = np.array([-heading, pitch, roll])
+    if not np.isfinite(angles).all():
+        return np.full((3, 3), np.nan)
+    return Rotation.from_euler("ZXY", angles, degrees=True).as_matrix()
 
 
-def film_lens(
+def _film_lens(
     photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
 ) -> Lens:
     """Intrinsics in pixels of a photograph as stored; any will do if it cannot be opened.
@@ -148,13 +127,13 @@ def film_lens(
     size = stored_size(photograph) if photograph.is_file() else None
     if size is None:
         return Lens(angle_x=1.0)
-    longer = max(size)
+    (width, height), longer = size, max(size)
     return Lens(
-        width=size[0],
-        height=size[1],
+        width=width,
+        height=height,
         fx=focal * longer / _FILM,
-        cx=0.5 * size[0] + middle[0] * longer,
-        cy=0.5 * size[1] + middle[1] * longer,
+        cx=0.5 * width + middle[0] * longer,
+        cy=0.5 * height + middle[1] * longer,
         distortion=distortion,
     )
 
@@ -177,18 +156,13 @@ def find_sidecars(source: Path) -> Path | None:
 def read_sidecars(folder: Path) -> FrameSet:
     """Read poses and intrinsics."""
     files = [path for path in children(folder) if path.suffix.lower() == ".xmp"]
-    pictures = {
-        path.stem: path for path in children(folder) if path.suffix.lower() in IMAGE_SUFFIXES
-    }
+    pictures = {path.stem: path for path in pictures_in(folder)}
     posed = [path for path in files if path.stem in pictures and is_sidecar(path)]
     shots = [_sidecar_shot(path, pictures[path.stem]) for path in posed]
-    images = [pictures[path.stem] for path in posed]
     unused = [path.name for path in files if path not in posed]
-    findings = []
-    if unused and shots:
-        message = f"{len(unused)} XMP files have no pose or no photograph"
-        findings.append(note("unused-cameras", message, *unused))
-    return frame_set(folder.with_name("*.xmp"), FORMAT_XMP, shots, images=images, findings=findings)
+    message = f"{len(unused)} XMP files have no pose or no photograph"
+    findings = some("note", "unused-cameras", unused, message)
+    return frame_set(folder.with_name("*.xmp"), "realityscan-xmp", shots, findings)
 
 
 def _sidecar_shot(path: Path, photograph: Path) -> Shot:
@@ -198,14 +172,8 @@ def _sidecar_shot(path: Path, photograph: Path) -> Shot:
         entries[element.tag.rpartition("}")[2]] = element.text or ""
 
     def numbers(key: str, count: int, default: str = "") -> list[float]:
-        values = checked(
-            path,
-            entries.get(key, default).split(),
-            list[Number],
-            _XMP_CURE,
-            where=key,
-            is_text=True,
-        )
+        words, kind = entries.get(key, default).split(), list[Number]
+        values = checked(path, words, kind, _XMP_CURE, where=key, is_text=True)
         if len(values) < count:
             fault = f"{path}: {key} holds {len(values)} of {count} numbers"
             raise refuse("bad-xml", fault, _XMP_CURE, path.name)
@@ -214,12 +182,9 @@ def _sidecar_shot(path: Path, photograph: Path) -> Shot:
     model = entries.get("DistortionModel", "perspective")
     is_square = numbers("Skew", 1, "0")[0] == 0 and numbers("AspectRatio", 1, "1")[0] == 1
     if model not in _MODELS or not is_square:
-        raise refuse(
-            "camera-model",
-            f"{path}: the camera model {model} is not supported, or its pixels are not square",
-            'Set the distortion model to "Brown3" in RealityScan, align and export again.',
-            path.name,
-        )
+        message = f"{path}: the camera model {model} is not supported, or its pixels are not square"
+        cure = 'Set the distortion model to "Brown3" in RealityScan, align and export again.'
+        raise refuse("camera-model", message, cure, path.name)
     k1, k2, k3, k4, t1, t2 = (*numbers("DistortionCoeficients", 0), *[0.0] * 6)[:6]
     if not model.endswith("t2"):
         t1 = t2 = 0.0
@@ -228,6 +193,7 @@ def _sidecar_shot(path: Path, photograph: Path) -> Shot:
     turn = np.array(numbers("Rotation", 9)[:9]).reshape(3, 3)
     return Shot(
         name=f"{photograph.parent.name}/{photograph.name}",
-        lens=film_lens(photograph, numbers("FocalLength35mm", 1)[0], middle, bent),
+        image=photograph,
+        lens=_film_lens(photograph, numbers("FocalLength35mm", 1)[0], middle, bent),
         pose=opencv_pose(turn.T, np.array(numbers("Position", 3)[:3])),
     )

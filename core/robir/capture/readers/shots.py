@@ -10,68 +10,49 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
-from msgspec import Meta
+from scipy.spatial.transform import Rotation
 
 from robir.capture.capture import Finding
-from robir.capture.frames import (
-    MAX_NUMBER,
-    Array,
-    Frame,
-    FrameSet,
-    Lens,
-    checked_lens,
-    unique_names,
-)
+from robir.capture.frames import Array, Frame, FrameSet, Lens, checked_lens, unique_names
 from robir.capture.masks.given import from_folder
 from robir.capture.readers.files import locate_photographs
 from robir.capture.refusal import note, refuse, warning
 
-# a position, or three numbers that say how something is turned
-Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """A posed photograph, not yet looked for.
+    """A posed photograph, not yet looked for."""
 
-    Attributes:
-        name: Name or path of the photograph as the program writes it, with or without suffix.
-        lens: Intrinsics as stated.
-        pose: Camera-to-world, (4, 4), OpenGL axes.
-        mask: Path of its mask as the program writes it, or None.
-        split: "test" if the program keeps it aside.
-    """
-
-    name: str
-    lens: Lens
-    pose: Array
-    mask: str | None = None
-    split: Literal["train", "test"] = "train"
+    name: str  # name or path of the photograph as the program writes it, with or without suffix
+    lens: Lens  # intrinsics as stated
+    pose: Array  # camera-to-world, (4, 4), OpenGL axes
+    # where the photograph lies if the name is a path, or None to look for it by name
+    image: Path | None = None
+    mask: str | None = None  # path of its mask as the program writes it, or None
+    split: Literal["train", "test"] = "train"  # "test" if the program holds it out
 
 
 def frame_set(
     path: Path,
     form: str,
     shots: Sequence[Shot],
-    *,
-    images: Sequence[Path] | None = None,
-    points: Array | None = None,
     findings: Sequence[Finding] = (),
+    points: Array | None = None,
 ) -> FrameSet:
     """Find the photographs that cameras name, and name the frames.
+
+    Photographs whose place is stated are looked for by name if none of them is there, as for a file
+    from another machine.
 
     Args:
         path: File of poses.
         form: Name of the format.
         shots: Its cameras.
-        images: Where the photographs lie if names are paths; they are looked for by name if none
-            of these is there, as for a file from another machine.
-        points: Sparse points, (N, 3), capture frame, or None.
         findings: What the reader noticed.
+        points: Sparse points, (N, 3), capture frame, or None.
     """
     if not shots:
         message = f"{path} holds no camera with a pose"
@@ -79,17 +60,18 @@ def frame_set(
         raise refuse("no-poses", message, cure, path.name)
     found = list(findings)
     stated = [shot.name for shot in shots]
+    images = [shot.image for shot in shots if shot.image is not None]
     root, relatives = path.parent, stated
-    if images is None or not any(map(is_file, images)):
+    if not any(map(is_file, images)):
         root, relatives = locate_photographs(path, stated)
-        placed = [
-            Path(name) if Path(name).is_absolute() and is_file(Path(name)) else None
-            for name in stated
-        ]
-        if images is not None and any(is_file(root / relative) for relative in relatives):
+        if images and any(is_file(root / relative) for relative in relatives):
             message = f"No photograph lies where {path.name} says; they were found by their names"
             found.append(note("found-by-name", message, *relatives))
-        images = [there or root / below for there, below in zip(placed, relatives, strict=True)]
+        placed = [Path(name) for name in stated]
+        images = [
+            there if there.is_absolute() and is_file(there) else root / below
+            for there, below in zip(placed, relatives, strict=True)
+        ]
     frames = tuple(
         Frame(
             name=name,
@@ -124,10 +106,8 @@ def is_file(path: Path) -> bool:
 
 def _mask(root: Path, stated: str) -> Path:
     """A mask where it is stated to be, or in the folder of that name here."""
-    parts = stated.replace("\\", "/").split("/")
-    here = root.joinpath(*parts[-2:])
-    is_moved = not is_file(root / stated) and is_file(here)
-    return here if is_moved else root / stated
+    here = root.joinpath(*stated.replace("\\", "/").split("/")[-2:])
+    return here if not is_file(root / stated) and is_file(here) else root / stated
 
 
 def rolling_shutter(path: Path) -> Finding:
@@ -137,10 +117,16 @@ def rolling_shutter(path: Path) -> Finding:
     return warning("rolling-shutter", message, cure)
 
 
-def opencv_pose(rotation: Any, position: Any) -> Array:
-    """Our pose from a camera-to-world rotation (3, 3) with OpenCV axes and a position (3,)."""
+def opengl_pose(rotation: Any, position: Any) -> Array:
+    """Our pose from a camera-to-world rotation (3, 3) with OpenGL axes and a position (3,)."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
+
+
+def opencv_pose(rotation: Any, position: Any) -> Array:
+    """The same of a rotation with OpenCV axes."""
+    pose = opengl_pose(rotation, position)
     pose[:, 1:3] *= -1.0  # a product of matrices would spread what is not finite
     return pose
 
@@ -154,22 +140,7 @@ def opencv_view(rotation: Any, translation: Any) -> Array:
 
 def turned_by(quaternion: Sequence[float]) -> Array:
     """Rotation (3, 3) of a quaternion of any length, w first; NaN where it is none."""
-    with np.errstate(all="ignore"):
-        w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-
-
-def sane_points(plain: Any) -> Array:
-    """Sparse points, (N, 3), of a list of positions; none if damaged, for they only help."""
-    try:
-        points = np.array(msgspec.convert(plain, list[Vector], strict=False), dtype=np.float64)
-    except (msgspec.ValidationError, RecursionError, UnicodeEncodeError, OverflowError):
-        return np.zeros((0, 3))
-    points = points.reshape(-1, 3)
-    return points[(np.abs(points) < MAX_NUMBER).all(axis=1)]
+    w, *axis = quaternion
+    if not 0 < np.linalg.norm(quaternion) < np.inf:
+        return np.full((3, 3), np.nan)
+    return Rotation.from_quat([*axis, w]).as_matrix()

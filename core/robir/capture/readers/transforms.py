@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras in JSON: NeRF-synthetic, nerfstudio and instant-ngp, and Polycam's keyframes.
+"""Cameras in JSON: NeRF-synthetic, nerfstudio, instant-ngp; sdfstudio, splats, NeRFactor, TensoIR.
 
 Poses are camera-to-world with OpenGL axes, which is our own convention, and pixel centres lie at
 half integers (nerfstudio, cameras.py: `get_image_coords`).
@@ -15,16 +15,12 @@ s A (p, 1) in the file (nerfstudio_dataparser.py: `transform_matrix @ applied_tr
 `scale_factor *= applied_scale`). Both are undone here, so that the result stands where the
 capture's own point cloud does. What trainers apply on loading ("scale", "offset", "aabb_scale",
 "orientation_override") has not been applied to the file's poses and is left alone.
-
-Polycam's raw data are keyframes with one JSON file a camera: fx, fy, cx, cy, width, height and
-t_00 .. t_23, the first three rows of camera-to-world. The world is ARKit's, in metres, y up
-(README.md and core/capture_folder.py of PolyCam/polyform). `corrected_images` are undistorted and
-`corrected_cameras` globally optimised; sessions too long for that have only `images` and `cameras`.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -37,15 +33,32 @@ from msgspec import Meta
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array, Distortion, FrameSet, Lens
 from robir.capture.readers.files import children, head, load_json
-from robir.capture.readers.shots import Shot, frame_set, is_file, rolling_shutter
-from robir.capture.readers.values import Matrix, Number, Positive, Side, checked, missing_key
-from robir.capture.refusal import note, refuse, warning
+from robir.capture.readers.shots import (
+    Shot,
+    frame_set,
+    is_file,
+    opencv_pose,
+    opengl_pose,
+    rolling_shutter,
+)
+from robir.capture.readers.values import (
+    Matrix,
+    Number,
+    Positive,
+    Side,
+    Sixteen,
+    Turn,
+    Vector,
+    checked,
+    matrix_of,
+    missing_key,
+)
+from robir.capture.refusal import note, refuse, some
 
-SYNTHETIC, NERFSTUDIO, POLYCAM = "nerf-synthetic", "nerfstudio", "polycam"
+SYNTHETIC = "nerf-synthetic"
 TRAIN, NAME = "transforms_train.json", "transforms.json"
 
 _CURE = "Write it as NeRF-synthetic or nerfstudio do."
-_POLYCAM_CURE = "Export the raw data from Polycam again, or remove this file and its photograph."
 _RATIONAL_MODEL = "FULL_OPENCV"
 _FISHEYE_MODELS = frozenset(
     {"OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
@@ -54,61 +67,41 @@ _FISHEYE_MODELS = frozenset(
 _MODELS = _FISHEYE_MODELS | {"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}
 _MODELS |= {"PERSPECTIVE", _RATIONAL_MODEL}
 _OTHER_PROJECTIONS = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
-_TESTS = ("test", "val", "eval")
 _PARAMETERS = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")
-_APPLIED = ("applied_transform", "applied_scale")
-_KEYFRAMES = "keyframes"
-_PAIRS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
-
-
-class Optics(msgspec.Struct):
-    """What a frame, or the file for all frames, says about lens and camera; None where nothing."""
-
-    w: Annotated[float, Meta(ge=1, le=1 << 20)] | None = None
-    h: Annotated[float, Meta(ge=1, le=1 << 20)] | None = None
-    fl_x: Positive | None = None
-    fl_y: Positive | None = None
-    cx: Number | None = None
-    cy: Number | None = None
-    camera_angle_x: Positive | None = None
-    camera_angle_y: Positive | None = None
-    k1: Number | None = None
-    k2: Number | None = None
-    k3: Number | None = None
-    k4: Number | None = None
-    k5: Number | None = None
-    k6: Number | None = None
-    p1: Number | None = None
-    p2: Number | None = None
-    distortion_params: Annotated[list[Number], Meta(max_length=6)] | None = None
-    camera_model: str | None = None
-    is_fisheye: bool | None = None
-    rolling_shutter: Any = None
-    equirectangular: Any = None
-    latlong: Any = None
-    orthographic: Any = None
-    ftheta_p0: Any = None
-
-
-class Entry(Optics):
-    """One frame."""
-
-    file_path: str | None = None
-    transform_matrix: Matrix | None = None
-    mask_path: str | None = None
-    is_bad: bool = False
-    split: str | None = None
-
-
-class Transforms(Optics, kw_only=True):
-    """A whole file."""
-
-    frames: list[Entry]
-    test_frames: list[Entry] = []
-    applied_transform: Matrix | None = None
-    applied_scale: float | None = None
-    test_filenames: list[str] | None = None
-    val_filenames: list[str] | None = None
+_KINDS: dict[Any, tuple[str, ...]] = {
+    Annotated[float, Meta(ge=1, le=1 << 20)]: ("w", "h"),
+    Positive: ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"),
+    Number: ("cx", "cy", *_PARAMETERS),
+    Annotated[list[Number], Meta(max_length=6)]: ("distortion_params",),
+    str: ("camera_model",),
+    bool: ("is_fisheye",),
+    Any: (*_OTHER_PROJECTIONS, "rolling_shutter"),
+}
+# what a frame, or the file for all frames, says about lens and camera; None where nothing
+_OPTICS = [(key, kind | None, None) for kind, keys in _KINDS.items() for key in keys]
+_Entry = msgspec.defstruct(
+    "_Entry",
+    [
+        *_OPTICS,
+        ("file_path", str | None, None),
+        ("transform_matrix", Matrix | None, None),
+        ("mask_path", str | None, None),
+        ("is_bad", bool, False),
+        ("split", str | None, None),
+    ],
+)
+_Transforms = msgspec.defstruct(
+    "_Transforms",
+    [
+        ("frames", list[_Entry]),
+        *_OPTICS,
+        ("test_frames", list[_Entry], []),
+        ("applied_transform", Matrix | None, None),
+        ("applied_scale", float | None, None),
+        ("test_filenames", list[str] | None, None),
+        ("val_filenames", list[str] | None, None),
+    ],
+)
 
 
 def looks_like(path: Path) -> bool:
@@ -126,15 +119,18 @@ def read_synthetic(root: Path) -> FrameSet:
     shots, findings = _shots(path, _load(path))
     tests = [root / name for name in ("transforms_test.json", "transforms_val.json")]
     for test in [path for path in tests if path.is_file()][:1]:
-        held, about = _shots(test, _load(test))
-        has_photographs = any(map(is_file, _images(root, held)))
-        if has_photographs or not any(map(is_file, _images(root, shots))):
-            shots += [replace(shot, split="test") for shot in held]
+        held_out, about = _shots(test, _load(test))
+        if _are_there(held_out) or not _are_there(shots):
+            shots += [replace(shot, split="test") for shot in held_out]
             findings += about
         else:
-            message = f"{test.name} holds {len(held)} cameras without photographs; it is left out"
+            message = f"{test.name} holds {len(held_out)} cameras without photographs: left out"
             findings.append(note("poses-only", message))
-    return frame_set(path, SYNTHETIC, shots, images=_images(root, shots), findings=findings)
+    return frame_set(path, SYNTHETIC, shots, findings)
+
+
+def _are_there(shots: Sequence[Shot]) -> bool:
+    return any(shot.image is not None and is_file(shot.image) for shot in shots)
 
 
 def read(path: Path) -> FrameSet:
@@ -151,85 +147,72 @@ def read(path: Path) -> FrameSet:
         message = f'{path}: {len(without)} of {len(shots)} frames have no "mask_path"'
         cure = "Name a mask for every frame, or give all masks with --masks DIR."
         raise refuse("missing-masks", message, cure, *without)
-    applied = [key for key in _APPLIED if getattr(content, key) is not None]
+    keys = ("applied_transform", "applied_scale")
+    applied = [key for key in keys if getattr(content, key) is not None]
     if applied:
         message = f"{path.name} holds {' and '.join(applied)}; poses were taken back to the frame "
         findings.append(note("applied-transform", message + "and unit from before"))
     if content.rolling_shutter or any(entry.rolling_shutter for entry in content.frames):
         findings.append(rolling_shutter(path))
-    images = _images(path.parent, shots)
-    return frame_set(path, NERFSTUDIO, shots, images=images, findings=findings)
+    return frame_set(path, "nerfstudio", shots, findings)
 
 
-def _load(path: Path) -> Transforms:
+def _load(path: Path) -> Any:
     """A transforms file, or a refusal if it has no frames or holds something else in them."""
     content = load_json(path)
-    frames = content.get("frames") if isinstance(content, dict) else None
-    if not isinstance(frames, list):
+    if not isinstance(content, dict) or "frames" not in content:
         raise missing_key(path, "frames", "the file", _CURE)
-    return checked(path, content, Transforms, _CURE)
+    return checked(path, content, _Transforms, _CURE)
 
 
-def _shots(path: Path, content: Transforms) -> tuple[list[Shot], list[Finding]]:
+def _shots(path: Path, content: Any) -> tuple[list[Shot], list[Finding]]:
     """Cameras of a file, and findings about those it marks as bad, which are left out."""
-    names = [*(content.test_filenames or ()), *(content.val_filenames or ())]
+    names = (*(content.test_filenames or ()), *(content.val_filenames or ()))
     tests = {name.removeprefix("./") for name in names}
     found, bad = [], []
+    listed: dict[Path, frozenset[str]] = {}
     for index, entry in enumerate([*content.frames, *content.test_frames]):
         if entry.file_path is None or not entry.file_path.strip():
             raise missing_key(path, "file_path", f"frame {index}", _CURE)
         relative = entry.file_path.replace("\\", "/").removeprefix("./")
         where = f"frame {index} ({relative})"
-        is_test = index >= len(content.frames) or relative in tests or entry.split in _TESTS
+        is_test = relative in tests or entry.split in ("test", "val", "eval")
         if entry.is_bad:
             bad.append(relative)
             continue
-        found.append(
-            Shot(
-                name=relative,
-                lens=_lens(path, content, entry, where),
-                pose=_pose(path, entry, where),
-                mask=entry.mask_path,
-                split="test" if is_test else "train",
-            )
+        if entry.transform_matrix is None:
+            raise missing_key(path, "transform_matrix", where, _CURE)
+        shot = Shot(
+            name=relative,
+            lens=_lens(path, content, entry, where),
+            pose=matrix_of(path, entry.transform_matrix, f'"transform_matrix" of {where}'),
+            image=_image(path.parent / relative, listed),
+            mask=entry.mask_path,
+            split="test" if is_test or index >= len(content.frames) else "train",
         )
+        found.append(shot)
     message = f"{len(bad)} photographs are left out, as {path.name} marks them as bad"
-    return found, [note("bad-frames", message, *bad)] if bad else []
+    return found, some("note", "bad-frames", bad, message)
 
 
-def _images(root: Path, shots: Sequence[Shot]) -> list[Path]:
-    """Where photographs lie; NeRF-synthetic leaves the suffix away. Each folder is listed once."""
-    listed: dict[Path, frozenset[str]] = {}
-    found = []
-    for plain in (root / shot.name for shot in shots):
-        if plain.parent not in listed:
-            listed[plain.parent] = frozenset(path.name for path in children(plain.parent))
-        names = [plain.name] if plain.name.lower().endswith(IMAGE_SUFFIXES) else []
-        names += [f"{plain.name}{end}" for s in IMAGE_SUFFIXES for end in (s, s.upper())]
-        there = next((name for name in names if name in listed[plain.parent]), None)
-        usual = plain.name if plain.suffix else f"{plain.name}.png"
-        found.append(plain.parent / (there or usual))
-    return found
+def _image(plain: Path, listed: dict[Path, frozenset[str]]) -> Path:
+    """Where a photograph lies, whose suffix may be left away; each folder is listed once."""
+    if plain.parent not in listed:
+        listed[plain.parent] = frozenset(path.name for path in children(plain.parent))
+    names = [plain.name] if plain.name.lower().endswith(IMAGE_SUFFIXES) else []
+    names += [f"{plain.name}{end}" for s in IMAGE_SUFFIXES for end in (s, s.upper())]
+    there = next((name for name in names if name in listed[plain.parent]), None)
+    return plain.parent / (there or (plain.name if plain.suffix else f"{plain.name}.png"))
 
 
-def _pose(path: Path, entry: Entry, where: str) -> Array:
-    """A frame's camera-to-world matrix, (4, 4), whatever its numbers are worth."""
-    rows = entry.transform_matrix
-    if rows is None:
-        raise missing_key(path, "transform_matrix", where, _CURE)
-    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
-        message = f'{path}: "transform_matrix" of {where} is no 4x4 matrix of numbers'
-        raise refuse("bad-pose", message, "Write four rows of four numbers.", path.name)
-    return np.array([*rows[:3], [0.0, 0.0, 0.0, 1.0]])
-
-
-def _lens(path: Path, content: Transforms, entry: Entry, where: str) -> Lens:
+def _lens(path: Path, content: Any, entry: Any, where: str) -> Lens:
     """A frame's intrinsics: its own keys, else those of the file."""
-    stated: dict[str, Any] = {}
-    for key in Optics.__struct_fields__:
-        own, common = getattr(entry, key), getattr(content, key)
-        if own is not None or common is not None:
-            stated[key] = common if own is None else own
+    stated = {
+        key: value
+        for holder in (content, entry)
+        for key, *_ in _OPTICS
+        if (value := getattr(holder, key)) is not None
+    }
     model = stated.get("camera_model", "OPENCV").upper()
     model = "OPENCV_FISHEYE" if stated.get("is_fisheye") else model
     other = next((key for key in _OTHER_PROJECTIONS if stated.get(key)), None)
@@ -242,15 +225,14 @@ def _lens(path: Path, content: Transforms, entry: Entry, where: str) -> Lens:
     if fx is None and (angle_x is None or angle_x >= math.pi):
         raise missing_key(path, "fl_x (or camera_angle_x)", f"{where} and from the file", _CURE)
     stated |= dict(zip(_PARAMETERS, stated.get("distortion_params", ()), strict=False))
-    width, height = stated.get("w"), stated.get("h")
     k1, k2, k3, k4, p1, p2, k5, k6 = (stated.get(key, 0.0) for key in _PARAMETERS)
     is_fisheye = model in _FISHEYE_MODELS
     bent = Distortion(radial=(k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=is_fisheye)
     if k5 or k6 or model == _RATIONAL_MODEL:
         bent = Distortion(radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2))
     return Lens(
-        width=None if width is None else int(width),
-        height=None if height is None else int(height),
+        width=int(stated["w"]) if "w" in stated else None,
+        height=int(stated["h"]) if "h" in stated else None,
         fx=fx,
         fy=stated.get("fl_y"),
         cx=stated.get("cx"),
@@ -261,7 +243,7 @@ def _lens(path: Path, content: Transforms, entry: Entry, where: str) -> Lens:
     )
 
 
-def _undoing(path: Path, content: Transforms) -> Callable[[Array], Array]:
+def _undoing(path: Path, content: Any) -> Callable[[Array], Array]:
     """What takes a camera-to-world matrix of the file back to the frame before the transform."""
     scale = 1.0 if content.applied_scale is None else content.applied_scale
     rows = np.eye(4).tolist() if content.applied_transform is None else content.applied_transform
@@ -278,70 +260,125 @@ def _undoing(path: Path, content: Transforms) -> Callable[[Array], Array]:
         raise refuse("bad-transform", message + "space", cure, path.name)
 
     def undo(pose: Array) -> Array:
-        original = np.eye(4)
         with np.errstate(invalid="ignore", over="ignore"):  # poses without finite numbers go later
-            original[:3, :3] = turn.T @ pose[:3, :3] / size
-            original[:3, 3] = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
-        return original
+            place = turn.T @ (pose[:3, 3] / scale - applied[:3, 3]) / size**2
+            return opengl_pose(turn.T @ pose[:3, :3] / size, place)
 
     return undo
 
 
-def find_keyframes(source: Path) -> Path | None:
-    """Polycam's folder of keyframes in or directly below a folder, told by its camera files."""
-    if not source.is_dir():
-        return None
-    for place in (source, source / _KEYFRAMES):
-        if _pair(place) is not None:
-            return place
-    # Newer exports wrap everything in one more folder.
-    nested = [child / _KEYFRAMES for child in children(source) if _pair(child / _KEYFRAMES)]
-    return nested[0] if len(nested) == 1 else None
+# sdfstudio: meta_data.json. "camtoworld" has OpenCV axes, "intrinsics" is a matrix in pixels
+# (nerfstudio, sdfstudio_dataparser.py). Poses stay in the file's own frame, which "worldtogt" would
+# carry into that of the data set they were made from.
+
+_SDF_CURE = "Write it as sdfstudio's process_data scripts do."
+_SdfRow = Annotated[list[Number], Meta(min_length=3, max_length=4)]
 
 
-def _pair(folder: Path) -> tuple[str, str] | None:
-    """Names of the folders of cameras and photographs, the optimised ones first."""
-    for cameras, images in _PAIRS:
-        if (folder / images).is_dir():
-            first = next((p for p in children(folder / cameras) if p.suffix == ".json"), None)
-            if first is not None and '"t_00"' in head(first):
-                return cameras, images
-    return None
+class _SdfFrame(msgspec.Struct):
+    rgb_path: str
+    camtoworld: Matrix
+    intrinsics: Annotated[list[_SdfRow], Meta(min_length=3, max_length=4)]
+    foreground_mask: str | None = None
 
 
-def read_keyframes(folder: Path) -> FrameSet:
-    """Read Polycam's poses and intrinsics, the optimised ones if they are there."""
-    pair = _pair(folder)
-    assert pair is not None
-    cameras, images = (folder / name for name in pair)
-    pictures = {p.stem: p for p in children(images) if p.suffix.lower() in IMAGE_SUFFIXES}
-    files = {p.stem: p for p in children(cameras) if p.suffix == ".json"}
-    both = [stem for stem in files if stem in pictures]
-    shots = [_keyframe(files[stem], f"{images.name}/{pictures[stem].name}") for stem in both]
-    findings = []
-    alone = [path.name for stem, path in files.items() if stem not in pictures]
-    if alone:
-        message = f"{len(alone)} camera files have no photograph"
-        findings.append(note("unused-cameras", message, *alone))
-    if pair == _PAIRS[1]:
-        message = f"{folder} has no corrected_images and corrected_cameras: poses are as the phone "
-        message += "tracked them, and the photographs keep their lens distortion"
-        cure = "Process the session again with loop closure on and export the raw data again."
-        findings.append(warning("raw-poses", message, cure))
-    found = [pictures[stem] for stem in both]
-    return frame_set(cameras, POLYCAM, shots, images=found, findings=findings)
+class _SdfFile(msgspec.Struct):
+    width: Side
+    height: Side
+    frames: list[_SdfFrame]
 
 
-_SIDES = [("width", Side), ("height", Side)]
-_NUMBERS = [("fx", Positive), ("fy", Positive), ("cx", Number), ("cy", Number)]
-_ROWS = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
-_POSE = [(key, float) for row in _ROWS for key in row]
-_Camera = msgspec.defstruct("_Camera", [*_SIDES, *_NUMBERS, *_POSE])  # a camera file
+def read_sdfstudio(path: Path) -> FrameSet:
+    """Read poses, intrinsics and masks of sdfstudio."""
+    content: _SdfFile = checked(path, load_json(path), _SdfFile, _SDF_CURE)
+    shots = []
+    for frame in content.frames:
+        pose = matrix_of(path, frame.camtoworld, f'"camtoworld" of {frame.rgb_path[:80]}')
+        (fx, skew, cx), (_, fy, cy) = frame.intrinsics[0][:3], frame.intrinsics[1][:3]
+        lens = Lens(width=content.width, height=content.height, fx=fx, fy=fy, cx=cx, cy=cy)
+        shot = Shot(
+            name=frame.rgb_path,
+            lens=replace(lens, distortion=Distortion(skew=skew / fx if fx else 0.0)),
+            pose=opencv_pose(pose[:3, :3], pose[:3, 3]),
+            image=path.parent / frame.rgb_path,
+            mask=frame.foreground_mask,
+        )
+        shots.append(shot)
+    return frame_set(path, "sdfstudio", shots)
 
 
-def _keyframe(path: Path, name: str) -> Shot:
-    camera: Any = checked(path, load_json(path), _Camera, _POLYCAM_CURE, code="bad-camera")
-    pose = np.eye(4)
-    pose[:3] = [[getattr(camera, key) for key in row] for row in _ROWS]
-    lens = Lens(**{key: getattr(camera, key) for key, _ in (*_SIDES, *_NUMBERS)}, is_scalable=True)
-    return Shot(name=name, lens=lens, pose=pose)
+# 3D Gaussian splatting: cameras.json of a training run. "rotation" is camera-to-world with OpenCV
+# axes, row by row, "position" the centre; the principal point is the middle
+# (graphdeco-inria/gaussian-splatting, utils/camera_utils.py: `camera_to_JSON`). Photographs lie
+# elsewhere, often larger than the run used them.
+
+
+class _Splat(msgspec.Struct):
+    img_name: Annotated[str, Meta(min_length=1)]
+    width: Side
+    height: Side
+    fx: Positive
+    fy: Positive
+    position: Vector
+    rotation: Turn
+
+
+def read_splats(path: Path) -> FrameSet:
+    """Read poses and focal lengths of a run of 3D Gaussian splatting."""
+    cure = "Take cameras.json from the output folder of the training."
+    cameras: list[_Splat] = checked(path, load_json(path), list[_Splat], cure)
+    shots = []
+    for c in cameras:
+        lens = Lens(width=c.width, height=c.height, fx=c.fx, fy=c.fy, is_scalable=True)
+        shots.append(Shot(name=c.img_name, lens=lens, pose=opencv_pose(c.rotation, c.position)))
+    return frame_set(path, "gaussian-splatting", shots)
+
+
+# NeRFactor and TensoIR: folders train_000, train_001, ... with metadata.json and rgba.png.
+# "cam_transform_mat" is camera-to-world as sixteen numbers, row by row, with Blender's axes, which
+# are ours; "cam_angle_x" the horizontal field of view. TensoIR renders each view under several
+# lights (rgba_sunset.png, ...): those of one light are read.
+
+_VIEW = "metadata.json"
+_VIEW_CURE = "Render the view again, or remove its folder."
+
+
+class _NerfactorView(msgspec.Struct):
+    cam_angle_x: Positive
+    cam_transform_mat: str
+    imw: Side
+    imh: Side
+
+
+def is_nerfactor(source: Path) -> bool:
+    """Whether a folder holds views of NeRFactor."""
+    first = next((child for child in children(source) if child.name.startswith("train_")), None)
+    return first is not None and '"cam_transform_mat"' in head(first / _VIEW)
+
+
+def read_nerfactor(source: Path) -> FrameSet:
+    """Read views to learn from, and those to test with, or to validate, that have photographs."""
+    train, test, val = (
+        [c for c in children(source) if c.name.startswith(split) and (c / _VIEW).is_file()]
+        for split in ("train_", "test_", "val_")
+    )
+    pictures = {
+        folder: [path.name for path in children(folder) if path.name.startswith("rgba")]
+        for folder in (*train, *test, *val)
+    }
+    counts = Counter(name for folder in train for name in pictures[folder])
+    light = max(counts, key=lambda name: (counts[name], name == "rgba.png"), default="rgba.png")
+    tests = next((some for some in (test, val) if any(light in pictures[f] for f in some)), [])
+    shots = []
+    for folder in (*train, *tests):
+        path, name = folder / _VIEW, f"{folder.name}/{light}"
+        view: _NerfactorView = checked(path, load_json(path), _NerfactorView, _VIEW_CURE)
+        words = view.cam_transform_mat.split(",")
+        row = checked(path, words, Sixteen, _VIEW_CURE, where="cam_transform_mat", is_text=True)
+        lens = Lens(width=view.imw, height=view.imh, angle_x=view.cam_angle_x)
+        shot = Shot(name=name, image=source / name, lens=lens, pose=np.array(row).reshape(4, 4))
+        shots.append(replace(shot, split="train" if folder in train else "test"))
+    others = [name for name in counts if name != light]
+    message = f"Of {len(counts)} pictures a view, {light} is read: one object, one light"
+    findings = some("note", "several-lights", others, message)
+    return frame_set(source / _VIEW, "nerfactor", shots, findings)

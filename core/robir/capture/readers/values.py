@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
-from robir.capture.frames import MAX_NUMBER
+from robir.capture.frames import MAX_NUMBER, Array
 from robir.capture.refusal import CaptureRefusedError, refuse
 
 # finite, of a size that a camera may have
@@ -24,6 +25,13 @@ Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]  # a focal length or an a
 Side = Annotated[int, Meta(ge=1, le=1 << 20)]  # width or height of a picture in pixels
 # what entries of a file refer to each other by
 Identity = Annotated[str, Meta(min_length=1, max_length=64)]
+# a position, or three numbers that say how something is turned
+Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
+Turn = Annotated[list[Vector], Meta(min_length=3, max_length=3)]  # rows of a rotation
+Point = Annotated[list[Number], Meta(min_length=2, max_length=2)]  # of a picture
+Terms = Annotated[list[Number], Meta(max_length=64)]  # of a lens distortion
+Nine = Annotated[list[Number], Meta(min_length=9, max_length=9)]  # a matrix of intrinsics
+Sixteen = Annotated[list[float], Meta(min_length=16, max_length=16)]  # a pose, row by row
 Matrix = list[list[float]]  # rows of a pose, whatever its numbers are worth
 T = TypeVar("T")
 
@@ -62,25 +70,42 @@ def checked(
 
 def missing_key(path: Path, key: str, where: str, cure: str) -> CaptureRefusedError:
     """The refusal for a key that is not there."""
-    return refuse(
-        "missing-key", f'{path}: the key "{key}" is missing from {where}', cure, path.name
-    )
+    message = f'{path}: the key "{key}" is missing from {where}'
+    return refuse("missing-key", message, cure, path.name)
+
+
+def matrix_of(path: Path, rows: Matrix, what: str) -> Array:
+    """A pose (4, 4) of three or four rows of four numbers, whatever these are worth."""
+    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+        message = f"{path}: {what} is no 4x4 matrix of numbers"
+        raise refuse("bad-pose", message, "Write four rows of four numbers.", path.name)
+    return np.array([*rows[:3], [0.0, 0.0, 0.0, 1.0]])
+
+
+def sane_points(plain: Any) -> Array:
+    """Sparse points, (N, 3), of a list of positions; none if damaged, for they only help."""
+    try:
+        points = np.array(msgspec.convert(plain, list[Vector], strict=False), dtype=np.float64)
+    except (msgspec.ValidationError, RecursionError, UnicodeEncodeError, OverflowError):
+        return np.zeros((0, 3))
+    points = points.reshape(-1, 3)
+    return points[(np.abs(points) < MAX_NUMBER).all(axis=1)]
 
 
 def _sentence(message: str, where: str) -> str:
     """Msgspec's message in our words."""
-    said, _, place = message.partition(" - at `$")
+    fault, _, place = message.partition(" - at `$")
     above, _, key = place.rstrip("`").lstrip(".").rpartition(".")
-    if missing := re.fullmatch(r"Object missing required field `(.*)`", said):
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", fault):
         holder = ".".join(part for part in (above, key) if part)
         return f'the key "{missing[1]}" is missing from {holder or where or "the file"}'
     name, bracket, index = key.partition("[")
     name = f'"{name}"{bracket}{index}' if name else f"{bracket}{index}"
     above = re.sub(r"^(\w+)s\[(\d+)\]", r"\1 \2", above)
     whole = " of ".join(part for part in (name, above, where) if part)
-    said = re.sub(r" [<>]= -?1000000000000\.0$", " of sane size", said)
-    said = re.sub(r"`([^`]*)`", lambda found: _kinds(found[1]), said)
-    return f"{whole or 'the file'}: {said[:1].lower()}{said[1:]}"
+    fault = re.sub(r" [<>]= -?1000000000000\.0$", " of sane size", fault)
+    fault = re.sub(r"`([^`]*)`", lambda found: _kinds(found[1]), fault)
+    return f"{whole or 'the file'}: {fault[:1].lower()}{fault[1:]}"
 
 
 def _kinds(text: str) -> str:
