@@ -8,9 +8,9 @@ part that can be at fault is taken back on that block, the block's texture is re
 shows the photographs better stays. What is left after that is reported.
 
 Only a loss against the mean takes anything back. A gain proves nothing: a light of the wrong colour
-explains photographs well and turns the albedo brown. Nor does a loss disprove metal: what it mirrors
-is displaced by twice the error of the normals, so that true metal shows photographs worse than
-their mean.
+explains photographs well and turns the albedo brown. Nor does a loss disprove metal: what it
+mirrors is displaced by twice the error of the normals, so that true metal shows photographs worse
+than their mean.
 """
 
 from __future__ import annotations

@@ -58,6 +58,8 @@ _LEAST_CONTRAST = 0.3  # difference of log irradiance from which a pair counts, 
 _MOST_CONTRAST = 1.5  # difference from which it counts no more than others
 # standard errors within which the simpler one of two curves of a kind is taken
 SIMPLER_MARGIN = 1.0
+# standard errors by which `NEUTRAL` must lead: few use it, and few pixels tell it
+_NEUTRAL_MARGIN = 3.5
 # lead of the plain curve over a shoulder below which their lights need not be settled: that moves
 # it by less (standard errors)
 _SETTLED_BELOW = -1.0
@@ -233,7 +235,7 @@ def chosen_number(
         chosen = plain if lead.is_clear else shoulder
     if NEUTRAL in names:
         neutral = names.index(NEUTRAL)
-        leads = _lags(tables[chosen], tables[neutral])
+        leads = _lags(tables[chosen], tables[neutral], _NEUTRAL_MARGIN)
         # but for the brightest it is the plain one, and must lead a shoulder as that must
         if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
             chosen = neutral
@@ -276,7 +278,7 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     return min(near, default=None)
 
 
-def _lags(table: Table, other: Table) -> bool:
-    """Whether the first error is clearly the greater."""
+def _lags(table: Table, other: Table, margin: float = SIMPLER_MARGIN) -> bool:
+    """Whether the first error is the greater by so many standard errors."""
     lead = 255 * (mean_of(table) - mean_of(other))
-    return lead > SIMPLER_MARGIN * _lead_error(table, other, CODE_ERROR)
+    return lead > margin * _lead_error(table, other, CODE_ERROR)
