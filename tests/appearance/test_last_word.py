@@ -36,9 +36,30 @@ def test_nothing_is_taken_back_from_what_is_right(floor):
     asset, jury, read, texels = floor
     word = heard(jury, asset, read, texels)
     assert word.asset is asset
-    assert word.taken_back == {"specular": 0.0, "smoothing": 0.0}
+    assert word.taken_back == {"metal": 0.0, "specular": 0.0, "smoothing": 0.0}
     assert word.unexplained == 0.0 and word.worst < 0.5
     assert word.choice.chosen == "nothing"
+
+
+def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
+    asset, jury, read, texels = floor
+    surfels = asset.problem.scene.transport.surfels
+    half = surfels.position[:, 1] > 0
+    gloss = replace(
+        asset.gloss,
+        metallic=half.astype(np.float32),
+        roughness=np.where(half, np.float32(0.3), asset.gloss.roughness),
+        metal=np.full_like(asset.gloss.metal, 0.9),
+    )
+    wrong = replace(asset, gloss=gloss, values=read(gloss))
+    assert jury.loss(wrong).beyond(3.0).mean() > 0.2
+    word = heard(jury, wrong, read, texels)
+    assert word.taken_back["metal"] > 0.2
+    assert word.unexplained == 0.0
+    inner = seen_half(floor)
+    assert word.asset.values.metallic[inner].max() == 0
+    np.testing.assert_allclose(word.asset.values.albedo[inner].mean(0), PAINTS[1], rtol=0.05)
+    assert "metal" in word.choice.chosen
 
 
 def test_a_texture_that_was_smoothed_away_comes_back(floor):
@@ -47,7 +68,7 @@ def test_a_texture_that_was_smoothed_away_comes_back(floor):
     albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
     wrong = replace(asset, values=replace(asset.values, albedo=albedo.astype(np.float32)))
     word = heard(jury, wrong, read, texels)
-    assert word.taken_back["smoothing"] > 0.05
+    assert word.taken_back["smoothing"] > 0.05 and word.taken_back["metal"] == 0
     middle = patch & (np.abs(texels.position[:, 0]) < 0.15) & (texels.position[:, 1] < -0.25)
     np.testing.assert_allclose(
         word.asset.values.albedo[middle], asset.values.albedo[middle], rtol=1e-3

@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
+from robir.appearance.material import highlights
+from robir.appearance.material.metal import MetalParts
+from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import looked_at
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import display_mean
@@ -113,3 +118,31 @@ def test_no_view_takes_part_in_its_own_prediction(trials):
     trial.seen.linear[rays] = seen.linear
     np.testing.assert_allclose(after[fold == fold[0]], before[fold == fold[0]], atol=1e-9)
     assert (np.abs(after - before) > 1e-6)[fold != fold[0]].all()
+
+
+def test_metal_that_predicts_worse_than_a_dielectric_goes(trials):
+    trial, count = trials[0]
+    parts = MetalParts(
+        part=np.where(np.arange(count) % 3 == 0, np.arange(count) % 2, -1),
+        base=np.full((2, 3), 0.7, np.float32),
+        roughness=np.array([0.2, 0.3], np.float32),
+    )
+    dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
+    kept, choice = proven_parts(parts, trial, dielectric)
+    assert len(kept.roughness) == len(kept.base) == 0
+    assert (kept.part == -1).all()
+    assert choice.chosen == "0% of the surface"
+
+
+def test_parts_that_one_fold_of_views_alone_shows_are_not_disproven(trials):
+    trial, count = trials[0]
+    own = torch.from_numpy(np.flatnonzero(trial.rays.view % EVERY == 0))
+    few = replace(trial, rays=trial.rays.of(own), seen=trial.seen.of(own))
+    parts = MetalParts(
+        part=np.zeros(count, np.int64),
+        base=np.full((1, 3), 0.7, np.float32),
+        roughness=np.array([0.2], np.float32),
+    )
+    dielectric = np.zeros((count, len(highlights.LEVELS)), np.float32)
+    kept, _ = proven_parts(parts, few, dielectric)
+    assert len(kept.roughness) == 1

@@ -8,9 +8,7 @@ part that can be at fault is taken back on that block, the block's texture is re
 shows the photographs better stays. What is left after that is reported.
 
 Only a loss against the mean takes anything back. A gain proves nothing: a light of the wrong colour
-explains photographs well and turns the albedo brown. Nor does a loss disprove metal: what it
-mirrors is displaced by twice the error of the normals, so that true metal shows photographs worse
-than their mean.
+explains photographs well and turns the albedo brown.
 """
 
 from __future__ import annotations
@@ -62,7 +60,7 @@ less, and so does smoothing, which removes shading that the light did not explai
 _UNSEEN = 5.0 / 255
 """Display error that nobody sees beside a texture; it is added to both sides of a comparison."""
 
-_PARTS = ("specular", "smoothing")
+_PARTS = ("metal", "specular", "smoothing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,8 +284,9 @@ def _without(
     """The asset without a part on chosen samples (S,), None where these have no such part."""
     if part == "smoothing":
         return replace(asset, values=replace(asset.values, albedo=asset.values.read))
-    affected = chosen & (asset.gloss.metallic < 0.5)
-    if not (asset.gloss.has_highlights and affected.any()):
+    is_metal = asset.gloss.metallic > 0.5
+    affected = chosen & (is_metal if part == "metal" else ~is_metal & asset.gloss.has_highlights)
+    if not affected.any():
         return None
     # as dull as a dielectric can be: what it then reflects no view tells from its diffuse light
     dull = np.full(len(chosen), MATTE, np.float32), np.zeros(len(chosen), np.float32)

@@ -16,7 +16,6 @@ from robir.appearance.material.metal import (
     metal_errors,
     metal_odds,
     metal_parts,
-    metal_score,
 )
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.maths.tone import curve_from_name
@@ -75,25 +74,15 @@ def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
 def test_each_figure_speaks_for_metal_by_itself():
     around = np.zeros((1, 1), np.int64)
 
-    def score(paint: float, free: float, bright: float) -> float:
+    def odds(paint: float, free: float, bright: float) -> float:
         errors = [np.full((1, len(LEVELS)), value, np.float32) for value in (paint, free, bright)]
-        return float(metal_score(errors[0], (errors[1], errors[2]), around)[0])
+        return float(metal_odds(errors[0], (errors[1], errors[2]), around)[0])
 
-    usual = score(0.03, 0.03, 0.04)
-    assert score(0.04, 0.04, 0.04 * 4 / 3) > usual  # paint explains it worse
-    assert score(0.03, 0.025, 0.025 * 4 / 3) > usual  # metal explains it better
-    assert score(0.03, 0.03, 0.03) > usual  # bright metal does as well
-    assert score(0.001, 1.0, 1.0) == -metal._MOST_SCORE
-
-
-def test_a_neighbourhood_is_compared_with_its_scene_and_its_light():
-    score = np.array([0.0, 0.0, 0.0, 2.0])
-    even = np.zeros(4)
-    odds = metal_odds(score, even)
-    assert odds[3] > odds[0]
-    assert metal_odds(score + 1, even)[3] < odds[3] + metal._PER_SCORE
-    assert metal_odds(score, np.array([0.0, 0.0, 0.0, 1.0]))[3] < odds[3]
-    np.testing.assert_allclose(metal_odds(score, even + 3.0), odds)
+    usual = odds(0.03, 0.03, 0.04)
+    assert odds(0.04, 0.04, 0.04 * 4 / 3) > usual  # paint explains it worse
+    assert odds(0.03, 0.025, 0.025 * 4 / 3) > usual  # metal explains it better
+    assert odds(0.03, 0.03, 0.03) > usual  # bright metal does as well
+    assert odds(0.001, 1.0, 1.0) == -metal._MOST_ODDS
 
 
 def read_of(problem, light, odds, shown):

@@ -23,6 +23,7 @@ from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
 from robir.appearance.material.metal import metal_among, near
+from robir.appearance.material.metal_proof import proven_parts
 from robir.appearance.material.observed import (
     LEAST_DIFFUSE,
     Seen,
@@ -216,14 +217,8 @@ def estimate_gloss(
     points, hue = _alike(problem, seen, features[:, :3])
     alike = points[in_solve], hue[in_solve]
     parts = metal_among((problem, light), rows, alike, trial, dielectric)
+    parts, metal_choice = proven_parts(parts, trial, dielectric)
     is_metal = parts.part >= 0
-    metal_choice = Choice(
-        choice="metal",
-        chosen=f"{is_metal.mean():.0%} of the surface",
-        alternatives=("none",),
-        why="what a dielectric explains much worse than metal does, compared with the rest of the "
-        "scene",
-    )
     # the samples that took part speak for their neighbours
     part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)

@@ -2,13 +2,11 @@
 """Which samples are metal, and the base colour and roughness of each metal part.
 
 Polished metal shows its surroundings, displaced by every error of the mesh, so one sample's views
-say little. Three figures of a neighbourhood tell metal: how badly a dielectric explains its views,
-how much better metal does, and whether that is as bright as metals are. Two more say how much of
-that is chance: errors of codes are larger where more light arrives, and larger everywhere where
-mesh, poses or curve are worse, so a neighbourhood is compared with the rest of its scene. How much
-each of them tells was measured on captures whose truth is known (logistic regression over sixteen
-drawn captures of both halves, 0.95 of the area under the curve when each is left out in turn), and
-the log odds of many neighbourhoods are averaged over the surface.
+say little. Three figures of a neighbourhood tell metal: how badly paint explains its views, how
+much better metal does, and whether that is as bright as metals are. How much each of them tells was
+measured on captures whose truth is known (logistic regression), and the log odds of many
+neighbourhoods are averaged over the surface. How bright the light is nobody knows well where most
+of a scene is metal, so that how dark it reads forbids nothing by itself.
 """
 
 from __future__ import annotations
@@ -39,24 +37,22 @@ HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
 LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
 """Log colours, but for their mean, of these two."""
 
-_PER_PAINT_ERROR = 1.4  # score per logarithm of the display error, codes, that paint leaves
+_PER_PAINT_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
 _PER_METAL_ERROR = -2.98  # the same of metal's error over paint's
 _PER_BRIGHTNESS = -1.26  # the same of bright metal's error over that of any
-_CONSTANT = -1.3  # score where all these are 0
+_CONSTANT = -1.3  # log odds where all these are 0
 _LEAST_RATIO = 0.35  # metal's error over paint's below which less tells no more
-_MOST_SCORE = 4.0  # score, either way, that one neighbourhood may have
-_PER_SCORE = 1.42  # log odds per score
-_PER_USUAL = -0.82  # the same of the score that a quarter of the scene's neighbourhoods keep below
-_PER_LIGHT = -1.55  # log odds per logarithm of what arrives, over the scene's median
-_NOTHING = -3.69  # log odds where all these are 0
+_MOST_ODDS = 4.0  # log odds, either way, that one neighbourhood may tell
 # how many of the roughnesses metal is tried at: a rougher one looks like a dielectric of another
 # shade
 _NUM_LEVELS = 5
 _JUDGED = 3400  # samples that are judged; the others go by those about them
 _NEIGHBOURS = 8  # of these, those that judge together under one roughness
 _WITNESSES = 12  # of these, those whose log odds are averaged
-_LIKELY = 0.0  # log odds from which a sample may be part of metal
-_CERTAIN = 0.5  # mean log odds from which such a part is metal
+_LIKELY = 0.5  # log odds from which a sample may be part of metal
+# mean log odds from which such a part is metal: paint that is taken for metal costs a good albedo
+# more than metal that is missed costs a bad one
+_CERTAIN = 2.45
 _GAP = 3.0  # gap, in spacings of the judged samples, across which samples belong to one part
 _FEWEST = 8  # judged samples of a part
 _BRIGHTEST_CHANNEL = 0.5  # brightest channel that bright metal has at least
@@ -119,9 +115,7 @@ def metal_among(
     metal = metal_errors(problem, light, rows[judged])
     together = near(points[judged], points[judged], _NEIGHBOURS)
     witnesses = near(points[judged], points, _WITNESSES)
-    arriving = light.irradiance(problem, rows[judged]).mean(1).clamp(min=1e-4).log().numpy()
-    score = metal_score(dielectric[judged], metal, together)
-    odds = metal_odds(score, arriving[together].mean(1))[witnesses].mean(1)
+    odds = metal_odds(dielectric[judged], metal, together)[witnesses].mean(1)
     nearest = witnesses[:, 0]
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
     place = surfels.position[rows], hue[judged][together].mean(1)[nearest], spacing
@@ -172,10 +166,10 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
     return free, bright
 
 
-def metal_score(
+def metal_odds(
     dielectric: Floats, metal: tuple[Floats, Floats], around: Rows
 ) -> NDArray[np.float64]:
-    """How much neighbourhoods look like metal rather than a dielectric, (U,).
+    """Log odds (U,) that neighbourhoods are of metal.
 
     Args:
         dielectric: (U, L) mean display error over each sample's views as paint at every roughness.
@@ -185,28 +179,13 @@ def metal_score(
     paint, free, bright = (
         errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
     )
-    score = (
+    odds = (
         _CONSTANT
         + _PER_PAINT_ERROR * np.log(255 * paint + 0.5)
         + _PER_METAL_ERROR * np.log((free / paint).clip(_LEAST_RATIO))
         + _PER_BRIGHTNESS * np.log(bright / free)
     )
-    return score.clip(-_MOST_SCORE, _MOST_SCORE)
-
-
-def metal_odds(score: Reals, arriving: Reals) -> Reals:
-    """Log odds (U,) that neighbourhoods are of metal.
-
-    Args:
-        score: (U,) of all neighbourhoods of a scene, from `metal_score`.
-        arriving: (U,) log irradiance.
-    """
-    return (
-        _NOTHING
-        + _PER_SCORE * score
-        + _PER_USUAL * np.quantile(score, 0.25)
-        + _PER_LIGHT * (arriving - np.median(arriving))
-    )
+    return odds.clip(-_MOST_ODDS, _MOST_ODDS)
 
 
 def metal_parts(

@@ -73,6 +73,18 @@ class Trial:
         below = predicted_below(seen, rays, specular, through)
         return seen.squared(below + specular)
 
+    def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
+        """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
+
+        How bright the light is nobody knows well; a base colour that is held to what metals have
+        would make metal look wrong under a light that is judged too strong.
+        """
+        if not len(chosen):
+            return np.zeros(0)
+        seen = self.seen.of(chosen)
+        white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
+        return seen.squared(white * (seen.linear / white).median(0).values)
+
     def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
         """What rays say of two models by their errors (M,)."""
         return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
