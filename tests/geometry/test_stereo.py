@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from geometry.scenes import ball, camera_at, capture_of
 
+from robir.geometry.hull import carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice
 from robir.geometry.mesh.isosurface import extract
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.rays import reduce_view
 from robir.geometry.stereo.fusion import (
     choose_sources,
+    entry_depth,
     fuse,
     stereo_surface,
 )
@@ -209,3 +213,30 @@ def test_a_plain_part_stays_where_its_hull_is():
     assert radius[is_plain].min() > RADIUS - 0.03
     assert radius[is_plain].max() < 0.645
     assert np.median(np.abs(radius[place[:, 0] > 0.15] - RADIUS)) < 0.01
+
+
+def test_masks_hold_what_mirrors_in_front_of_what_it_shows():
+    """A ball that shows what looks like a smaller one behind its surface, as mirrors do."""
+    inner = capture_of(ball(0.42, (0, 0, 0)), views=30, side=96, paint=grain)
+    outer = capture_of(ball(RADIUS, (0, 0, 0)), views=30, side=96, paint=grain)
+    views = []
+    for shown, view in zip(inner.views, outer.views, strict=True):
+        inside = shown.mask[..., None] > 127
+        image = np.where(inside, shown.image_display, np.uint8(128))
+        views.append(replace(view, image_display=image))
+    photos = [reduce_view(view, 96) for view in views]
+    hull = carve(hull_of(photos), 32)
+
+    def missed(surface):
+        """Share of the rays well inside the masks that do not meet a surface."""
+        mesh = extract(*surface)
+        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+        shares = []
+        for photo in photos:
+            deep = mask_distance(photo.coverage) < -3
+            depth = entry_depth(tracer, photo.camera)
+            shares.append((~np.isfinite(depth[deep])).mean())
+        return float(np.mean(shares))
+
+    assert missed(stereo_surface(photos, hull)) > 0.1
+    assert missed(stereo_surface(photos, hull, holds_masks=True)) < 0.01

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from robir.capture.capture import Capture, View
 from robir.capture.checks.uneven_exposure import POWER, sight, uneven_exposures
+from robir.geometry.base import without_cone
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import ColourNetwork, Field, restore_missing
 from robir.geometry.fit.mirror_pits import Mirroring
@@ -99,12 +100,24 @@ def _find_ground(state: Start) -> Start:
     return replace(state, hull=Sampled(state.hull.lattice, found[1]), backdrop=found[0])
 
 
+def _cut_cone(state: Start) -> Start:
+    if state.backdrop is not None:
+        return state
+    return replace(state, hull=without_cone(state.hull, state.photos))
+
+
 GROUND: tuple[Step[Start], ...] = (
     Step(
         name="ground",
         purpose="finds the flat ground that the object stands on, if masks include it",
         source="ours: plane by the masks' rim, columns by photo-consistency",
         run=_find_ground,
+    ),
+    Step(
+        name="base",
+        purpose="ends what stands on something there: below it the visual hull has a cone",
+        source="ours: of the planes below what cameras meet first, the one that cuts off most",
+        run=_cut_cone,
     ),
 )
 """What is done to the visual hull before the fit."""
@@ -231,8 +244,15 @@ class Levels:
         self._course = course
         start = course.carry_out(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
+        by_masks = start.hull if start.backdrop is None else hull
         self.begun = Sampled(hull.lattice, start.distances)
-        self.selection = Selection(capture.train, photos, (self.begun, hull), config)
+        self.selection = Selection(
+            capture.train,
+            photos,
+            (self.begun, by_masks),
+            config,
+            holds_masks=not capture.has_guessed_masks,
+        )
         cameras = [photo.camera for photo in photos]
         self._mirroring = Mirroring(cameras, self.begun, self.selection)
 

@@ -99,6 +99,7 @@ class Selection:
         photos: The same at the size that surfaces are compared at.
         hulls: The visual hull, with ground if there is one, and as masks alone have it.
         config: Settings of the stage.
+        holds_masks: Whether masks were given, so that the object is wherever they show it.
 
     Attributes:
         best: What goes on instead of the fit; None where that does.
@@ -111,9 +112,11 @@ class Selection:
         photos: list[Photo],
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
+        *,
+        holds_masks: bool,
     ) -> None:
         self._views, self._predictions = views, Predictions(photos)
-        self._hulls, self._config = hulls, config
+        self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
@@ -137,10 +140,9 @@ class Selection:
         fitted = smooth_surface(field)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
-        # nothing is restored where masks show something that no depth does: guessed masks hold
-        # background between arm and body, and stereo is right to carve it
         compared = [reduce_view(view, self._config.stereo_side) for view in self._views]
-        surfaces = {STEREO: stereo_surface(compared, self._hulls[0]), HULL: self._hulls[1]}
+        stereo = stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
+        surfaces = {STEREO: stereo, HULL: self._hulls[1]}
         for name, surface in surfaces.items():
             mesh = smooth_surface(surface)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)

@@ -44,16 +44,22 @@ HEDGE = "robir_aces"
 cameras do; where it does not lead all others, one of those is the likelier."""
 
 
-_MARGINS = {"auto": -1.0, "camera": -2.0, "render": 2.0}
+_MARGINS = {"auto": 0.75, "camera": -2.0, "render": 2.0}
 """Standard errors by which a curve without a shoulder must lead one that has one, by where the
-photographs are from: cameras have cameras' responses, renderers mostly a shoulder. Who tells
-nothing mostly brings photographs."""
+photographs are from: cameras have cameras' responses, renderers mostly a shoulder. "auto" tells
+best, of drawn captures of both halves, one from the other."""
+
+_CAMERA_MARGIN = -1.0
+"""Standard errors by which a camera's response must lead the sRGB transfer function: that is what
+few photographs and few renderings have."""
 
 _ERROR_CAP = 0.08  # display error, 0..1, beyond which a pair is of two materials and says no more
 _LEAST_CONTRAST = 0.3  # difference of log irradiance from which a pair counts, by what exceeds it
 _MOST_CONTRAST = 1.5  # difference from which it counts no more than others
 # standard errors within which the simpler one of two curves of a kind is taken
 SIMPLER_MARGIN = 1.0
+# standard errors by which `NEUTRAL` must lead: few use it, and few pixels tell it
+_NEUTRAL_MARGIN = 3.5
 # lead of the plain curve over a shoulder below which their lights need not be settled: that moves
 # it by less (standard errors)
 _SETTLED_BELOW = -1.0
@@ -229,7 +235,7 @@ def chosen_number(
         chosen = plain if lead.is_clear else shoulder
     if NEUTRAL in names:
         neutral = names.index(NEUTRAL)
-        leads = _lags(tables[chosen], tables[neutral])
+        leads = _lags(tables[chosen], tables[neutral], _NEUTRAL_MARGIN)
         # but for the brightest it is the plain one, and must lead a shoulder as that must
         if leads and (chosen != shoulder or judged.lead(neutral, chosen, steps, seed).is_clear):
             chosen = neutral
@@ -237,17 +243,14 @@ def chosen_number(
 
 
 def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> int:
-    """Number of the likelier of the curves without a shoulder.
-
-    The response of a camera must lead the sRGB transfer function as that a shoulder.
-    """
+    """Number of the likelier of the curves without a shoulder."""
     if CAMERA not in names:
         return names.index(PLAIN)
     camera = names.index(CAMERA)
     if PLAIN not in names:
         return camera
     plain = names.index(PLAIN)
-    return camera if judged.lead(camera, plain, steps, seed).is_clear else plain
+    return camera if judged.lead(camera, plain, steps, seed).total > _CAMERA_MARGIN else plain
 
 
 def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
@@ -275,7 +278,7 @@ def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
     return min(near, default=None)
 
 
-def _lags(table: Table, other: Table) -> bool:
-    """Whether the first error is clearly the greater."""
+def _lags(table: Table, other: Table, margin: float = SIMPLER_MARGIN) -> bool:
+    """Whether the first error is the greater by so many standard errors."""
     lead = 255 * (mean_of(table) - mean_of(other))
-    return lead > SIMPLER_MARGIN * _lead_error(table, other, CODE_ERROR)
+    return lead > margin * _lead_error(table, other, CODE_ERROR)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.capture.camera import Camera
+from robir.geometry.hull import mask_distance
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -48,6 +49,10 @@ _CELLS = 128  # cells of the fused lattice along the object's longest side
 _LEAST_TRUST = 2.0  # sum of the maps' trust below which a distance counts as unknown
 _ANCHOR = 1e-5  # weight of the visual hull's distance inside it, where that is unknown
 _SMOOTHNESS = 1.0  # weight of the squared Laplacian of the distances, against a trust of 1
+_MASK_ROUNDS = 3  # how often depths are taken back that leave nothing where a mask shows the object
+_WELL_INSIDE = 2.0  # pixels from the outline beyond which a mask is believed
+_AROUND = 2  # nodes about such a ray whose depths are taken back as well
+_RAYS = 2048  # rays at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,13 +70,21 @@ class Fused:
     band: float
 
 
-def stereo_surface(photos: list[Photo], hull: Sampled, coarseness: float = 1.0) -> Sampled:
+def stereo_surface(
+    photos: list[Photo], hull: Sampled, coarseness: float = 1.0, *, holds_masks: bool = False
+) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
 
     What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
     chance and highlights get counts as none. A plain part then lies where its outlines put it, bent
-    no more than it must be to meet what is known around it. `coarseness` is the share of a final
-    surface's cells along a side.
+    no more than it must be to meet what is known around it.
+
+    Args:
+        photos: Photographs with masks, unit frame.
+        hull: Their visual hull.
+        coarseness: Share of a final surface's cells along a side.
+        holds_masks: Whether depths that leave nothing where a mask shows the object are wrong.
+            They are where it mirrors; a guessed mask may hold background instead.
     """
     lattice, outer = hull
     lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
@@ -86,11 +99,47 @@ def stereo_surface(photos: list[Photo], hull: Sampled, coarseness: float = 1.0) 
     told = torch.where(is_free, torch.maximum(fused.distance, limit), fused.distance)
     weight = (fused.weight - _LEAST_TRUST).clamp(min=0)
     prior = _ANCHOR + _OUTSIDE * (wide > 0)
-    total = weight + prior
-    measured = (weight * told + prior * limit) / total
-    shape = fine.shape
-    found = smoothest(measured.view(shape), total.view(shape), _SMOOTHNESS)
-    return Sampled(fine, found.reshape(-1))
+
+    def solved(weight: Tensor) -> Sampled:
+        total = weight + prior
+        measured = (weight * told + prior * limit) / total
+        found = smoothest(measured.view(fine.shape), total.view(fine.shape), _SMOOTHNESS)
+        return Sampled(fine, found.reshape(-1))
+
+    surface = solved(weight)
+    for _ in range(_MASK_ROUNDS if holds_masks else 0):
+        wrong = carved_in_vain(surface, photos, wide)
+        if not (weight[wrong] > 0).any():
+            break
+        weight = weight.masked_fill(wrong, 0.0)
+        surface = solved(weight)
+    return surface
+
+
+def carved_in_vain(surface: Sampled, photos: list[Photo], hull: Tensor) -> Tensor:
+    """Nodes (N,) bool of the hull (N,) on rays well inside a mask that miss the surface."""
+    lattice, _ = surface
+    mesh = extract(*surface)
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    marked = torch.zeros(lattice.count, dtype=torch.bool)
+    positions = np.stack([photo.camera.position for photo in photos])
+    for photo in (photos[own] for own in farthest_points(positions, _VIEWS)):
+        rows, columns = np.nonzero(mask_distance(photo.coverage) < -_WELL_INSIDE)
+        if not len(rows):
+            continue
+        pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
+        origins, directions = photo.camera.rays(pixels)
+        hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        missed = ~np.isfinite(hits.distance)
+        start, along = (torch.from_numpy(part[missed]).float() for part in (origins, directions))
+        middle = -(start * along).sum(1, keepdim=True)
+        steps = torch.arange(-1.1, 1.1, 0.7 * lattice.cell)
+        for first in range(0, len(start), _RAYS):
+            part = slice(first, first + _RAYS)
+            points = start[part, None] + (middle[part] + steps)[..., None] * along[part, None]
+            nodes = lattice.nearest(points).view(-1)
+            marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
+    return lattice.dilated(marked, _AROUND)
 
 
 def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
