@@ -239,8 +239,13 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
-            words = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
-            pixels = raw.postprocess(**words, output_bps=8, gamma=(2.4, 12.92))
+            pixels = raw.postprocess(
+                half_size=True,
+                use_camera_wb=True,
+                no_auto_bright=True,
+                output_bps=8,
+                gamma=(2.4, 12.92),
+            )
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
     picture = Image.fromarray(pixels)
