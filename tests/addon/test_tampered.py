@@ -1,3 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
+
+from __future__ import annotations
+
 import getpass
 import json
 import os
@@ -12,10 +17,6 @@ import time
 import pytest
 
 from robir.jobs.paths import JobPaths
-
-# SPDX-License-Identifier: Apache-2.0
-"""Results that somebody tampered with: no script runs, nothing is written outside, one sentence."""
-
 
 pytestmark = pytest.mark.blender
 

@@ -53,12 +53,9 @@ from robir.jobs.paths import read_json, replacing, write_json
 if TYPE_CHECKING:
     import pycolmap
 
-REVISION = 4  # raised by hand when the results of this room change
+REVISION = 3  # raised by hand when the results of this room change
 MAX_ANEW = 4  # how often cameras are placed anew where sides that look alike led them astray
-FEATURE_SIDE = 1000  # longer side of the copies in pixels, at most
-# the same at least, where twice the photograph's is as much: features of small photographs are too
-# fine for the pyramid, and too few
-_LEAST_SIDE = 800
+FEATURE_SIDE = 1000  # longer side of the copies in pixels
 _PANORAMA = 2.2  # no lens takes pictures wider than this; stitching does
 # typical share of each step in the time
 _SHARES = {"frames": 0.1, "copies": 0.1, "features": 0.35, "matches": 0.25, "cameras": 0.2}
@@ -290,11 +287,7 @@ def _copy(root: Path, path: Path, target: Path) -> _Copy:
         load(picture, path)
         pixels = pixels_of(upright(picture, turn))
     grey = Image.fromarray(pixels.image_display).convert("L")
-    enlarged = min(2.0, _LEAST_SIDE / max(grey.size))
-    if enlarged > 1.0:
-        size = round(enlarged * grey.width), round(enlarged * grey.height)
-    else:
-        size = size_within(grey.size, FEATURE_SIDE)
+    size = size_within(grey.size, FEATURE_SIDE)
     if size != grey.size:
         grey = grey.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
     with replacing(target) as temporary:

@@ -38,9 +38,6 @@ _TILE = 12  # photographs in a row and a column of one portion; each is loaded o
 _NEIGHBOURS = 10  # pictures before and after one in a sequence that it is compared with
 _LOOP_PICTURES = 40  # of a sequence, evenly spaced, compared with each other to close loops
 _MIN_FEATURES, _MAX_FEATURES = 2048, 8192  # number of features looked for in a photograph
-_PEAK = (
-    0.004  # contrast of a feature at least, 0..1; pycolmap's own 0.0067 leaves plain things bare
-)
 # pairs that can be matched at `_MIN_FEATURES` in about 100 CPU-seconds; fewer pairs, more features,
 # for the time of a pair goes with the square of their number
 _CHEAP_PAIRS = 2500
@@ -124,7 +121,6 @@ def find_features(
     options.num_threads = _THREADS
     affordable = round(_MIN_FEATURES * math.sqrt(_CHEAP_PAIRS / num_pairs))
     options.sift.max_num_features = min(max(affordable, _MIN_FEATURES), _MAX_FEATURES)
-    options.sift.peak_threshold = _PEAK
     names = [photograph.copy for photograph in photographs]
     for first in range(0, len(names), 2 * _THREADS):
         progress(first / len(names), f"features of photograph {first + 1} of {len(names)}")
