@@ -186,7 +186,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Selection(capture.train, photos, (hull, hull), CONFIG)
+        rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
         assert rival.beats(field) == (rival.best is not None) == wins
         assert not rival.beats(field), "only the first level is compared"
@@ -196,7 +196,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)
-    silent = Selection(capture.train, photos, (hull, hull), off)
+    silent = Selection(capture.train, photos, (hull, hull), off, holds_masks=True)
     assert not silent.beats(field)
 
 
@@ -218,6 +218,6 @@ def test_the_true_surface_is_better_and_print_is_no_mirror(capture, photos):
         Sampled(lattice, radius - RADIUS + dents * waves(lattice)) for dents in (0.0, 0.05)
     )
     hull = Sampled(lattice, radius - 0.63)
-    judge = Selection(capture.train, photos, (hull, hull), CONFIG)
+    judge = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)
