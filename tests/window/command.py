@@ -22,13 +22,10 @@ SETTINGS = (
 )
 """A draft cut to a third of a CPU-minute."""
 
-LAST = SETTINGS[5:]
-"""What of this changes neither the shape nor the tone curve that is found."""
 
-
-def small_engine(folder: Path, settings: tuple[str, ...] = SETTINGS) -> Path:
+def small_engine(folder: Path) -> Path:
     """A Python that this checkout's serves as, but for reconstructions, which it makes smaller."""
-    changes = " ".join(f"--set '{setting}'" for setting in settings)
+    changes = " ".join(f"--set '{setting}'" for setting in SETTINGS)
     engine = folder / "python"
     engine.write_text(
         f"""#!/bin/sh

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 from window.blender_window import BlenderWindow
-from window.command import LAST, small_engine
 from window.conftest import BUILD
 from window.redraws import Redraws
 from window.screen import Screen
@@ -42,7 +41,7 @@ OBJECT = "next((o for o in bpy.data.objects if o.type == 'MESH' and o.name != 'C
 def window(
     screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[BlenderWindow]:
-    """Blender with the add-on installed; its engine is of this checkout."""
+    """Blender with the add-on installed; its engine is the Python of this checkout."""
     window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures")
     window.install(package)
     window.start()
@@ -56,10 +55,10 @@ def out(capture: Path) -> Path:
     return capture.parent / f"{capture.name}_robir"
 
 
-def test_the_panel_waits_for_a_capture(window: BlenderWindow, tmp_path: Path) -> None:
+def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     window.picture("nothing_chosen")
     window.find("bpy.ops.robir.choose_capture")
-    window.choose_engine(small_engine(tmp_path, LAST))
+    window.choose_engine()
 
 
 def test_the_sample_is_one_click_away(window: BlenderWindow) -> None:
