@@ -44,10 +44,10 @@ HEDGE = "robir_aces"
 cameras do; where it does not lead all others, one of those is the likelier."""
 
 
-_MARGINS = {"auto": 0.75, "camera": -2.0, "render": 2.0}
+_MARGINS = {"auto": -1.0, "camera": -2.0, "render": 2.0}
 """Standard errors by which a curve without a shoulder must lead one that has one, by where the
-photographs are from: cameras have cameras' responses, renderers mostly a shoulder. "auto" tells
-best, of drawn captures of both halves, one from the other."""
+photographs are from: cameras have cameras' responses, renderers mostly a shoulder. Who tells
+nothing mostly brings photographs."""
 
 _CAMERA_MARGIN = -1.0
 """Standard errors by which a camera's response must lead the sRGB transfer function: that is what
