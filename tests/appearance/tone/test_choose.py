@@ -157,10 +157,10 @@ def test_plain_and_neutral_curve_must_lead_a_shoulder_clearly(plain, neutral, sc
 
 @pytest.mark.parametrize(
     ("camera", "plain", "expected"),
-    [(-1.1, 3.0, "standard"), (-0.9, 3.0, "camera"), (-0.9, 1.0, "filmic"), (-1.1, 1.0, "filmic")],
+    [(1.9, 3.0, "standard"), (2.1, 3.0, "camera"), (2.1, 1.0, "filmic"), (1.9, 1.0, "filmic")],
 )
 def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
-    """Or lag by little; and then lead a shoulder in its place."""
+    """And then lead a shoulder in its place."""
     names, asked = ["standard", "camera", "filmic"], []
 
     def lead_of(index, shoulder, steps, seed):
@@ -178,9 +178,9 @@ def test_a_cameras_response_must_lead_the_plain_curve(camera, plain, expected):
     judged = SimpleNamespace(tables=tables, lead=lead_of, config=CONFIG)
     number, _ = chosen_number(judged, names, 10, 0)
     assert names[number] == expected
-    assert asked == [(1, 0), (1 if camera > -1.0 else 0, 2)]
+    assert asked == [(1, 0), (1 if camera > 2.0 else 0, 2)]
     assert names[chosen_number(judged, names[:2], 10, 0)[0]] == (
-        "camera" if camera > -1.0 else "standard"
+        "camera" if camera > 2.0 else "standard"
     )
 
 

@@ -49,10 +49,6 @@ _MARGINS = {"auto": -1.0, "camera": -2.0, "render": 2.0}
 photographs are from: cameras have cameras' responses, renderers mostly a shoulder. Who tells
 nothing mostly brings photographs."""
 
-_CAMERA_MARGIN = -1.0
-"""Standard errors by which a camera's response must lead the sRGB transfer function: that is what
-few photographs and few renderings have."""
-
 _ERROR_CAP = 0.08  # display error, 0..1, beyond which a pair is of two materials and says no more
 _LEAST_CONTRAST = 0.3  # difference of log irradiance from which a pair counts, by what exceeds it
 _MOST_CONTRAST = 1.5  # difference from which it counts no more than others
@@ -243,14 +239,17 @@ def chosen_number(
 
 
 def _plain_number(judged: Judged, names: list[str], steps: int, seed: int) -> int:
-    """Number of the likelier of the curves without a shoulder."""
+    """Number of the likelier of the curves without a shoulder.
+
+    The response of a camera must lead the sRGB transfer function as that a shoulder.
+    """
     if CAMERA not in names:
         return names.index(PLAIN)
     camera = names.index(CAMERA)
     if PLAIN not in names:
         return camera
     plain = names.index(PLAIN)
-    return camera if judged.lead(camera, plain, steps, seed).total > _CAMERA_MARGIN else plain
+    return camera if judged.lead(camera, plain, steps, seed).is_clear else plain
 
 
 def best_shoulder(names: list[str], tables: list[Table]) -> int | None:
