@@ -78,3 +78,14 @@ def test_lat_long_map_integrates_the_sphere():
     assert directions[0, :, 2].min() > 0.99
     second = torch.einsum("hw,hwi,hwj->ij", angles, directions, directions)
     assert (second - torch.eye(3) * 4 * math.pi / 3).abs().max() < 2e-3
+
+
+def test_a_ring_lies_at_its_radius_evenly_and_turned():
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+    found = vectors.ring(axis, 0.3, 5, 0.2)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(found @ axis, np.cos(0.3), atol=1e-12)
+    np.testing.assert_allclose(found.mean(0), np.cos(0.3) * axis, atol=1e-12)
+    tangent, bitangent = vectors.tangents(axis)
+    first = np.arctan2(found[0] @ bitangent, found[0] @ tangent)
+    assert first == pytest.approx(0.2)

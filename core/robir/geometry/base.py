@@ -19,7 +19,7 @@ from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.rays import Photo
-from robir.maths.vectors import fibonacci_sphere, tangents
+from robir.maths.vectors import fibonacci_sphere, ring
 
 Array = NDArray[np.float64]
 
@@ -89,8 +89,9 @@ def base_plane(hull: Sampled, photos: list[Photo]) -> Base | None:
     if found.share <= 0:
         return None
     for _ in range(_ROUNDS):
-        ring = best_of(_around(found.normal, radius))
-        found, radius = max(found, ring, key=lambda base: base.share), _SHRINKING * radius
+        rings = [ring(found.normal, part * radius, 12, 0.0) for part in (0.5, 1.0)]
+        tried = best_of(np.concatenate(rings))
+        found, radius = max(found, tried, key=lambda base: base.share), _SHRINKING * radius
     return found
 
 
@@ -107,12 +108,3 @@ def _met_first(hull: Sampled, photos: list[Photo]) -> Array:
         met = np.isfinite(hits.distance)
         points.append(origins[met] + hits.distance[met][:, None] * directions[met])
     return np.concatenate(points)
-
-
-def _around(normal: Array, radius: float) -> Array:
-    """Unit normals (24, 3) on two rings about one."""
-    across = np.stack(tangents(normal.astype(np.float32))).astype(np.float64)
-    angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
-    turned = normal + np.concatenate([0.5 * radius * circle, radius * circle])
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True)

@@ -74,6 +74,20 @@ class Lattice:
         assert flat is not None
         return flat.long()
 
+    def along(self, origins: Tensor, directions: Tensor, step: float) -> Tensor:
+        """Flat indices (R, T) of the nodes nearest to rays within the unit sphere.
+
+        Args:
+            origins: (R, 3) of the rays, unit frame.
+            directions: (R, 3) unit.
+            step: Distance between the points of a ray that are looked at, unit frame.
+        """
+        steps = torch.arange(0.0, 2.2, step, device=origins.device)
+        along = steps - (origins * directions).sum(1, keepdim=True) - 1.1
+        lines = zip(origins.unbind(1), directions.unbind(1), strict=True)
+        planes = [start[:, None] + along * slope[:, None] for start, slope in lines]
+        return self.nearest(torch.stack(planes).movedim(0, -1))
+
     def dilated(self, marked: Tensor, reach: int) -> Tensor:
         """Nodes (N,) bool within `reach` nodes of marked ones (N,) bool along every axis."""
         grid = marked.view(self.shape)

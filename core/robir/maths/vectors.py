@@ -72,6 +72,22 @@ def tangents(axis: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[n
     return tangent, np.cross(axis, tangent)
 
 
+def ring(axis: NDArray[np.floating], radius: float, count: int, turn: float) -> NDArray[np.float64]:
+    """Unit directions (count, 3) on a circle about a unit axis (3,).
+
+    Args:
+        axis: Middle.
+        radius: Angle between it and the circle, radians.
+        count: Directions, evenly spread.
+        turn: Where on the circle the first lies, radians.
+    """
+    tangent, bitangent = tangents(axis)
+    angles = turn + np.arange(count) * 2 * np.pi / count
+    return np.cos(radius) * axis + np.sin(radius) * (
+        np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent
+    )
+
+
 def fibonacci_sphere(
     count: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> Tensor:

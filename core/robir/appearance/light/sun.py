@@ -23,7 +23,7 @@ from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.maths.vectors import fibonacci_sphere, tangents
+from robir.maths.vectors import fibonacci_sphere, ring, tangents
 from robir.transport.visibility import lobe_directions, lobe_transfer
 
 Floats = NDArray[np.float32]
@@ -241,8 +241,8 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
             for head in heads
             for direction in (
                 head,
-                *_ring(head, radius, 7, 0.9 * index),
-                *_ring(head, radius / 2, 4, 0.5),
+                *ring(head, radius, 7, 0.9 * index).astype(np.float32),
+                *ring(head, radius / 2, 4, 0.5).astype(np.float32),
             )
         ]
         judged = _judged(problem, trials, sharpness)
@@ -313,13 +313,3 @@ def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Flo
     step *= min(1.0, 0.5 * _SMOOTHING / max(float(np.linalg.norm(step)), 1e-9))
     axis = best + step @ across
     return (axis / np.linalg.norm(axis)).astype(np.float32)
-
-
-def _ring(axis: Floats, radius: float, count: int, turn: float) -> list[Floats]:
-    """Directions on a circle about an axis."""
-    tangent, bitangent = tangents(axis)
-    angles = turn + np.arange(count) * 2 * np.pi / count
-    ring = np.cos(radius) * axis + np.sin(radius) * (
-        np.cos(angles)[:, None] * tangent + np.sin(angles)[:, None] * bitangent
-    )
-    return [direction.astype(np.float32) for direction in ring]

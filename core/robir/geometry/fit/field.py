@@ -178,15 +178,11 @@ def restore_missing(field: Sampled, hull: Tensor, sampler: RaySampler) -> Tensor
     """
     lattice, sdf = field
     marked = torch.zeros(lattice.count, dtype=torch.bool, device=sdf.device)
-    steps = torch.arange(0.0, 2.2, 1.4 * lattice.cell, device=sdf.device)
     for _ in range(_BATCHES):
         origins, directions, target = sampler.draw(2048)
         solid = target[:, 3] > 0.95
         origins, directions = origins[solid], directions[solid]
-        along = steps - (origins * directions).sum(1, keepdim=True) - 1.1
-        lines = zip(origins.unbind(1), directions.unbind(1), strict=True)
-        planes = [start[:, None] + along * slope[:, None] for start, slope in lines]
-        nodes = lattice.nearest(torch.stack(planes).movedim(0, -1))
+        nodes = lattice.along(origins, directions, 1.4 * lattice.cell)
         nodes = nodes[(taken(sdf, nodes) >= 2.0 * lattice.cell).all(1)].view(-1)
         marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
     return torch.where(lattice.dilated(marked, 2), torch.minimum(sdf, hull), sdf)

@@ -131,13 +131,9 @@ def carved_in_vain(surface: Sampled, photos: list[Photo], hull: Tensor) -> Tenso
         origins, directions = photo.camera.rays(pixels)
         hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         missed = ~np.isfinite(hits.distance)
-        start, along = (torch.from_numpy(part[missed]).float() for part in (origins, directions))
-        middle = -(start * along).sum(1, keepdim=True)
-        steps = torch.arange(-1.1, 1.1, 0.7 * lattice.cell)
-        for first in range(0, len(start), _RAYS):
-            part = slice(first, first + _RAYS)
-            points = start[part, None] + (middle[part] + steps)[..., None] * along[part, None]
-            nodes = lattice.nearest(points).view(-1)
+        starts, slopes = (torch.from_numpy(part[missed]).float() for part in (origins, directions))
+        for part in zip(starts.split(_RAYS), slopes.split(_RAYS), strict=True):
+            nodes = lattice.along(*part, 0.7 * lattice.cell).view(-1)
             marked[nodes[hull[nodes] < 0.5 * lattice.cell]] = True
     return lattice.dilated(marked, _AROUND)
 
