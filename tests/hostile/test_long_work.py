@@ -55,13 +55,14 @@ shots = Range(Path({str(tmp_path / "kills")!r}), has_renders=False)
 kills = [shots.kill("early", 0.3 * shots.seconds, is_group=True, again=0.2 * shots.seconds)]
 kills.append(shots.kill("middle", 0.7 * shots.seconds, is_group=True))
 kills.append(shots.kill("late", 0.95 * shots.seconds, is_group=False))
+kills.append(shots.unmarked("export"))
 print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.expected))
 """
     found = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
-    assert found.stdout.startswith("[(True, ()), (True, ()), (True, ())] "), (
+    assert found.stdout.startswith("[(True, ()), (True, ()), (True, ()), (True, ())] "), (
         found.stdout + found.stderr
     )
     assert int(found.stdout.split()[-1]) > 40

@@ -233,7 +233,9 @@ class _Run:
 
     def _work_stage(self, stage: str, module: StageModule, expected: str) -> None:
         request, paths = self._request, self._paths
+        # The report reads run.json, where a killed attempt may have left this stage's warnings.
         self._facts["warnings"] = [w for w in self._facts["warnings"] if w["stage"] != stage]
+        write_json(paths.run, self._facts)
         self._reporter.begin(stage)
         paths.stage(stage).mkdir(parents=True, exist_ok=True)
         _seed_everything(request.config.seed)
