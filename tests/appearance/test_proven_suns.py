@@ -15,7 +15,7 @@ from robir.appearance.light.problem import make_problem
 from robir.appearance.proof import Proof
 from robir.appearance.proven_suns import lead_in_errors, with_proven_suns
 from robir.appearance.solution import solve
-from robir.appearance.tone import shoulder
+from robir.appearance.tone import ranking
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import Candidate
 from robir.maths.tone import curve_from_name
@@ -110,10 +110,10 @@ def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():
     plain = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
     # half a code less everywhere: certain, but for the tenth
     rich = plain * 0.95**2
-    lead = lead_in_errors(Proof.of(plain, rich, (views,)), shoulder.CODE_ERROR)
+    lead = lead_in_errors(Proof.of(plain, rich, (views,)), ranking.CODE_ERROR)
     assert lead == pytest.approx(0.05 * 255 * np.sqrt(plain.mean()) / 0.1, rel=0.1)
     # noise that gains nothing
     other = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
-    assert abs(lead_in_errors(Proof.of(plain, other, (views,)), shoulder.CODE_ERROR)) < 2.5
+    assert abs(lead_in_errors(Proof.of(plain, other, (views,)), ranking.CODE_ERROR)) < 2.5
     # from the same errors twice nothing follows
-    assert lead_in_errors(Proof.of(plain, plain, (views,)), shoulder.CODE_ERROR) == 0
+    assert lead_in_errors(Proof.of(plain, plain, (views,)), ranking.CODE_ERROR) == 0

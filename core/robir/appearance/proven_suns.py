@@ -28,7 +28,7 @@ from robir.appearance.photometry.statistics import Pairs
 from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.shoulder import CODE_ERROR
+from robir.appearance.tone.ranking import CODE_ERROR
 from robir.jobs.choice import Choice
 from robir.steps import Course
 

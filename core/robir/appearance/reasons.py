@@ -44,9 +44,9 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
             cost_seconds=seconds["tone_curve"],
             why="the photographs are linear, or the settings allow no other"
             if not is_compared
-            else f"{reason}; of those with a shoulder the lowest display error of albedo carried "
-            "between neighbours in different light, the simplest within one standard error"
-            f"{_near(tone)}{_lead(tone)}{_beyond(tone)}",
+            else f"{reason}; the lowest display error of albedo carried between neighbours in "
+            "different light, the simplest within one standard error; a camera's response is kept "
+            f"unless it clearly lags{_near(tone)}{_beyond(tone)}",
         ),
         Choice(
             choice="sharp lights",
@@ -84,21 +84,6 @@ def _beyond(tone: ToneChoice) -> str:
     """Which curves do not reach the colours of the photographs."""
     return "".join(
         f"; {name} cannot show {share:.1%} of the colours" for name, share in tone.beyond.items()
-    )
-
-
-def _lead(tone: ToneChoice) -> str:
-    """How the plain curve compares with those that roll off, in words."""
-    lead = tone.plain_lead
-    if lead is None:
-        return ""
-    shadows, highlights = lead.shadows, lead.highlights
-    near = f"by {highlights.value:+.2f} codes ({highlights.error:.2f}) near" if highlights else "no"
-    return (
-        f"; {lead.plain} leads {lead.shoulder} by {shadows.value:+.2%} of the light's contrast "
-        f"(standard error {shadows.error:.2%}) in what albedos differ by between light and shade, "
-        f"{near} highlights; together {lead.total:+.1f} standard errors, and it must lead by "
-        f"{lead.margin:g}"
     )
 
 

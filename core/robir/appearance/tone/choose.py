@@ -17,7 +17,6 @@ from robir.appearance.light.sun_search import find_suns
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.gamut import unable
 from robir.appearance.tone.ranking import CAMERA, PLAIN, Candidate, ranked
-from robir.appearance.tone.shoulder import PlainLead
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.steps import Course, Step
@@ -37,8 +36,6 @@ class ToneChoice:
             of the curves that these rule out.
         suns: The light under the first curve: where shadows lie does not depend on it.
         candidates: The chosen one first, then by score.
-        plain_lead: Of the plain curve against those with a shoulder, None where not both were
-            compared.
     """
 
     scene: Scene
@@ -49,7 +46,6 @@ class ToneChoice:
     beyond: dict[str, float]
     suns: Light | None = None
     candidates: list[Candidate] = field(default_factory=list)
-    plain_lead: PlainLead | None = None
 
     @classmethod
     def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
@@ -100,8 +96,7 @@ def _search_suns(state: ToneChoice) -> ToneChoice:
 
 
 def _rank(state: ToneChoice) -> ToneChoice:
-    candidates, lead = ranked(state.scene, state.fitting, state.found, state.config, state.seed)
-    return replace(state, candidates=candidates, plain_lead=lead)
+    return replace(state, candidates=ranked(state.scene, state.fitting, state.found, state.config))
 
 
 SEARCH: tuple[Step[ToneChoice], ...] = (
