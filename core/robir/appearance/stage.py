@@ -44,7 +44,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 86
+REVISION = 87
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
