@@ -104,8 +104,8 @@ NAMES = ["standard", "camera", "filmic", "agx", "robir_aces"]
     ("origin", "scores", "expected"),
     [
         ("auto", (9.0, 9.0, 9.0, 9.0, 9.0), "camera"),
-        ("auto", (8.7, 9.0, 9.0, 9.0, 9.0), "camera"),  # errors of the light do as much
-        ("auto", (8.5, 9.0, 9.0, 9.0, 9.0), "standard"),
+        ("auto", (8.85, 9.0, 9.0, 9.0, 9.0), "camera"),  # errors of the light do as much
+        ("auto", (8.7, 9.0, 9.0, 9.0, 9.0), "standard"),
         ("auto", (9.5, 9.0, 8.5, 9.0, 9.0), "filmic"),
         ("auto", (9.5, 9.0, 8.58, 8.5, 9.0), "filmic"),  # within a tenth of a code the simpler one
         ("auto", (9.5, 9.0, 8.65, 8.5, 9.0), "agx"),
