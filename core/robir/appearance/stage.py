@@ -137,7 +137,7 @@ def _solved(
 ) -> tuple[ToneChoice, Solution]:
     """Light and material, and the curve they were found under.
 
-    Suns that are not there, or a few degrees off, mislead the choice of the curve. So the curves are
+    Suns that are not there, or a few degrees off, mislead the choice of the curve. So curves are
     ranked again under the suns that photographs leave, and if another leads all is solved by that.
     """
     first = tone.candidates[0]
