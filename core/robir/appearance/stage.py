@@ -27,7 +27,7 @@ from robir.appearance.solution import SOLUTION, Solution, solve
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
-from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve, ranked_under
+from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
 from robir.appearance.tone.ranking import PLAIN
 from robir.appearance.tone.rivals import albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
@@ -44,7 +44,7 @@ from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 
-REVISION = 88
+REVISION = 89
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
@@ -96,7 +96,7 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     tone = choose_tone_curve(scene, config, context.seed, course)
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {tone.candidates[0].curve.name}")
-    tone, solution = _solved(tone, config, context.seed, course)
+    solution = _solved(tone, config, context.seed, course)
     problem, light, gloss = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
@@ -132,23 +132,11 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     }
 
 
-def _solved(
-    tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course
-) -> tuple[ToneChoice, Solution]:
-    """Light and material, and the curve they were found under.
-
-    Suns that are not there, or a few degrees off, mislead the choice of the curve. So curves are
-    ranked again under the suns that photographs leave, and if another leads all is solved by that.
-    """
+def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course) -> Solution:
+    """Light and material under the curve that was chosen."""
     first = tone.candidates[0]
     found = solve(first.problem, first.light, config, seed, course)
-    found = with_proven_suns(tone, found, course)
-    tone = ranked_under(tone, found.light)
-    if tone.candidates[0].curve.name == first.curve.name:
-        return tone, found
-    first = tone.candidates[0]
-    again = solve(first.problem, first.light, config, seed, course)
-    return tone, replace(again, choices=(*again.choices, *found.choices))
+    return with_proven_suns(tone, found, course)
 
 
 def with_known_curve(config: AppearanceConfig, capture: Capture) -> AppearanceConfig:

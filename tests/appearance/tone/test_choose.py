@@ -120,7 +120,7 @@ def test_the_lowest_error_is_taken_if_a_cameras_response_lags(origin, scores, ex
 
 
 def test_a_lag_counts_by_its_standard_error():
-    noisy = [table(8.0), table(9.0, noise=6.0)]  # 0.3 codes over 400 blocks
+    noisy = [table(8.0), table(9.0, noise=10.0)]  # 0.5 codes over 400 blocks
     assert chosen_number(noisy, NAMES[:2], "auto") == 1
     assert chosen_number([table(8.0), table(9.0)], NAMES[:2], "auto") == 0
 

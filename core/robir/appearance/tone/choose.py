@@ -90,24 +90,13 @@ class ToneChoice:
         return self.suns
 
 
-def ranked_under(state: ToneChoice, light: Light) -> ToneChoice:
-    """The same with curves that are ranked under the suns of a light.
-
-    Args:
-        state: Scene and curves.
-        light: With suns; their strengths are found anew under each curve.
-    """
-    candidates = ranked(state.scene, state.fitting, light, state.config)
-    return replace(state, candidates=candidates)
-
-
 def _search_suns(state: ToneChoice) -> ToneChoice:
     problem = make_problem(state.scene, state.first)
     return replace(state, suns=find_suns(problem, state.config, state.seed))
 
 
 def _rank(state: ToneChoice) -> ToneChoice:
-    return ranked_under(state, state.found)
+    return replace(state, candidates=ranked(state.scene, state.fitting, state.found, state.config))
 
 
 SEARCH: tuple[Step[ToneChoice], ...] = (
