@@ -32,8 +32,8 @@ CAMERA = "camera"
 """Name of the mean response of cameras."""
 
 # Standard errors by which the response of cameras must lag the best curve before that is taken, by
-# where the photographs are from. Errors of the light bend shades as curves do. On nine drawn
-# captures of photographs it lagged by up to 2.4, on seven of eleven renderings by 3.1 to 5.5; on the
+# where the photographs are from. Errors of the light bend shades as curves do: it lagged by up to
+# 2.4 on nine drawn captures of photographs, by 3.1 to 5.5 on seven of eleven renderings. On the
 # other four its albedo is better by up to 3 dB, or worse by 1.
 _CAMERA_LAG = {"auto": 2.5, "camera": np.inf, "render": -np.inf}
 
