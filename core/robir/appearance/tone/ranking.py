@@ -110,26 +110,17 @@ def error_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
 def ranked(
     scene: Scene, curves: list[AbstractToneCurve], found: Light, config: AppearanceConfig
 ) -> list[Candidate]:
-    """The curves with their scores under the suns found, the chosen one first.
-
-    A curve of more contrast starts farther from its light. So before a camera's response is given
-    up, its light and that of the best are settled by further steps.
-    """
+    """The curves with their scores under the suns found, the chosen one first."""
     models: list[tuple[Problem, Light]] = []
     for curve in curves:
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
         models.append((problem, replace(light, history=found.history)))
-    names = [curve.name for curve in curves]
-    tables = error_tables(models)
-    if CAMERA in names and np.isfinite(limit := _CAMERA_LAG[config.origin]):
-        two = names.index(CAMERA), _best(tables, names)
-        lag, error = _lag(*(tables[number] for number in two))
-        if lag > limit * error:
-            for number in two:
-                models[number] = _settled(*models[number], config.iterations)
-            tables = error_tables(models)
-    chosen = chosen_number(tables, names, config.origin)
+    names, tables = [curve.name for curve in curves], error_tables(models)
+    if CAMERA in names and _camera_holds(models, tables, names, config):
+        chosen = names.index(CAMERA)
+    else:
+        chosen = simplest_near_best(tables, names)
     candidates = [
         Candidate(
             curve=curve,
@@ -146,30 +137,54 @@ def ranked(
     return [first, *sorted(candidates, key=lambda candidate: candidate.score)]
 
 
-def chosen_number(tables: list[Table], names: list[str], origin: str) -> int:
-    """Number of the curve to be taken.
+def simplest_near_best(tables: list[Table], names: list[str]) -> int:
+    """Number of the simplest curve within `SIMPLER_MARGIN` of the lowest error.
 
-    The simplest within `SIMPLER_MARGIN` of the lowest error; before all others the response of
-    cameras, unless it clearly lags.
+    A camera's response is none of them, where there are others.
 
     Args:
         tables: Display errors under each curve, 0..1.
         names: Of the curves, simplest first.
-        origin: Where the photographs are from, as in the configuration.
     """
     best = _best(tables, names)
-    if CAMERA in names:
-        camera = names.index(CAMERA)
-        lag, error = _lag(tables[camera], tables[best])
-        if lag <= _CAMERA_LAG[origin] * error:
-            return camera
+    near = (n for n, name in enumerate(names) if name != CAMERA and not _lags(tables, n, best))
+    return next(near, best)
 
-    def is_near(number: int) -> bool:
-        lag, error = _lag(tables[number], tables[best])
-        return lag <= SIMPLER_MARGIN * error
 
-    others = (number for number, name in enumerate(names) if name != CAMERA and is_near(number))
-    return next(others, best)
+def camera_lags(tables: list[Table], names: list[str], origin: str) -> bool:
+    """Whether a camera's response lags the best of the others by more than its margin.
+
+    Args:
+        tables: Display errors under each curve, 0..1.
+        names: Of the curves.
+        origin: Where the photographs are from, as in the configuration.
+    """
+    camera, best = names.index(CAMERA), _best(tables, names)
+    return camera != best and _lags(tables, camera, best, _CAMERA_LAG[origin])
+
+
+def _camera_holds(
+    models: list[tuple[Problem, Light]],
+    tables: list[Table],
+    names: list[str],
+    config: AppearanceConfig,
+) -> bool:
+    """Whether the response of cameras is kept.
+
+    A curve of more contrast starts farther from its light. So before it is given up, its light and
+    that of the best are settled by further steps.
+    """
+    if not camera_lags(tables, names, config.origin):
+        return True
+    if not np.isfinite(_CAMERA_LAG[config.origin]):
+        return False
+    settled = list(models)
+    for number in (names.index(CAMERA), _best(tables, names)):
+        problem, light = models[number]
+        start = light.amplitudes
+        further = fit(problem, light.axes, light.sharpness, config.iterations, start=start)
+        settled[number] = (problem, further)
+    return not camera_lags(error_tables(settled), names, config.origin)
 
 
 def _best(tables: list[Table], names: list[str]) -> int:
@@ -178,10 +193,10 @@ def _best(tables: list[Table], names: list[str]) -> int:
     return min(others, key=lambda number: mean_of(tables[number]))
 
 
-def _settled(problem: Problem, light: Light, steps: int) -> tuple[Problem, Light]:
-    """The same with a light that was solved by further steps."""
-    further = fit(problem, light.axes, light.sharpness, steps, start=light.amplitudes)
-    return problem, replace(further, history=light.history)
+def _lags(tables: list[Table], number: int, best: int, margin: float = SIMPLER_MARGIN) -> bool:
+    """Whether the error of one curve is the greater by so many standard errors."""
+    lag, error = _lag(tables[number], tables[best])
+    return lag > margin * error
 
 
 def _lag(table: Table, other: Table) -> tuple[float, float]:
