@@ -96,7 +96,7 @@ def convert_apart(
 
 def _blender() -> list[str]:
     """The beginning of a command of the Blender that this is: a whole one, or the wheel."""
-    package = __package__.rpartition(".")[0]
+    package = str(__package__).rpartition(".")[0]
     if bpy.app.binary_path:
         start = [bpy.app.binary_path, "--background", "--disable-autoexec", "--addons", package]
         return [*start, "--command", "robir_scene"]
