@@ -14,6 +14,7 @@ import pytest
 from robir.capture.checks.frame_checks import check_frames
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import FrameSet
+from robir.capture.mesh_file import read_mesh
 from robir.capture.recognise import Workshop, read_frames, read_or_filmed
 from robir.capture.views import unheard
 from robir.errors import CaptureError
@@ -88,3 +89,14 @@ def test_a_recording_whose_frames_are_in_its_video(truth, tmp_path):
     for frame in found.frames:
         assert np.abs(poses - frame.camera_to_world).max(axis=(1, 2)).min() < 1e-5
     assert len(found.frames) == 20
+
+
+def test_a_quantised_mesh_keeps_its_layout():
+    given = read_mesh(REPORTS / "g1_mesh_quantized" / "ball.glb")
+    assert given.uvs.min() >= 0
+    assert 0.5 < given.uvs.max() <= 1
+
+
+def test_a_mesh_compressed_with_draco_is_refused_by_name():
+    with pytest.raises(CaptureError, match="compressed with Draco"):
+        read_mesh(REPORTS / "g2_mesh_draco" / "ball.glb")
