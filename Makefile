@@ -167,12 +167,13 @@ fuzz: setup
 	@for target in $(TARGETS); do \
 	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
 
-# Mutated captures, forged results, kills over all stages, faults of the disk and leaks, each with
-# its own count.
+# Mutated captures, forged results, strangers' libraries and scenes, kills over all stages, faults of
+# the disk and leaks, each with its own count.
 hostile: setup
 	@set -e; export PYTHONPATH=core:.:tests OMP_NUM_THREADS=1; \
 	$(BIN)/python -m hostile.corpus $(SEED) $(ROUNDS); \
 	$(BIN)/python -m hostile.forged $(SEED) $(FORGED); \
+	$(BIN)/python -m hostile.strangers $(SEED) $(FORGED) 60; \
 	$(BIN)/python -m hostile.kills $(KILLS) $(SEED); \
 	$(BIN)/python -m hostile.disk; \
 	$(BIN)/python -m tests.batch.kills 20 8 $(SEED); \

@@ -25,7 +25,7 @@ import numpy as np
 
 from .blocks import MARK
 from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
-from .capture.foreign_mesh import SUFFIXES, convert
+from .capture.foreign_mesh import SUFFIXES, bound, convert, convert_apart
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .relighting.lights import SHOWN_LIGHTS, found_environment, show_environment, turn_light
@@ -229,6 +229,9 @@ def convert_mesh(
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Make a GLB of a mesh file that only Blender reads."""
     _say(reports, {"progress": 0.0, "message": f"reading {options.file.name}"})
+    if not options.within:
+        return [options.out], convert_apart(options.file, options.out)
+    bound(options.within)
     return [options.out], convert(options.file, options.out)
 
 
@@ -367,10 +370,11 @@ def _parser() -> argparse.ArgumentParser:
         asset.add_argument(f"--{name}", default="", help="catalogue: its UUID")
     asset.add_argument("--tag", action="append", default=[], help="may be given more than once")
     asset.add_argument("--pack", action="store_true", help="with its textures in the file")
-    mesh = commands.add_parser("mesh", help="make a GLB of an FBX or USD file")
+    mesh = commands.add_parser("mesh", help="make a GLB of an FBX, USD or Alembic file")
     mesh.set_defaults(command=convert_mesh)
     mesh.add_argument("file", type=Path, metavar="FILE", help=", ".join(SUFFIXES))
     mesh.add_argument("out", type=Path, metavar="GLB", help="file to write")
+    mesh.add_argument("--within", type=int, help=argparse.SUPPRESS)  # bytes; read it in here
     for command in (scene, render, light, pictures, asset):
         command.add_argument("out", type=Path, metavar="OUT", help="finished result folder")
     for command in (render, light):

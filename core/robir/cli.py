@@ -132,8 +132,8 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         type=path_argument,
         metavar="FILE",
         help="take this mesh, in the capture's frame, or in any for photographs alone, instead of "
-        "reconstructing one: .glb, .gltf, .obj, .ply, .stl or .off (of .fbx and USD, Blender makes "
-        "a .glb first)",
+        "reconstructing one: .glb, .gltf, .obj, .ply, .stl or .off (of .fbx, .abc and USD, Blender "
+        "makes a .glb first)",
     )
     parser.add_argument(
         "--fit-mesh",

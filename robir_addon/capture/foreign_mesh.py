@@ -3,8 +3,16 @@
 
 Blender turns what a file says is up to its own z and takes a file's unit into account; the GLB is
 y-up as its standard wants it. The engine turns that back, so it has what Blender showed.
+
+A damaged file may end Blender or take all memory, so a Blender of its own reads it, within limits.
 """
 
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -14,14 +22,106 @@ from mathutils import Matrix
 from ..errors import RequestError, ResultError
 from ..gateway import replacing
 
-SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
-"""Kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself.
+SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")
+"""Kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself."""
 
-Alembic is none of them: of a damaged file Blender dies without a sentence.
-"""
+MOST_BYTES = 1 << 33
+"""Memory that reading may take; five million faces take a quarter of it."""
+
+MOST_SECONDS = 600.0
+"""Time on the clock, and of the processor, that reading may take."""
+
+_KINDS = {kind.exit_code: kind for kind in (RequestError, ResultError)}
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 """Types of objects that may have faces."""
+
+
+def convert_apart(
+    file: Path, out: Path, most_bytes: int = MOST_BYTES, most_seconds: float = MOST_SECONDS
+) -> tuple[str, ...]:
+    """Do as `convert` in a Blender of its own, which may die; arguments as there.
+
+    Args:
+        file: Of one of `SUFFIXES`.
+        out: File to write, of the suffix .glb; it must not exist.
+        most_bytes: Memory that it may take, where the system can bound it.
+        most_seconds: Time that it may take.
+
+    Returns:
+        Sentences for the user.
+
+    Raises:
+        RequestError: As `convert`, and if the file ends Blender or takes too much.
+        ResultError: If the GLB cannot be written.
+    """
+    _check(file, out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".robir-mesh-", dir=out.parent) as folder:
+        made = Path(folder, out.name)
+        words = ["mesh", str(file), str(made), "--within", str(most_bytes)]
+        entries = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, entries))}
+        environment.pop("ROBIR_FOLLOWED", None)
+        try:
+            done = subprocess.run(
+                [*_blender(), *words],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                check=False,
+                timeout=most_seconds,
+                env=environment,
+            )
+        except subprocess.TimeoutExpired:
+            raise RequestError(
+                "{file} takes longer than {seconds:g} s to read; export it smaller",
+                file=file,
+                seconds=most_seconds,
+            ) from None
+        notes, sentence = _heard(done)
+        if notes is None and sentence and done.returncode in _KINDS:
+            sentence = sentence.replace(str(made), str(out))
+            raise _KINDS[done.returncode]("{sentence}", sentence=sentence)
+        if notes is None:
+            raise RequestError(
+                "{file} ended Blender: it is damaged, or takes more than {most:.1f} GB of memory; "
+                "export it again with the program it comes from",
+                file=file,
+                most=most_bytes / 1e9,
+            )
+        with replacing(out) as temporary:
+            made.replace(temporary)
+    return notes
+
+
+def _blender() -> list[str]:
+    """The beginning of a command of the Blender that this is: a whole one, or the wheel."""
+    package = str(__package__).rpartition(".")[0]
+    if bpy.app.binary_path:
+        start = [bpy.app.binary_path, "--background", "--disable-autoexec", "--addons", package]
+        return [*start, "--command", "robir_scene"]
+    return [sys.executable, "-P", "-m", f"{package}.headless"]
+
+
+def _heard(done: subprocess.CompletedProcess[bytes]) -> tuple[tuple[str, ...] | None, str]:
+    """Notes that a reader of a mesh ends with, None where it did not come so far; its error."""
+    for line in reversed(done.stdout.decode("utf-8", "replace").splitlines()):
+        with suppress(ValueError, LookupError, TypeError):
+            return tuple(json.loads(line)["notes"]), ""
+    lines = done.stderr.decode("utf-8", "replace").splitlines()
+    ours = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return None, (ours or [""])[-1]
+
+
+def bound(most_bytes: int) -> None:
+    """Have the system end this process where it takes more memory or time; not on Windows."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        seconds = int(MOST_SECONDS)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def convert(file: Path, out: Path) -> tuple[str, ...]:
@@ -93,7 +193,9 @@ def _load(file: Path) -> None:
     """Bring all of a file into the open scene."""
     path, suffix = str(file.resolve()), file.suffix.lower()
     try:
-        if suffix != ".fbx":
+        if suffix == ".abc":
+            done = bpy.ops.wm.alembic_import(filepath=path, set_frame_range=False)
+        elif suffix != ".fbx":
             # proxies stand where what is rendered stands
             done = bpy.ops.wm.usd_import(filepath=path, import_proxy=False, import_guide=False)
         elif "fbx_import" in dir(bpy.ops.wm):
@@ -120,7 +222,8 @@ def _parts() -> list[tuple[str, bpy.types.Mesh]]:
         if item.type not in _SOLID:
             continue
         mesh = bpy.data.meshes.new_from_object(item, preserve_all_data_layers=True, depsgraph=shown)
-        if mesh.polygons:
+        mesh.validate()  # corners that are not there end Blender later
+        if len(mesh.polygons):
             _place(mesh, instance.matrix_world.copy())
             found.append((item.name, mesh))
     return found

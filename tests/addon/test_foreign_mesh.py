@@ -89,6 +89,8 @@ for item in (body, lid):
     bpy.data.objects.remove(item)
 bpy.ops.export_scene.fbx(filepath=folder + "/bare.fbx")
 bpy.ops.wm.usd_export(filepath=folder + "/bare.usda")
+bpy.ops.mesh.primitive_cube_add(location=(3, 0, 0))
+bpy.ops.wm.alembic_export(filepath=folder + "/cube.abc", as_background_job=False)
 with open(folder + "/truth.json", "w") as file:
     json.dump(truth, file)
 """
@@ -292,6 +294,61 @@ def test_a_normal_map_goes_along(tmp_path, suffix):
 def test_files_that_hold_nothing_are_refused_in_a_sentence(tmp_path, kind, content):
     (tmp_path / f"bad.{kind}").write_bytes(content)
     refused(tmp_path / f"bad.{kind}", tmp_path / "bad.glb", f"bad.{kind} cannot be read (")
+
+
+def test_alembic_stands_as_it_stood(scans, tmp_path):
+    given = read_mesh(converted(scans / "cube.abc", tmp_path))
+    assert len(given.faces) == 12
+    assert given.vertices.min(0) == pytest.approx([2, -1, -1])
+
+
+def corners(count: str, *numbers: str) -> str:
+    """A USD file of one triangle that is damaged."""
+    return (
+        '#usda 1.0\ndef Mesh "Post"\n{\n    point3f[] points = [(1, 0, 0), (0, 2, 0), (0, 0, 3)]\n'
+        f"    int[] faceVertexCounts = [{count}]\n"
+        f"    int[] faceVertexIndices = [{', '.join(numbers)}]\n}}\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (corners("3", "0", "1", "2000000000"), ""),
+        (corners("2000000000", "0", "1", "2"), "ended Blender: it is damaged"),
+        (corners("3", "0", "1", "-7"), "shows no object with faces"),
+    ],
+)
+def test_files_that_end_blender_are_refused_in_a_sentence(tmp_path, content, sentence):
+    (tmp_path / "bad.usda").write_text(content)
+    refused(tmp_path / "bad.usda", tmp_path / "bad.glb", f"bad.usda {sentence}")
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.usda"]
+
+
+def test_half_an_alembic_file_is_refused_in_a_sentence(scans, tmp_path):
+    whole = (scans / "cube.abc").read_bytes()
+    (tmp_path / "cut.abc").write_bytes(whole[: len(whole) // 2])
+    refused(tmp_path / "cut.abc", tmp_path / "cut.glb", "cut.abc ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems bound no memory")
+def test_reading_has_so_much_memory_and_time(scans, tmp_path):
+    program = """
+import sys
+from pathlib import Path
+from robir_addon.capture.foreign_mesh import convert_apart
+from robir_addon.errors import RequestError
+for limits in ((1 << 20, 60.0), (1 << 33, 0.05)):
+    try:
+        convert_apart(Path(sys.argv[1]), Path("cube.glb"), *limits)
+    except RequestError as error:
+        print(error)
+"""
+    words = [sys.executable, "-c", program, str(scans / "cube.abc")]
+    run = subprocess.run(words, capture_output=True, text=True, check=True, cwd=tmp_path)
+    memory, time = run.stdout.splitlines()
+    assert "ended Blender: it is damaged, or takes more than 0.0 GB of memory" in memory
+    assert "takes longer than 0.05 s" in time
 
 
 @pytest.mark.parametrize("name", ["bare.fbx", "bare.usda"])

@@ -120,6 +120,13 @@ def test_faults_are_named_with_their_line(folder, text, line, word):
     assert word in str(fault.value)
 
 
+def test_links_to_their_own_folder_are_not_followed(folder):
+    for number in range(8):
+        (folder / "shots" / f"again{number}").symlink_to(".")
+    with pytest.raises(UsageError, match="matches no folder"):
+        read_plan([written(folder, f"[[capture]]\npath = 'shots{'/*' * 9}'")], {}, HERE)
+
+
 def test_names_of_many_bytes_or_of_no_text_are_refused(folder, tmp_path):
     (folder / "many").mkdir()
     (folder / "many" / ("x" * 250)).mkdir()

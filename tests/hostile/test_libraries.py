@@ -86,3 +86,15 @@ def test_a_lock_is_no_link(tmp_path):
         pass
     assert holder(tmp_path / "lock") is None
     assert (tmp_path / "precious").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"), [(".batch/cap.toml", False), ("blender_assets.cats.txt", True)]
+)
+def test_files_that_are_no_text_end_nothing(planned, tmp_path, capsys, name, kept):
+    file = planned.root / name
+    file.write_bytes(b"# \x91\xed\n")
+    before = file.read_bytes()
+    words = ["--resume", "--on", "openjd", "--format", "blend"]
+    assert cli.main(["batch", "-o", str(planned.root), *words]) == 0
+    assert file.read_bytes().startswith(before) == kept

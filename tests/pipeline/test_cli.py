@@ -114,6 +114,7 @@ def test_a_bug_is_one_sentence_and_a_traceback_in_the_log(stages, capture, tmp_p
         (["--set", "geometry.rayz=3"], "did you mean 'rays'"),
         (["--set", "geometry.rays=many"], "must be a whole number"),
         (["--set", "nonsense"], "section.key=value"),
+        (["--set", "appearance.sun=[1e-320,0,0]"], "must be a finite number"),
         (["--seed", "-1"], "seed is -1"),
         (["--config", "absent.toml"], "cannot read the settings"),
     ],

@@ -26,7 +26,7 @@ def write_facts(plan: Plan, paths: LibraryPaths) -> None:
 
 def _write_if_other(paths: LibraryPaths, name: str, text: str) -> None:
     file = paths.facts(name)
-    if not file.is_file() or file.read_text(encoding="utf-8") != text:
+    if not file.is_file() or file.read_bytes() != text.encode():
         with replacing(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -34,7 +34,8 @@ def _write_if_other(paths: LibraryPaths, name: str, text: str) -> None:
 def _write_catalogues(catalogues: set[str], paths: LibraryPaths) -> None:
     """Add what is missing; lines that Blender or the user wrote stay."""
     file = paths.catalogues
-    before = file.read_text(encoding="utf-8") if file.is_file() else _HEAD
+    as_it_is = {"encoding": "utf-8", "errors": "surrogateescape"}  # lines of others may be anything
+    before = file.read_text(**as_it_is) if file.is_file() else _HEAD
     lines = [
         f"{catalogue_id(name)}:{name}:{name.replace('/', '-')}\n"
         for name in sorted(set(_with_parents(catalogues)))
@@ -42,7 +43,7 @@ def _write_catalogues(catalogues: set[str], paths: LibraryPaths) -> None:
     ]
     if lines:
         with replacing(file) as temporary:
-            temporary.write_text(before + "".join(lines), encoding="utf-8")
+            temporary.write_text(before + "".join(lines), **as_it_is)
 
 
 def _with_parents(catalogues: Iterable[str]) -> Iterator[str]:

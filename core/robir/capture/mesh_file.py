@@ -34,7 +34,7 @@ from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")  # kinds of files that are read here
 # kinds of files that only Blender reads; the add-on makes a GLB of them
-FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
+FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")
 MAX_BYTES = 1 << 29  # largest file; five million triangles have a half of it
 _MAX_TEXT_BYTES = 1 << 28  # largest file of words; it takes several times its size to read
 # normal maps, and which of them each material has; see `normal_maps`

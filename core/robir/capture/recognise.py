@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +29,8 @@ from robir.capture.images.decode import may_hold_alpha
 from robir.capture.masks import given as mask_files
 from robir.capture.poses import sfm
 from robir.capture.poses.register import register
-from robir.capture.poses.sources import find_photographs, is_video
+from robir.capture.poses.sources import find_photographs, is_video, take_frames
+from robir.capture.readers import phones
 from robir.capture.readers.files import children
 from robir.capture.readers.transforms import SYNTHETIC
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
@@ -175,7 +177,7 @@ def read_capture(
         frames = replace(frames, findings=(*frames.findings, *unread_poses(source)))
         progress = _part_of(progress, _REGISTERING, 1.0)
     else:
-        frames = read_frames(source, config.outside)
+        frames = read_or_filmed(source, config, workshop, progress)
     frames = without_left_out(frames, config)
     findings = [*frames.findings, *check_frames(frames)]
     _stop_on_errors(findings)
@@ -183,6 +185,23 @@ def read_capture(
         return _read_posed(source, (frames, findings), masks, (config, guesses, mesh), progress)
     except CaptureRefusedError as refusal:
         raise PosedRefusedError(refusal.findings, frames) from None
+
+
+def read_or_filmed(
+    source: Path, config: CaptureConfig, workshop: Workshop | None, progress: Progress
+) -> FrameSet:
+    """Posed frames; those of a recording of Stray Scanner are taken from its video if need be."""
+    try:
+        return read_frames(source, config.outside)
+    except CaptureRefusedError as refusal:
+        poses, video = (source / name for name in phones.STRAY_FILES)
+        is_film = refusal.findings[0].code == phones.FRAMES_IN_VIDEO and video.is_file()
+        if workshop is None or not is_film or leads_out(video, [source]):
+            raise
+    shutil.rmtree(workshop.folder, ignore_errors=True)
+    notes = take_frames(video, workshop.folder, progress)
+    frames = phones.read_stray_scanner(poses, workshop.folder)
+    return replace(frames, findings=(*notes, *frames.findings))
 
 
 def _read_posed(

@@ -101,8 +101,8 @@ def test_heic_is_upright(tmp_path: Path):
         assert lens_of(exif_values(stored) or {}, stored.size).focal is not None
 
 
-def write_dng(path: Path, mosaic: np.ndarray) -> None:
-    """A linear RGGB sensor of 16 bits, as a minimal DNG."""
+def write_dng(path: Path, mosaic: np.ndarray, pattern: tuple[int, ...] = (0, 1, 1, 2)) -> None:
+    """A linear sensor of 16 bits, RGGB if nothing else is said, as a minimal DNG."""
     import tifffile
 
     matrix = [32406, 10000, -15372, 10000, -4986, 10000, -9689, 10000, 18758, 10000, 415, 10000,
@@ -111,7 +111,7 @@ def write_dng(path: Path, mosaic: np.ndarray) -> None:
         (50706, "B", 4, (1, 4, 0, 0), True),  # DNG version
         (50708, "s", 0, "Test", True),  # camera
         (33421, "H", 2, (2, 2), True),  # pattern's size
-        (33422, "B", 4, (0, 1, 1, 2), True),  # RGGB
+        (33422, "B", 4, pattern, True),
         (50714, "H", 1, 0, True),  # black
         (50717, "H", 1, 65535, True),  # white
         (50721, "2i", 9, matrix, True),  # sensor from XYZ
@@ -141,6 +141,15 @@ def test_raw_is_developed_upright_at_half_its_size(tmp_path: Path):
     (tmp_path / "b.dng").write_bytes(b"II*\0torn")
     with pytest.raises(CaptureRefusedError, match="truncated or damaged"):
         read_photo(tmp_path / "b.dng", None)
+
+
+def test_raw_of_a_sensor_without_colours_is_grey(tmp_path: Path):
+    pytest.importorskip("rawpy", reason="RAW NOT TESTED: no rawpy")
+    mosaic = np.full((64, 96), 20000, np.uint16)
+    write_dng(tmp_path / "grey.dng", mosaic, pattern=(0, 0, 0, 0))
+    photo = read_photo(tmp_path / "grey.dng", None)
+    assert photo.image_display.shape[2] == 3
+    assert (photo.image_display == photo.image_display[:, :, :1]).all()
 
 
 def test_sharpness_knows_blur_and_not_contrast():

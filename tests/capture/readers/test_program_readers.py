@@ -5,19 +5,22 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture import app_writers, program_writers, writers
 from capture.readers.test_every_format import read_back
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
 from robir.capture.poses.sources import find_photographs
-from robir.capture.recognise import read_capture, read_frames
+from robir.capture.recognise import Workshop, read_capture, read_frames, read_or_filmed
 from robir.capture.refusal import CaptureRefusedError
+from robir.capture.views import unheard
 
 OFFSET = (Rotation.from_euler("xyz", [0.2, 0.1, -0.4]).as_matrix(), np.array([0.3, -0.1, 0.2]))
 """Rotation and place of the second camera of a rig in the first one's frame."""
@@ -233,6 +236,40 @@ def test_a_recording_of_stray_scanner_without_frames(shots, tmp_path):
     assert said(tmp_path)["unused-cameras"].startswith("8 poses")
     (tmp_path / "rgb").rename(tmp_path / "depth")
     refused(tmp_path, "still in its video", "ffmpeg -i rgb.mp4")
+
+
+def blended(rgba: np.ndarray) -> np.ndarray:
+    """A picture (H, W, 3) on the grey that writers put under it."""
+    share = rgba[:, :, 3:] / 255
+    return rgba[:, :, :3] * share + 90 * (1 - share)
+
+
+def test_a_recording_of_stray_scanner_with_its_video(odd_shots, tmp_path):
+    """The odometry has twice as many rows as the film has frames; the capture stays as it is."""
+    av = pytest.importorskip("av", reason="VIDEO NOT TESTED: no av")
+    root = program_writers.stray_scanner(tmp_path / "scan", odd_shots)
+    pictures = sorted((root / "rgb").iterdir())
+    with av.open(str(root / "rgb.mp4"), "w") as film:
+        stream = film.add_stream("mpeg4", rate=24)
+        stream.width, stream.height, stream.pix_fmt = 48, 48, "yuv420p"
+        for picture in (file for file in pictures for _ in range(2)):
+            film.mux(stream.encode(av.VideoFrame.from_image(Image.open(picture))))
+        film.mux(stream.encode())
+    shutil.rmtree(root / "rgb")
+    before = sorted(root.rglob("*"))
+    workshop = Workshop(folder=tmp_path / "work", seed=0)
+    found = read_or_filmed(root, CaptureConfig(), workshop, unheard)
+    assert sorted(root.rglob("*")) == before
+    assert found.root == workshop.folder
+    assert found.findings[0].code == "video-frames"
+    assert len(found.frames) == 16
+    for number, frame in enumerate(found.frames):
+        assert frame.image == workshop.folder / f"frame_{number:06d}.png"
+        truth = odd_shots[number // 2].camera
+        np.testing.assert_allclose(frame.camera_to_world, truth.camera_to_world, atol=1e-9)
+    with Image.open(found.frames[6].image) as taken:
+        apart = np.asarray(taken.convert("RGB"), float) - blended(odd_shots[3].rgba)
+    assert np.abs(apart).mean() < 12
 
 
 @pytest.mark.parametrize("name", ["metadata", "metadata.json"])

@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 
 from robir.capture.checks.frame_checks import check_frames
+from robir.capture.config import CaptureConfig
 from robir.capture.frames import FrameSet
-from robir.capture.recognise import read_frames
+from robir.capture.mesh_file import read_mesh
+from robir.capture.recognise import Workshop, read_frames, read_or_filmed
+from robir.capture.views import unheard
 from robir.errors import CaptureError
 
 REPORTS = Path(__file__).parents[4] / "shared" / "reports"
@@ -76,6 +79,24 @@ def test_of_two_files_of_poses_the_one_with_the_lens_counts():
     assert "poses_bounds.npy is left aside" in found.findings[0].message
 
 
-def test_a_recording_whose_frames_are_in_its_video_says_how_to_take_them_out():
+def test_a_recording_whose_frames_are_in_its_video(truth, tmp_path):
     with pytest.raises(CaptureError, match=r"Stray Scanner.*ffmpeg -i rgb\.mp4"):
         read_frames(REPORTS / "d6_strayscanner")
+    pytest.importorskip("av", reason="VIDEO NOT TESTED: no av")
+    workshop = Workshop(folder=tmp_path, seed=0)
+    found = read_or_filmed(REPORTS / "d6_strayscanner", CaptureConfig(), workshop, unheard)
+    poses = np.array([frame.camera_to_world for frame in truth.frames])
+    for frame in found.frames:
+        assert np.abs(poses - frame.camera_to_world).max(axis=(1, 2)).min() < 1e-5
+    assert len(found.frames) == 20
+
+
+def test_a_quantised_mesh_keeps_its_layout():
+    given = read_mesh(REPORTS / "g1_mesh_quantized" / "ball.glb")
+    assert given.uvs.min() >= 0
+    assert 0.5 < given.uvs.max() <= 1
+
+
+def test_a_mesh_compressed_with_draco_is_refused_by_name():
+    with pytest.raises(CaptureError, match="compressed with Draco"):
+        read_mesh(REPORTS / "g2_mesh_draco" / "ball.glb")

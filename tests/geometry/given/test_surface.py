@@ -134,6 +134,16 @@ def test_a_misplaced_mesh_is_told_how_it_would_fit_and_brought_there(capture, tm
     assert any("was turned by" in note for note in handed.notes)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-12, 1e7])
+def test_size_takes_nothing_from_finding_the_place(capture, tmp_path, size):
+    solid = placed(statue())
+    solid.apply_scale(size)
+    handed = hand(capture, solid, tmp_path, fit_mesh=True)
+    apart = handed.mesh.vertices[handed.mesh.faces] - statue().triangles
+    assert np.linalg.norm(apart, axis=-1).max() < 0.02
+
+
 def mirrored(solid: trimesh.Trimesh) -> trimesh.Trimesh:
     solid.apply_transform(np.diag([-1.0, 1, 1, 1]))
     return solid

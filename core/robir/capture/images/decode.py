@@ -248,7 +248,8 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
             )
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
-    picture = Image.fromarray(pixels)
+    # a monochrome sensor has one channel
+    picture = Image.fromarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
     picture.info[DEVELOPED] = True
     # Most RAW files are TIFF as well, so the lens can be read; the picture is upright already.
     file.seek(0)

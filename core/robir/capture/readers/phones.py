@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -171,9 +172,11 @@ def read_record3d(path: Path) -> FrameSet:
 
 # Stray Scanner: odometry.csv, camera_matrix.csv and the frames of rgb.mp4. A row is a frame's
 # number, position and quaternion, camera-to-world with OpenCV axes (docs/format.md of
-# strayrobots/scanner); newer recordings have fx, fy, cx and cy in it. The frames must have been
-# taken out of the video, under their numbers.
+# strayrobots/scanner); newer recordings have fx, fy, cx and cy in it. Frames that were taken out of
+# the video bear their numbers.
 
+STRAY_FILES = ("odometry.csv", "rgb.mp4")  # poses and video of a recording
+FRAMES_IN_VIDEO = "frames-in-video"  # code of the finding where no frames were taken out yet
 _STRAY_CURE = "Copy the recording from the phone again."
 
 
@@ -192,11 +195,15 @@ class _Odometry(msgspec.Struct):
     cy: Number | None = None
 
 
-def read_stray_scanner(path: Path) -> FrameSet:
-    """Read the poses of the frames that were taken out of the video of Stray Scanner."""
+def read_stray_scanner(path: Path, taken: Path | None = None) -> FrameSet:
+    """Read the poses of the frames that were taken out of the video of Stray Scanner.
+
+    They are in one of the usual folders, or in the one given.
+    """
     root = path.parent
-    places = [root / name for name in reversed(IMAGE_FOLDERS)]
-    pictures = {file.stem: file for place in places for file in pictures_in(place)}
+    places = [taken] if taken else [root / name for name in reversed(IMAGE_FOLDERS)]
+    files = [file for place in places for file in pictures_in(place)]
+    pictures = {file.stem.removeprefix("frame_"): file for file in files}
     heads, *lines = load_table(path, _STRAY_CURE) or [[]]
     shots = []
     for line in lines:
@@ -207,11 +214,12 @@ def read_stray_scanner(path: Path) -> FrameSet:
             picture, own = pictures[row.frame], [row.fx, row.fy, row.cx, row.cy]
             fx, fy, cx, cy = own if None not in own else _matrix(root / "camera_matrix.csv")
             pose = opencv_pose(turned_by([row.qw, row.qx, row.qy, row.qz]), [row.x, row.y, row.z])
-            lens, name = Lens(fx=fx, fy=fy, cx=cx, cy=cy), picture.relative_to(root).as_posix()
+            name = picture.relative_to(taken or root).as_posix()
+            lens = Lens(fx=fx, fy=fy, cx=cx, cy=cy)
             shots.append(Shot(name=name, image=picture, lens=lens, pose=pose))
     if not shots:
         raise refuse(
-            "frames-in-video",
+            FRAMES_IN_VIDEO,
             f"{path} is a recording of Stray Scanner whose frames are still in its video",
             'Take them out, in its folder: mkdir rgb, then "ffmpeg -i rgb.mp4 -start_number 0 '
             '-q:v 2 rgb/%06d.jpg"; keep about 200 that are sharp.',
@@ -221,7 +229,8 @@ def read_stray_scanner(path: Path) -> FrameSet:
     if len(shots) < len(lines):
         message = f"{len(lines) - len(shots)} poses of {path.name} have no photograph"
         findings.append(note("unused-cameras", message))
-    return frame_set(path, "stray-scanner", shots, findings)
+    found = frame_set(path, "stray-scanner", shots, findings)
+    return found if taken is None else replace(found, root=taken)
 
 
 def _matrix(path: Path) -> list[float]:

@@ -130,7 +130,7 @@ def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
         notes=level_notes(levels),
         strip=data_address("image/png", paths.levels_strip.read_bytes()) if levels["views"] else "",
     )
-    page = paths.report.read_text(encoding="utf-8")
+    page = paths.report.read_text(encoding="utf-8", errors="replace")
     before, mark, after = page.partition(_LEVELS_START)
     if mark:
         after = after.partition(_LEVELS_END)[2]

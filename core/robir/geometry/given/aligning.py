@@ -73,7 +73,7 @@ def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Pat
             return Aligned(capture=capture, frame=None, agreement=now, notes=())
     to_capture = _from_unit(*Outlines(capture.train, COARSE_SIDE).sphere())
     views = capture.moved(to_capture.inverse).train
-    place, then = better_place(from_unit.inverse(used), tracer, views, is_lost=True)
+    place, then = better_place(from_unit.inverse(used), tracer, views, None)
     if then.share < _ALIGNS or np.linalg.det(place.turn) < 0:
         show_fit(tracer, (place,), views, picture)
         raise CaptureError(_why_not(place, then, picture))

@@ -163,18 +163,17 @@ def better_place(
     vertices: Array,
     tracer: EmbreeTracer,
     views: Sequence[View],
-    *,
-    is_lost: bool = False,
+    here: Similarity | None,
 ) -> tuple[Similarity, Agreement]:
     """The similarity that brings a mesh where its outline fits the masks best, and how well.
 
     It mirrors only where nothing else fits.
 
     Args:
-        vertices: (N, 3) of the mesh, unit frame.
-        tracer: Of the mesh where it is.
+        vertices: (N, 3) of the mesh, its bounding sphere being the unit sphere.
+        tracer: Of the same.
         views: Training views, unit frame.
-        is_lost: Whether the mesh's own place tells nothing, and the unit sphere little.
+        here: What brings it to where it is; None where that tells nothing.
     """
     coarse = Outlines(views, COARSE_SIDE)
     fine = Outlines(views, FINE_SIDE)
@@ -184,8 +183,9 @@ def better_place(
         return place, fine.of(tracer, place)
 
     centre, radius = enclosing_sphere(vertices)
-    found, best = AS_IT_IS, fine.of(tracer, AS_IT_IS)
-    if best.share > _NEARLY and not is_lost:
+    found = here or AS_IT_IS
+    best = fine.of(tracer, found)
+    if here and best.share > _NEARLY:
         # what is off by a little is not searched for far away
         found, best = finished(found)
     for handed in (1.0, -1.0):
@@ -196,7 +196,7 @@ def better_place(
             for turn in handed * _turns(_TURNS)
             for scale in [1 / (MARGIN * radius)]
         ]
-        for _ in range(_BALANCES if is_lost else 0):
+        for _ in range(0 if here else _BALANCES):
             tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
         first = np.argsort(-shares)[:_FOLLOWED]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from robir.capture.bounds import enclosing_sphere
 from robir.capture.capture import GUESSED_MASKS, MESH_MASKS, Bounds, Capture, View
 from robir.capture.mesh_file import Given, read_mesh
 from robir.errors import CaptureError
@@ -37,7 +38,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.remask import cut_about
 from robir.jobs.context import Reporter
-from robir.maths.similarity import AS_IT_IS, Similarity
+from robir.maths.similarity import Similarity
 
 _LIKELY = 0.75  # that a place has at least which is proposed
 
@@ -157,27 +158,30 @@ def _placed(
     """The mesh where the photographs show it, as it is or, if that is asked for, moved."""
     views = captures[1].train
     vertices, faces = given.vertices, given.faces
-    tracer = covering(vertices, faces)
-    now = Outlines(views, FINE_SIDE).of(tracer, AS_IT_IS)
+    # of the mesh as a unit sphere: a ray meets nothing of faces that are much smaller or larger
+    centre, radius = enclosing_sphere(vertices[np.unique(faces)])
+    here = Similarity(turn=np.eye(3), scale=radius, shift=centre)
+    tracer = covering(here.inverse(vertices), faces)
+    now = Outlines(views, FINE_SIDE).of(tracer, here)
     is_judge = not any(finding.code == MESH_MASKS for finding in captures[1].findings)
     if not is_judge or (now.share >= FITS and not config.fit_mesh):
         return given, now
-    place, then = better_place(vertices[np.unique(faces)], tracer, views)
-    bounds = captures[0].bounds
+    there, then = better_place(here.inverse(vertices[np.unique(faces)]), tracer, views, here)
+    place, bounds = there.after(here.inverse), captures[0].bounds
     own = place.outside(bounds.centre, bounds.radius)
     how = f"its outline and the masks share {now.share:.0%} of what either has"
     gain = 0.0 if config.fit_mesh else BETTER
     if then.share < _LIKELY or then.share <= now.share + gain:
         if is_related(now):
             return given.noted(*poor_fit(now)), now
-        show_fit(tracer, (AS_IT_IS, place), views, picture)
+        show_fit(tracer, (here, there), views, picture)
         raise CaptureError(
             f"the mesh does not belong to these photographs: {how}, and no turn, scale and shift "
             f"makes it more than {then.share:.0%}; give the mesh of this object, and look at "
             f"{picture} and at the masks"
         )
     if np.linalg.det(place.turn) < 0:
-        show_fit(tracer, (AS_IT_IS, place), views, picture)
+        show_fit(tracer, (here, there), views, picture)
         raise CaptureError(
             f"the mesh is mirrored: {how}, its mirror image {then.share:.0%}; export it with the "
             f"axes of the capture, without a negative scale; {picture} shows both"
@@ -186,7 +190,7 @@ def _placed(
         normals = None if given.normals is None else given.normals @ place.turn.T
         moved = replace(given, vertices=place(vertices), normals=normals)
         return moved.noted(f"The mesh was {own.described()}.", *poor_fit(then)), then
-    show_fit(tracer, (AS_IT_IS, place), views, picture)
+    show_fit(tracer, (here, there), views, picture)
     raise CaptureError(
         f"the mesh does not fit the photographs: {how}. {own.described().capitalize()} it shares "
         f"{then.share:.0%}; have that done with --fit-mesh and --resume, or export the mesh in the "

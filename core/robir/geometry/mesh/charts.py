@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charts by xatlas: all that the child process of `unwrap` needs, without torch and scipy."""
+"""Charts by xatlas, joined and packed: all that the child process of `unwrap` needs."""
 
 from __future__ import annotations
 
 import json
 import math
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +22,34 @@ def xatlas_charts(
     vertices: NDArray[np.float32], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Texture coordinates (Nu, 2), v upwards, and their indices (Nf, 3), however long it takes."""
-    import xatlas  # here, because only the child process needs it
+    # here, because only the child process needs them
+    import xatlas
 
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices, faces.astype(np.uint32))
-    charts = xatlas.ChartOptions()
-    charts.max_iterations = 1
-    charts.max_cost = _MOST_COST
-    packing = xatlas.PackOptions()
-    packing.resolution = ATLAS_SIZE
-    packing.padding = GUTTER
-    packing.bilinear = True
-    packing.bruteForce = False
-    atlas.generate(chart_options=charts, pack_options=packing)
-    _, uv_faces, uvs = atlas[0]
-    return uvs.astype(np.float32), uv_faces.astype(np.int32)
+    from robir.geometry.mesh.merging import merged_charts
+
+    def packed(charts: xatlas.ChartOptions, *mesh: Any) -> tuple[Any, Any]:
+        packing = xatlas.PackOptions()
+        packing.resolution = ATLAS_SIZE
+        packing.padding = GUTTER
+        packing.bilinear = True
+        packing.bruteForce = False
+        atlas = xatlas.Atlas()
+        atlas.add_mesh(*mesh)
+        atlas.generate(chart_options=charts, pack_options=packing)
+        _, uv_faces, uvs = atlas[0]
+        return uvs.astype(np.float32), uv_faces.astype(np.int32)
+
+    options = xatlas.ChartOptions()
+    options.max_iterations = 1
+    options.max_cost = _MOST_COST
+    first = packed(options, vertices, faces.astype(np.uint32))
+    uvs, uv_faces = merged_charts(vertices, faces, first)
+    place = np.zeros(len(uvs), np.int64)
+    place[uv_faces] = faces
+    options.use_input_mesh_uvs = True
+    # without normals: these would only split what has been joined
+    uvs = np.ascontiguousarray(uvs, np.float32)
+    return packed(options, vertices[place], uv_faces.astype(np.uint32), None, uvs)
 
 
 def main(source: str, target: str, seconds: str, constants: str) -> None:
