@@ -22,6 +22,7 @@ from typing import Any, TextIO
 
 import bpy
 import numpy as np
+from mathutils import Matrix, Vector
 
 from .blocks import MARK
 from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
@@ -260,12 +261,22 @@ def _turntable(
     name = f"turntable_{environment.stem}_{camera[VIEW]}"
     _picture(renders, name)
     use_camera(scene, camera, options.max_side)
+    if options.side:
+        grown = options.side / min(scene.render.resolution_x, scene.render.resolution_y)
+        scene.render.resolution_x = round(grown * scene.render.resolution_x)
+        scene.render.resolution_y = round(grown * scene.render.resolution_y)
     show_environment(scene, scene.world, environment)
-    frames = []
+    asset = next(o for o in scene.objects if o.type == "MESH" and MARK in o)
+    start, middle, frames = asset.matrix_world.copy(), Vector(_points_of_asset(scene).mean(0)), []
     for index in range(count):
-        message = f"turning the light, frame {index + 1} of {count}"
+        message = f"turntable, frame {index + 1} of {count}"
         _say(reports, {"progress": index / count, "message": message})
-        turn_light(scene, math.radians(options.rotation) + 2.0 * math.pi * index / count)
+        turn = 2.0 * math.pi * index / count
+        if options.turns != "light":
+            about = Matrix.Translation(middle) @ Matrix.Rotation(turn, 4, "Z")
+            asset.matrix_world = about @ Matrix.Translation(-middle) @ start
+        of_light = (options.turns != "object") * turn
+        turn_light(scene, math.radians(options.rotation) + of_light)
         frames.append(renders / name / f"{index + 1:04d}.png")
         render_still(scene, frames[-1], table)
     film = renders / f"{name}.mp4"
@@ -362,6 +373,8 @@ def _parser() -> argparse.ArgumentParser:
     light.add_argument(
         "--turntable", type=int, default=0, metavar="N", help="frames of a full turn"
     )
+    light.add_argument("--turns", choices=("light", "object", "both"), default="light")
+    light.add_argument("--side", type=int, default=0, help="shorter side of the film, pixels")
     pictures = commands.add_parser("lights", help="small pictures under several lights")
     pictures.set_defaults(command=picture_lights)
     asset = commands.add_parser("asset", help="make export/asset.blend for Blender's library")

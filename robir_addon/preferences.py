@@ -28,6 +28,13 @@ _shown: list[tuple[float, Status]] = []
 _FRESH_SECONDS = 1.0
 
 
+def _forget_error(_preferences: object, context: bpy.types.Context) -> None:
+    """What went wrong with another engine is no news of the one that is chosen now."""
+    state = context.window_manager.robir
+    state.error = state.error_cure = state.engine_error = state.engine_text = ""
+    _shown.clear()
+
+
 class ROBIR_AP_preferences(bpy.types.AddonPreferences):
     """Which engine computes."""
 
@@ -41,11 +48,13 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
             ("EXISTING", "Existing environment", "A Python that has robir and torch already"),
         ),
         default="MANAGED",
+        update=_forget_error,
     )
     python: StringProperty(
         name="Python",
         description="Interpreter of the existing environment, or the environment's folder",
         subtype="FILE_PATH",
+        update=_forget_error,
     )
     torch_build: EnumProperty(
         name="Computes with",
@@ -55,12 +64,14 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
             ("CUDA", "NVIDIA graphics card", "Many times faster; 3 GB to download"),
         ),
         default="CPU",
+        update=_forget_error,
     )
     wheels: StringProperty(
         name="Folder of wheels",
         description="Install from the wheels in this folder and leave the network alone; "
         "empty downloads them",
         subtype="DIR_PATH",
+        update=_forget_error,
     )
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -76,8 +87,9 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         state = context.window_manager.robir
         status, box = engine_status(context), layout.box()
         is_at_work = state.task in ("install", "check_engine", "remove_engine")
-        if state.error and not is_at_work:  # what went wrong, not what would go wrong again
-            paragraph(box, context, state.error, "ERROR")
+        error = state.error if state.error == state.engine_error and not is_at_work else ""
+        if error:  # what went wrong, not what would go wrong again
+            paragraph(box, context, error, "ERROR")
             if state.error_cure:
                 paragraph(box, context, state.error_cure, "BLANK1")
         elif not is_at_work:
@@ -88,17 +100,31 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
                 paragraph(box, context, f"{cure[:1].upper()}{cure[1:]}", "BLANK1")
         if is_at_work:
             box.progress(factor=state.fraction, type="BAR", text=state.message)
-        elif state.engine_text and not state.error:
+        elif state.engine_text and not error:
             paragraph(box, context, state.engine_text, "CHECKMARK" if state.engine_ok else "ERROR")
         row = box.row(align=True)
         if state.task == "install":
             row.operator("robir.cancel_install", icon="CANCEL")
         elif self.engine == "MANAGED":
-            text = words("Update Engine" if status.state == "outdated" else "Install Engine")
-            row.operator("robir.install_engine", text=text, icon="IMPORT")
+            row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         row.operator("robir.check_engine", icon="CHECKMARK")
         if self.engine == "MANAGED":
             row.operator("robir.remove_engine", icon="TRASH")
+
+
+def install_text(context: bpy.types.Context) -> str:
+    """What pressing the button does, how much is downloaded and how long that takes.
+
+    Minutes are of a line of 50 Mbit/s, the unpacking included.
+    """
+    outdated = shown_engine_status(context).state == "outdated"
+    chosen = preferences_of(context)
+    what = words("Update Engine" if outdated else "Install Engine")
+    if chosen is None or chosen.wheels:
+        return what
+    size, minutes = ("3", 12) if chosen.torch_build == "CUDA" else ("0.5", 4)
+    text = "{what} ({size} GB, about {minutes} min)"
+    return words(text, what=what, size=size, minutes=minutes)
 
 
 def preferences_of(context: bpy.types.Context) -> Any:

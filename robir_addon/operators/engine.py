@@ -325,6 +325,7 @@ def _tell_error(error: EngineError) -> None:
 def _tell(error: str, cure: str) -> None:
     state = bpy.context.window_manager.robir
     state.error, state.error_cure = (_sentence(in_panel_words(text)) for text in (error, cure))
+    state.engine_error = state.error
 
 
 def _outcome(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:

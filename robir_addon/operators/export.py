@@ -21,7 +21,7 @@ from .shared import ImportedOperator, ResultOperator, result_paths, result_root
 
 
 class _SaveAs(ExportHelper):
-    """Asks for a file, beginning with one named after the result."""
+    """Asks for a file, beginning with one named after the result, and how much goes into it."""
 
     filepath: StringProperty(
         name="File",
@@ -29,22 +29,6 @@ class _SaveAs(ExportHelper):
         subtype="FILE_PATH",
         options={"HIDDEN", "SKIP_SAVE"},  # a file once written is not silently written again
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser; it asks before it overwrites."""
-        if not self.filepath:
-            self.filepath = f"{result_root(context).name}{self.filename_ext}"
-        return super().invoke(context, event)
-
-    def target(self) -> Path:
-        """The chosen file."""
-        if not self.filepath:
-            raise RequestError("no file was given; name a {kind} file", kind=self.filename_ext)
-        return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
-
-
-class _Sized:
-    """How much of the object goes into a file."""
 
     most_faces: IntProperty(
         name="Faces",
@@ -68,8 +52,23 @@ class _Sized:
         options={"SKIP_SAVE"},
     )
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser; it asks before it overwrites."""
+        if not self.filepath:
+            self.filepath = f"{result_root(context).name}{self.filename_ext}"
+        asset = asset_of(result_root(context))
+        if asset is not None and not self.most_faces:
+            self.most_faces = len(asset.data.polygons)  # a figure that one can start from
+        return super().invoke(context, event)
 
-class ROBIR_OT_export_glb(_SaveAs, _Sized, ResultOperator, bpy.types.Operator):
+    def target(self) -> Path:
+        """The chosen file."""
+        if not self.filepath:
+            raise RequestError("no file was given; name a {kind} file", kind=self.filename_ext)
+        return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
+
+
+class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
     """The object as it stands in the scene, or, before it is imported, as it was reconstructed."""
 
     bl_idname = "robir.export_glb"
@@ -131,7 +130,7 @@ def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path
         )
 
 
-class ROBIR_OT_export_usd(_SaveAs, _Sized, ImportedOperator, bpy.types.Operator):
+class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
     """The imported object with its present light."""
 
     bl_idname = "robir.export_usd"

@@ -4,33 +4,46 @@
 import bpy
 
 from ..result.importer import asset_of
-from ..result.known import sun_direction, texel_at, textured_object
-from ..words import told
+from ..result.known import show_spot, sun_direction, texel_at, textured_object
+from ..words import told, words
 from ..work.known import forget_spot, remember_spot
-from .shared import ImportedOperator, is_in_object_mode, result_root
+from .placing import ClickingOperator
+from .shared import result_root
 
 
-class ROBIR_OT_pick_spot(ImportedOperator, bpy.types.Operator):
+class ROBIR_OT_pick_spot(ClickingOperator, bpy.types.Operator):
     """A spot of the result whose paint is known."""
 
     bl_idname = "robir.pick_spot"
     bl_label = "Pick Spot"
     bl_description = (
-        "Take the spot of the result at the 3D cursor, which Shift and the right mouse button put "
-        "there, as one whose colour without light you know: a grey card, a label, a known paint"
+        "Click a spot of the object whose colour without light you know: a grey card, a label, "
+        "a known paint. A script takes the one at the 3D cursor"
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Where a result is in the file, but not in edit mode."""
-        return super().poll(context) and is_in_object_mode(cls, context)
+    def asset(self, context: bpy.types.Context) -> bpy.types.Object:
+        """What shows the result's textures."""
+        return textured_object(result_root(context))
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Let the user click it."""
+        text = "Click a spot whose colour you know; Esc leaves all as it is"
+        return self.begin(context, words(text))
+
+    def clicked(self, context: bpy.types.Context) -> set[str]:
+        """Take it."""
+        self.ruler.remove()
+        self._place = self.ruler.points[0]
+        return self.execute(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Find its place on the texture and remember that."""
-        root = result_root(context)
-        texel = texel_at(textured_object(root), context.scene.cursor.location)
+        """Find its place on the texture, remember that and show it by a dot."""
+        root, shown = result_root(context), self.asset(context)
+        place = getattr(self, "_place", context.scene.cursor.location)
+        texel = texel_at(shown, place)
         remember_spot(context.scene.robir, root, texel)
+        show_spot(shown, place)
         self.report({"INFO"}, told("The spot lies at {u:.3f}, {v:.3f}", u=texel[0], v=texel[1]))
 
 

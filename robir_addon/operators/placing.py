@@ -36,7 +36,44 @@ class _PlacingOperator(ImportedOperator):
         return asset
 
 
-class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
+class ClickingOperator(_PlacingOperator):
+    """Lets the user click points of the object in the viewport; Esc leaves all as it is."""
+
+    def begin(self, context: bpy.types.Context, sentence: str) -> set[str]:
+        """Wait for clicks.
+
+        Args:
+            context: Of the operator.
+            sentence: What the user is to do.
+        """
+        try:
+            self._asset_name = self.asset(context).name
+        except ResultError as error:
+            return self.refuse(context, told(error))
+        self.ruler = Ruler(sentence)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Take clicks on the object."""
+        if event.type in {"ESC", "RIGHTMOUSE"}:
+            self.ruler.remove()
+            return {"CANCELLED"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"}
+        asset = context.scene.objects.get(self._asset_name)
+        point = None if asset is None else _point_under_mouse(context, event, asset)
+        if point is None:
+            return {"RUNNING_MODAL"}
+        self.ruler.add(point)
+        return self.clicked(context)
+
+    def clicked(self, context: bpy.types.Context) -> set[str]:
+        """Use the ruler's points, the last of which is new; what the operator then returns."""
+        raise NotImplementedError
+
+
+class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
     """Two points of the object and how far apart they are."""
 
     bl_idname = "robir.set_real_size"
@@ -66,31 +103,15 @@ class ROBIR_OT_set_real_size(_PlacingOperator, bpy.types.Operator):
         """Let the user click two points; once they are known, ask how far apart they are."""
         if tuple(self.first) != tuple(self.second):
             return context.window_manager.invoke_props_dialog(self)
-        try:
-            self._asset_name = self.asset(context).name
-        except ResultError as error:
-            return self.refuse(context, told(error))
-        self._ruler = Ruler(words("Click a point of the object; Esc leaves all as it is"))
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.begin(context, words("Click a point of the object; Esc leaves all as it is"))
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Take clicks on the object; the length is asked for by another run, as this one ends."""
-        if event.type in {"ESC", "RIGHTMOUSE"}:
-            self._ruler.remove()
-            return {"CANCELLED"}
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
-            return {"PASS_THROUGH"}
-        asset = context.scene.objects.get(self._asset_name)
-        point = None if asset is None else _point_under_mouse(context, event, asset)
-        if point is None:
+    def clicked(self, context: bpy.types.Context) -> set[str]:
+        """The length is asked for by another run, as this one ends."""
+        if len(self.ruler.points) < 2:
+            self.ruler.say(words("Click the other point"))
             return {"RUNNING_MODAL"}
-        self._ruler.add(point)
-        if len(self._ruler.points) < 2:
-            self._ruler.say(words("Click the other point"))
-            return {"RUNNING_MODAL"}
-        first, second = self._ruler.points
-        self._ruler.remove()
+        first, second = self.ruler.points
+        self.ruler.remove()
         length = (second - first).length
         bpy.ops.robir.set_real_size("INVOKE_DEFAULT", first=first, second=second, length=length)
         return {"CANCELLED"}  # nothing was changed by this one
@@ -162,7 +183,11 @@ class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
             raise ResultError(
                 "this result has no flat ground; Crop to Box takes away what is not wanted"
             )
-        drop_ground(self.asset(context), plane, self.height * table["bounds"]["radius"])
+        asset = self.asset(context)
+        was_edited = is_edited(asset)
+        drop_ground(asset, plane, self.height * table["bounds"]["radius"])
+        if not was_edited:
+            mark_as_imported(asset)  # a newer mesh loses its ground as well
 
 
 class ROBIR_OT_crop_to_box(_PlacingOperator, bpy.types.Operator):
@@ -189,10 +214,11 @@ def _point_under_mouse(
     for area in context.screen.areas if context.screen else ():
         if area.type != "VIEW_3D":
             continue
-        region = next(region for region in area.regions if region.type == "WINDOW")
-        place = Vector((event.mouse_x - region.x, event.mouse_y - region.y))
-        if not (0 <= place.x < region.width and 0 <= place.y < region.height):
+        over = [r for r in area.regions if _is_over(r, event)]
+        region = next((r for r in over if r.type == "WINDOW"), None)
+        if region is None or len(over) > 1:  # the sidebar lies over the viewport
             continue
+        place = Vector((event.mouse_x - region.x, event.mouse_y - region.y))
         view = area.spaces.active.region_3d
         origin = region_2d_to_origin_3d(region, view, place)
         towards = region_2d_to_vector_3d(region, view, place)
@@ -202,6 +228,11 @@ def _point_under_mouse(
         if is_hit:
             return asset.matrix_world @ point
     return None
+
+
+def _is_over(region: bpy.types.Region, event: bpy.types.Event) -> bool:
+    x, y = event.mouse_x - region.x, event.mouse_y - region.y
+    return 0 <= x < region.width and 0 <= y < region.height
 
 
 CLASSES = (

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reconstruct the capture, stop that, or find a reconstruction that is at work again."""
+"""Reconstruct the capture, or follow the run of it that is at work, and stop that."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -12,13 +13,14 @@ from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
 from ..preferences import engine_python, engine_status
-from ..result.delight import target_of
+from ..result.delight import TARGET, mesh_file, target_of
+from ..result.importer import mark_of
 from ..words import reported, told
 from ..work import monitor
 from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import has_capture, is_refused, may_begin
-from .shared import MixedIn, refused
+from .shared import MixedIn, is_in_object_mode, refused
 
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
@@ -89,13 +91,45 @@ class ROBIR_OT_reconstruct(WorkerOperator, bpy.types.Operator):
     bl_label = "Reconstruct"
     bl_description = (
         "Reconstruct the captured object and import it when it is done; an unfinished "
-        "reconstruction is continued, and Blender may be closed meanwhile"
+        "reconstruction is continued or, at work, followed; Blender may be closed meanwhile"
     )
     bl_options = {"REGISTER", "UNDO"}
 
     def request(self, context: bpy.types.Context) -> client.Request:
         """The capture as it is chosen."""
         return request_of(context.scene.robir)
+
+
+class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
+    """From photographs and the object they show to its texture without light."""
+
+    bl_idname = "robir.delight"
+    bl_label = "De-light Object"
+    bl_description = (
+        "Make a material without shadows and highlights for the selected object, which stands "
+        "where the capture's photographs show it, or anywhere if these have no cameras; its own "
+        "material stays in its slot"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a mesh object, a capture and an engine, while nothing is at work."""
+        target = context.object
+        if target is None or target.type != "MESH" or not target.select_get():
+            cls.poll_message_set(told("Select the mesh object that the photographs show"))
+            return False
+        return is_in_object_mode(cls, context) and super().poll(context)
+
+    def request(self, context: bpy.types.Context) -> client.Request:
+        """What to ask of the engine; the object is written beside the result."""
+        settings, target = context.scene.robir, context.object
+        result = result_folder(settings)
+        assert result is not None
+        file = mesh_file(target, settings, result)
+        root = file.with_suffix("")
+        target[TARGET] = mark_of(root)
+        return replace(request_of(settings), out=root, mesh=file)
 
 
 class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
@@ -113,54 +147,23 @@ class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first where it was a key: Esc is pressed for many reasons."""
+        if event.type != "ESC":
+            return self.execute(context)
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Stop the work at hand?",
+            message="Finished stages of a reconstruction are kept.",
+            confirm_text="Stop",
+            icon="QUESTION",
+        )
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Ask it to stop; it is made to if it does not."""
         monitor.cancel()
         return {"FINISHED"}
-
-
-class ROBIR_OT_attach(bpy.types.Operator):
-    """Follow a reconstruction that is at work already."""
-
-    bl_idname = "robir.attach"
-    bl_label = "Follow Reconstruction"
-    bl_description = "Follow the reconstruction that is at work on this capture, whoever started it"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With a result folder, while nothing else is followed."""
-        if not may_begin(cls, context):
-            return False
-        if result_folder(context.scene.robir) is None:
-            cls.poll_message_set(told("Choose a capture or a result folder first"))
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Follow it and return."""
-        root = self._find(context)
-        if root is None:
-            return {"CANCELLED"}
-        monitor.watch(root)
-        return {"FINISHED"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Follow it to its end."""
-        root = self._find(context)
-        if root is None:
-            return {"CANCELLED"}
-        return _waited(self, context, root)
-
-    def _find(self, context: bpy.types.Context) -> Path | None:
-        root = result_folder(context.scene.robir)
-        if root is None:
-            return None
-        if not client.snapshot(root).is_live:
-            text = "No reconstruction is at work in {name}; start one"
-            self.report({"ERROR"}, told(text, name=root.name))
-            return None
-        return root
 
 
 def _waited(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> set[str]:
@@ -223,4 +226,4 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
 
 
-CLASSES = (ROBIR_OT_reconstruct, ROBIR_OT_cancel_reconstruct, ROBIR_OT_attach)
+CLASSES = (ROBIR_OT_reconstruct, ROBIR_OT_delight, ROBIR_OT_cancel_reconstruct)

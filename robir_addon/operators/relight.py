@@ -1,59 +1,36 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The recovered light or another on the imported object, and a film of the light turning."""
+"""Another light on the imported object, the object in its photograph, and films."""
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..engine import Sentence
-from ..errors import AddonError, RequestError
+from ..errors import AddonError, RequestError, ResultError
 from ..relighting.lights import (
-    STUDIO_LIGHTS,
+    choose_light,
     environment_file,
-    show_environment,
-    show_recovered_light,
     shows_recovered_light,
-    turn_light,
     world_of,
 )
-from ..result.importer import mark_of
+from ..result.compositing import clear_stage, set_stage
+from ..result.importer import asset_of, mark_of, read_cameras
 from ..result.summary import read_shown
 from ..words import told
 from ..work import monitor
 from ..work.child import blender_command
 from .shared import ImportedOperator, result_paths, result_root
 
-
-class ROBIR_OT_use_recovered_light(ImportedOperator, bpy.types.Operator):
-    """The light of the photographs."""
-
-    bl_idname = "robir.use_recovered_light"
-    bl_label = "Recovered Light"
-    bl_description = "Light the scene as the photographs were, not turned"
-    bl_options = {"REGISTER", "UNDO"}
-
-    def work(self, context: bpy.types.Context) -> None:
-        """Show the World's own light, and the suns as the settings say."""
-        settings = context.scene.robir
-        world = world_of(mark_of(result_root(context)))
-        show_recovered_light(context.scene, world, settings.use_sun_lamp)
-        settings.rotation = 0.0
-        turn_light(context.scene, 0.0)
+_FILM_SAMPLES = 16
+"""Cycles samples a pixel of a film, before the noise is taken out."""
 
 
-class _OtherLight(ImportedOperator):
-    def light_with(self, context: bpy.types.Context, file: Path) -> None:
-        """Show another environment, turned as the settings say; the Sun lamps are hidden."""
-        world = world_of(mark_of(result_root(context)))
-        show_environment(context.scene, world, file)
-        turn_light(context.scene, context.scene.robir.rotation)
-
-
-class ROBIR_OT_use_environment(_OtherLight, bpy.types.Operator, ImportHelper):
+class ROBIR_OT_use_environment(ImportedOperator, bpy.types.Operator, ImportHelper):
     """Any lat-long image as the light."""
 
     bl_idname = "robir.use_environment"
@@ -76,26 +53,28 @@ class ROBIR_OT_use_environment(_OtherLight, bpy.types.Operator, ImportHelper):
             if not file.name:
                 raise RequestError("no file was given; choose .exr or .hdr")
             raise RequestError("{name} is no environment; choose .exr or .hdr", name=file.name)
-        self.light_with(context, file)
+        choose_light(context.scene, world_of(mark_of(result_root(context))), str(file))
 
 
-class ROBIR_OT_use_studio_light(_OtherLight, bpy.types.Operator):
-    """A light that Blender ships."""
+class ROBIR_OT_into_photograph(ImportedOperator, bpy.types.Operator):
+    """The object in its photograph: shadow on the ground, photograph behind."""
 
-    bl_idname = "robir.use_studio_light"
-    bl_label = "Studio Light"
-    bl_description = "Light the scene with an environment that Blender ships"
+    bl_idname = "robir.into_photograph"
+    bl_label = "Put into Photograph"
+    bl_description = (
+        "Look through the active camera of the photographs, or the scene's: photograph behind, a "
+        "ground that catches the shadow, a transparent film for compositing. Press again to undo"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
-    light: EnumProperty(
-        name="Light", description="Which one", items=STUDIO_LIGHTS, default="studio"
-    )
-
     def work(self, context: bpy.types.Context) -> None:
-        """Take the file that came with Blender."""
-        folder = bpy.utils.system_resource("DATAFILES", path="studiolights/world")
-        self.light_with(context, Path(folder) / f"{self.light}.exr")
-        context.scene.robir.studio_light = self.light
+        """Set it up, or take it away."""
+        root = result_root(context)
+        asset = asset_of(root)
+        if asset is None:
+            raise ResultError("the object is not in this file; import the result again")
+        if not clear_stage(context.scene, mark_of(root)):
+            set_stage(context, asset, read_cameras(result_paths(context)).get("ground"))
 
 
 class _RenderingOperator(ImportedOperator):
@@ -125,7 +104,7 @@ class _RenderingOperator(ImportedOperator):
         """Start rendering and return; the panel shows how far it is."""
         try:
             command, environment = blender_command(self.words(context))
-            made = _Made(self.cancelled)
+            made = _Made(self.cancelled, is_opened=self.task == "turntable")
             monitor.run_task(self.task, command, made.on_line, made.on_end, environment)
         except AddonError as error:
             return self.refuse(context, told(error))
@@ -142,13 +121,13 @@ class _RenderingOperator(ImportedOperator):
 
 
 class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
-    """A film of the light going round the object once."""
+    """A film of the light or the object going round once."""
 
     bl_idname = "robir.turntable"
     bl_label = "Render Turntable"
     bl_description = (
-        "Render a film of the present light going round the object once, "
-        "in a Blender of its own; this one stays usable"
+        "Render a film of the light, the object or both going round once, "
+        "in a Blender of its own, and open it; this one stays usable"
     )
     bl_options = {"REGISTER"}
 
@@ -171,7 +150,8 @@ class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
         return [
             *("relight", str(paths.root), "--environment", str(light), *chosen),
             *("--rotation", f"{math.degrees(settings.rotation):.6f}"),
-            *("--turntable", str(settings.turntable_frames)),
+            *("--turntable", str(settings.turntable_frames), "--turns", settings.turns),
+            *("--side", str(settings.turntable_side), "--samples", str(_FILM_SAMPLES)),
         ]
 
 
@@ -198,14 +178,15 @@ class _Made:
 
     Args:
         cancelled: What to say where the user stopped it.
+        is_opened: Whether to open the file when it is there.
 
     Attributes:
         file: The last file that was written; None until it is there.
         problem: One sentence if there is none.
     """
 
-    def __init__(self, cancelled: Sentence) -> None:
-        self._cancelled = cancelled
+    def __init__(self, cancelled: Sentence, *, is_opened: bool = False) -> None:
+        self._cancelled, self._is_opened = cancelled, is_opened
         self.file: Path | None = None
         self.problem = ""
 
@@ -221,6 +202,9 @@ class _Made:
             text = "{file} is in {folder}"
             state.message = told(text, file=self.file.name, folder=self.file.parent.name)
             read_shown()  # the panel may have new pictures
+            if self._is_opened:
+                with suppress(RuntimeError):  # nothing on this machine shows films
+                    bpy.ops.wm.path_open(filepath=str(self.file))
         elif code == 130:
             state.message = told(self._cancelled)
         else:
@@ -231,9 +215,8 @@ class _Made:
 
 
 CLASSES = (
-    ROBIR_OT_use_recovered_light,
     ROBIR_OT_use_environment,
-    ROBIR_OT_use_studio_light,
+    ROBIR_OT_into_photograph,
     ROBIR_OT_turntable,
     ROBIR_OT_picture_lights,
 )

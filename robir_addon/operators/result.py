@@ -2,30 +2,22 @@
 """Bring a result into the file, and look at it beside what went in."""
 
 from pathlib import Path
-from typing import Any
 
 import bpy
-from bpy.props import IntProperty, StringProperty
+from bpy.props import StringProperty
 
 from ..blocks import MARK
-from ..capture.cameras import VIEW
 from ..capture.startup import bring_back
 from ..errors import ResultError
-from ..gateway import JobPaths
 from ..relighting.view_transform import match_view_transform
 from ..result.arrival import bring_in
-from ..result.captions import CAPTIONS
-from ..result.comparison import compare, neighbour
 from ..result.delight import give_back, target_of
-from ..result.importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
+from ..result.importer import asset_of, read_tone_curve, remove_result
 from ..result.materials import is_edited
-from ..result.pictures import put_image, show_image
-from ..words import told, words
+from ..words import told
 from ..work.known import forget_former_spot
 from ..work.support import support_report
 from .shared import ImportedOperator, ResultOperator, is_in_object_mode, result_paths, result_root
-
-COMPARISON = "RobIR comparison"
 
 
 class ROBIR_OT_import_result(ResultOperator, bpy.types.Operator):
@@ -132,81 +124,13 @@ class ROBIR_OT_remove_result(ImportedOperator, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Remove it and show another one of the file, if there is any."""
         remove_result(result_root(context))
-        bring_back(context.scene, context.view_layer)
-        left = (o.get(MARK) for o in context.scene.objects if o.type == "MESH")
-        context.scene.robir.result = next(filter(None, left), "")
-
-
-class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
-    """Photograph, re-render, albedo and roughness side by side."""
-
-    bl_idname = "robir.compare"
-    bl_label = "Compare"
-    bl_description = "Show a photograph, its re-render, albedo and roughness side by side"
-    bl_options = {"REGISTER", "UNDO"}
-
-    view: StringProperty(
-        name="View",
-        description="Name of the photograph; empty takes one that was kept aside",
-        options={"SKIP_SAVE"},
-    )
-
-    def work(self, context: bpy.types.Context) -> None:
-        """Make one image of the four."""
-        paths = result_paths(context)
-        self.report({"INFO"}, _show_comparison(context, paths, read_cameras(paths), self.view))
-
-
-class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
-    """The comparison of another view."""
-
-    bl_idname = "robir.compare_next"
-    bl_label = "Compare Next View"
-    bl_description = "Compare the next view that was rendered again; arrow keys go on and back"
-    bl_options = {"REGISTER", "UNDO"}
-
-    step: IntProperty(name="Step", description="Views to go on by; negative goes back", default=1)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a view was compared; as a key only over an editor that shows the comparison."""
-        if not super().poll(context):
-            return False
-        shown = getattr(context.space_data, "image", None)
-        image = bpy.data.images.get(COMPARISON)
-        if image is None or VIEW not in image or shown not in (None, image):
-            cls.poll_message_set(told("Press Compare first"))
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Go on; a key over anything but the comparison is somebody else's."""
-        is_key = event.type in ("RIGHT_ARROW", "LEFT_ARROW")
-        if is_key and getattr(context.space_data, "image", None) != bpy.data.images[COMPARISON]:
-            return {"PASS_THROUGH"}
-        return self.execute(context)
-
-    def work(self, context: bpy.types.Context) -> None:
-        """Compare the view so many steps on."""
-        paths = result_paths(context)
-        table = read_cameras(paths)
-        view = neighbour(paths, table, bpy.data.images[COMPARISON][VIEW], self.step)
-        self.report({"INFO"}, _show_comparison(context, paths, table, view))
-
-
-def _show_comparison(
-    context: bpy.types.Context, paths: JobPaths, table: dict[str, Any], view: str
-) -> str:
-    """Show the four pictures of a view under their names; returns these for the report."""
-    found = compare(paths, table, view)
-    image = put_image(COMPARISON, found.codes, mark_of(paths.root))
-    again = words("Re-render by {renderer}", renderer=found.rendered_by)
-    names = (words("Photograph"), again, words("Albedo"), words("Roughness"))
-    title = words("View {name}, arrow keys for others", name=found.view)
-    image[VIEW] = found.view
-    image[CAPTIONS] = "\n".join((title, *names))
-    show_image(context, image)
-    return told("View {name}: {pictures}", name=found.view, pictures=", ".join(names))
+        left = next((o for o in context.scene.objects if o.type == "MESH" and MARK in o), None)
+        context.scene.robir.result = left[MARK] if left else ""
+        if left:
+            left.select_set(True)
+            context.view_layer.objects.active = left
+        else:
+            bring_back(context.scene, context.view_layer)
 
 
 class ROBIR_OT_match_view_transform(ResultOperator, bpy.types.Operator):
@@ -259,37 +183,10 @@ class ROBIR_OT_copy_report(bpy.types.Operator):
         return {"FINISHED"}
 
 
-_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
-
-
-def register() -> None:
-    """Let the arrow keys over the comparison go from view to view.
-
-    The image editor asks "Frames", which steps the timeline by them, before its own keys.
-    """
-    keys = bpy.context.window_manager.keyconfigs.addon
-    if keys is None:  # without a window
-        return
-    keymap = keys.keymaps.new(name="Frames")
-    for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1)):
-        item = keymap.keymap_items.new(ROBIR_OT_compare_next.bl_idname, key, "PRESS")
-        item.properties.step = step
-        _keys.append((keymap, item))
-
-
-def unregister() -> None:
-    """Give the keys back."""
-    while _keys:
-        keymap, item = _keys.pop()
-        keymap.keymap_items.remove(item)
-
-
 CLASSES = (
     ROBIR_OT_import_result,
     ROBIR_OT_refresh_result,
     ROBIR_OT_remove_result,
-    ROBIR_OT_compare,
-    ROBIR_OT_compare_next,
     ROBIR_OT_match_view_transform,
     ROBIR_OT_open_report,
     ROBIR_OT_copy_report,

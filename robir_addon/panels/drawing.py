@@ -5,7 +5,6 @@ import bpy
 
 from ..home import ADDON
 from ..paragraphs import paragraph
-from ..preferences import shown_engine_status
 from ..words import duration, words
 
 
@@ -50,9 +49,3 @@ def progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         paragraph(layout, context, state.message)
     stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
     layout.operator(stop, text="Cancel", icon="CANCEL")
-
-
-def install_text(context: bpy.types.Context) -> str:
-    """What pressing the button does."""
-    outdated = shown_engine_status(context).state == "outdated"
-    return words("Update Engine" if outdated else "Install Engine")

@@ -14,17 +14,19 @@ from ..operators.capture import may_choose, take_capture
 from ..words import told
 
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
+_PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".dng")
+_VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
 
 
 def capture_folder(file: Path) -> Path | None:
-    """Folder of the capture that a file with camera poses belongs to.
+    """Capture that a file belongs to: the folder of photographs or poses, or a video itself.
 
     Args:
         file: A dropped file; only its name is looked at.
 
     Returns:
-        The folder, or None where the file's name is none of a known format's.
+        The folder or video, or None where the file's name is none of a known format's.
     """
     folder, suffix, stem = file.parent, file.suffix.lower(), file.stem
     if suffix in (".bin", ".txt") and stem in _COLMAP:
@@ -40,7 +42,9 @@ def capture_folder(file: Path) -> Path | None:
         or (suffix == ".npy" and stem == "poses_bounds")
         or suffix in (".csv", ".xml", ".sfm")  # users name these exports as they like
     )
-    return folder if known else None
+    if suffix in _VIDEOS:
+        return file
+    return folder if known or suffix in _PHOTOGRAPHS else None
 
 
 class ROBIR_OT_drop_capture(bpy.types.Operator):
@@ -90,7 +94,7 @@ class ROBIR_FH_capture(bpy.types.FileHandler):
     bl_idname = "ROBIR_FH_capture"
     bl_label = "RobIR capture"
     bl_import_operator = ROBIR_OT_drop_capture.bl_idname
-    bl_file_extensions = ";".join(SUFFIXES)
+    bl_file_extensions = ";".join((*SUFFIXES, *_PHOTOGRAPHS, *_VIDEOS))
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:

@@ -17,7 +17,7 @@ class ROBIR_PT_known(Panel, bpy.types.Panel):
     """What is known of the capture beside its photographs."""
 
     bl_label = "What You Know"
-    bl_parent_id = "ROBIR_PT_result"
+    bl_parent_id = "ROBIR_PT_capture"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod

@@ -5,13 +5,13 @@ import bpy
 
 _IN_ORDER = (
     ("choose_capture", "try_sample", "look_at_capture", "leave_out", "add_box", "clear_capture"),
-    ("reconstruct", "delight", "attach", "cancel_reconstruct"),
+    ("reconstruct", "delight", "cancel_reconstruct"),
     ("run_batch", "stop_batch", "add_library"),
     ("import_result", "refresh_result", "remove_result"),
     ("pick_spot", "forget_spot", "take_sun", "forget_sun"),
     ("set_real_size", "stand_on_floor", "drop_ground", "crop_to_box"),
     ("compare", "compare_next", "match_view_transform"),
-    ("use_recovered_light", "use_environment", "picture_lights", "turntable"),
+    ("use_environment", "picture_lights", "into_photograph", "turntable"),
     ("export_glb", "export_usd", "export_textures", "mark_asset"),
     ("install_engine", "cancel_install", "check_engine", "remove_engine"),
     ("open_report", "copy_report", "dismiss", "allow_online"),
@@ -35,7 +35,7 @@ class ROBIR_MT_commands(bpy.types.Menu):
             if "pick_spot" in group:
                 layout.prop_menu_enum(settings, "tone_curve")
             if "use_environment" in group:
-                layout.operator_menu_enum("robir.use_studio_light", "light")
+                layout.prop_menu_enum(settings, "light")
                 layout.prop(settings, "use_sun_lamp")
             layout.separator()
 

@@ -5,9 +5,9 @@ import bpy
 
 from ..operators.notice import is_offline
 from ..paragraphs import paragraph
-from ..preferences import shown_engine_status
+from ..preferences import install_text, shown_engine_status
 from ..words import told
-from .drawing import Panel, install_text, preferences_button, progress
+from .drawing import Panel, preferences_button, progress
 
 
 class ROBIR_PT_notice(Panel, bpy.types.Panel):
@@ -19,7 +19,9 @@ class ROBIR_PT_notice(Panel, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while there is something to say."""
         state = context.window_manager.robir
-        if is_offline(state) and bpy.app.online_access:
+        status = shown_engine_status(context)
+        is_below = status.state != "ready" and state.error == told(status.text)
+        if is_below or (is_offline(state) and bpy.app.online_access):
             return False
         return bool(state.error or (state.message and not state.task))
 
@@ -49,8 +51,10 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Until there is an engine."""
-        return shown_engine_status(context).state != "ready"
+        """Until there is an engine, once there are photographs for it."""
+        at_work = context.window_manager.robir.task == "install"
+        is_asked = at_work or context.scene.robir.capture or not context.scene.robir.result
+        return bool(is_asked) and shown_engine_status(context).state != "ready"
 
     def draw(self, context: bpy.types.Context) -> None:
         """What is missing, and the button that gets it."""

@@ -5,6 +5,8 @@
 this moment; Blender keeps it when it opens a file without its windows, so it is emptied then.
 """
 
+from pathlib import Path
+
 import bpy
 from bpy.app.handlers import persistent
 from bpy.props import (
@@ -18,9 +20,15 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..relighting.lights import STUDIO_LIGHTS, turn_light, use_lamps
+from ..blocks import MARK
+from ..errors import AddonError
+from ..operators.compare import draw_again
+from ..relighting.lights import choose_light, shown_light, turn_light, use_lamps, world_of
+from ..relighting.pictures import RECOVERED, light_items
+from ..result.importer import asset_of, imported_objects
 from ..result.summary import read_shown
-from ..work import batch
+from ..words import told
+from ..work import batch, monitor
 from ..work.known import AUTOMATIC
 
 
@@ -129,6 +137,14 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         update=lambda _settings, _context: read_shown(),
     )
+    shown: EnumProperty(
+        name="Result",
+        description="Which of the file's results the panels show and work with; another one is "
+        "shown as well when its object is clicked",
+        items=lambda settings, _context: _result_items(settings),
+        get=lambda settings: _shown_result(settings),
+        set=lambda settings, number: _show_result(settings, number),
+    )
     spot_texel: FloatVectorProperty(
         name="Spot",
         description="Place of the spot of known paint on the result's texture, v upwards",
@@ -172,11 +188,19 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         ),
         default=AUTOMATIC,
     )
-    studio_light: EnumProperty(
-        name="Studio light",
-        description="Light that Blender ships",
-        items=STUDIO_LIGHTS,
-        default="studio",
+    light: EnumProperty(
+        name="Light",
+        description="Light that shines on the object: that of the photographs, one that Blender "
+        "ships, or a map of your own",
+        items=light_items,
+        get=lambda settings: _shown_number(settings),
+        set=lambda settings, number: _choose(settings, number),
+    )
+    light_folder: StringProperty(
+        name="Own Maps",
+        description="Folder with .exr or .hdr maps of your own, which the lights to choose from "
+        "then include",
+        subtype="DIR_PATH",
     )
     rotation: FloatProperty(
         name="Rotation",
@@ -193,12 +217,74 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         min=2,
         soft_max=240,
     )
+    turntable_side: IntProperty(
+        name="Lines",
+        description="Shorter side of the film, pixels",
+        default=1080,
+        min=16,
+        soft_max=2160,
+    )
+    turns: EnumProperty(
+        name="Turns",
+        description="What goes round in the film",
+        items=(
+            ("light", "Light", "The light goes round the object"),
+            ("object", "Object", "The object turns before the camera"),
+            ("both", "Both", "The object turns, and its light with it"),
+        ),
+        default="light",
+    )
     use_sun_lamp: BoolProperty(
         name="Sun as a lamp",
         description="Give a recovered sun as a Sun lamp, so that its shadows stay crisp",
         default=True,
         update=lambda settings, _context: use_lamps(settings.id_data, settings.use_sun_lamp),
     )
+
+
+_results: list[tuple[str, str, str]] = []
+"""Choices as Blender was told last, which keeps no strings of its own."""
+
+
+def _result_items(settings: ROBIR_PG_settings) -> list[tuple[str, str, str]]:
+    """The results of the file, and the shown one, which may not be imported."""
+    roots = {bpy.path.abspath(settings.result), *(o[MARK] for o in imported_objects())}
+    _results[:] = [(root, Path(root).name, root) for root in sorted(roots)]
+    return _results
+
+
+def _shown_result(settings: ROBIR_PG_settings) -> int:
+    shown = bpy.path.abspath(settings.result)
+    return next(i for i, item in enumerate(_result_items(settings)) if item[0] == shown)
+
+
+def _show_result(settings: ROBIR_PG_settings, number: int) -> None:
+    """Show a result, and make its object the active one."""
+    settings.result = _result_items(settings)[number][0]
+    asset, layer = asset_of(Path(settings.result)), bpy.context.view_layer
+    if asset is not None and asset.name in layer.objects:
+        for other in list(layer.objects.selected):
+            other.select_set(False)
+        asset.select_set(True)
+        layer.objects.active = asset
+
+
+def _shown_number(settings: ROBIR_PG_settings) -> int:
+    """Which of the lights shines; 0, the recovered one, where it is none of them."""
+    shown = shown_light(settings.id_data) or RECOVERED
+    items = light_items(settings, None)
+    return next((item[4] for item in items if item[0] == shown), 0)
+
+
+def _choose(settings: ROBIR_PG_settings, number: int) -> None:
+    """Light the scene; what prevents that is said in the panel."""
+    scene, light = settings.id_data, light_items(settings, None)[number][0]
+    world = world_of(bpy.path.abspath(settings.result))
+    try:
+        if world is not None:
+            choose_light(scene, world, "" if light == RECOVERED else light)
+    except AddonError as error:
+        monitor.show_problem(told(error))
 
 
 class ROBIR_PG_state(bpy.types.PropertyGroup):
@@ -218,8 +304,29 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     looked_at: StringProperty(description="Capture that was looked at, as the settings name it")
     recognised: StringProperty(description="What it was recognised as")
     findings: CollectionProperty(type=ROBIR_PG_finding, description="Findings of the check")
+    engine_error: StringProperty(description="The error that was the engine's, not a capture's")
     engine_text: StringProperty(description="What the last check of the engine said")
     engine_ok: BoolProperty(description="The engine was checked and works")
+    wipe_with: EnumProperty(
+        name="Comparison",
+        description="How the pictures of the comparison are shown",
+        items=(
+            ("0", "Side by Side", "All four pictures beside each other"),
+            ("1", "Wipe Re-render", "The photograph over its re-render"),
+            ("2", "Wipe Albedo", "The photograph over the albedo"),
+            ("3", "Wipe Roughness", "The photograph over the roughness"),
+        ),
+        update=lambda _state, context: draw_again(context, is_fitted=True),
+    )
+    wipe: FloatProperty(
+        name="Wipe",
+        description="Share of the width that shows the photograph",
+        subtype="FACTOR",
+        default=0.5,
+        min=0.0,
+        max=1.0,
+        update=lambda _state, context: draw_again(context, is_fitted=False),
+    )
     preview_serial: IntProperty(description="Goes up when the preview picture was read again")
 
 

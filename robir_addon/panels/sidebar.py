@@ -8,22 +8,22 @@ What the result's report says was read by `summary`, what goes on comes from
 from pathlib import Path
 
 import bpy
-from bl_ui.utils import PresetPanel
 
 from ..capture.photographs import draw_photographs
 from ..capture.recent import recent_captures
 from ..capture.viewport import COLLECTION
 from ..operators.photographs import can_leave_out
 from ..paragraphs import paragraph
-from ..relighting.lights import SHOWN_LIGHTS, STUDIO_LIGHTS, shown_light, strength_of
+from ..preferences import install_text
+from ..relighting.lights import strength_of
 from ..relighting.pictures import light_pictures
 from ..result.summary import shown_summary
 from ..words import words
 from ..work import batch, growth
 from ..work.worker import shown_box
-from .drawing import Panel, big, install_text, preferences_button, progress, split
-from .presets import ROBIR_MT_presets, ROBIR_OT_add_preset
+from .drawing import Panel, big, preferences_button, progress, split
 
+_MOST_RECENT = 3  # captures; File > Import has all folders
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
 _QUEUE_ICONS = {"failed": "CANCEL", "running": "PLAY", "done": "CHECKMARK", "dropped": "X"}
 _STAGES = {
@@ -36,52 +36,65 @@ _STAGES = {
 
 
 class ROBIR_PT_capture(Panel, bpy.types.Panel):
-    """Which photographs, and what they were recognised as."""
+    """Which photographs, and what they were recognised as; folded once there is a result."""
 
     bl_label = "Capture"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Choose a folder; then its name and what is in it."""
-        layout = self.layout
-        settings, state = context.scene.robir, context.window_manager.robir
-        if not settings.capture:
-            big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
-            paragraph(
-                layout,
-                context,
-                words(
-                    "Or drop its transforms.json, cameras.bin, cameras_sphere.npz or "
-                    "poses_bounds.npy into the viewport"
-                ),
-                "INFO",
-            )
-            layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
-            for capture in recent_captures():
-                recent = layout.operator(
-                    "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False
-                )
-                recent.directory = capture
+        """The first step, or what came of it."""
+        layout, settings = self.layout, context.scene.robir
+        if not _is_over(context):
+            _draw_capture(layout, context)
             return
-        row = layout.row(align=True)
-        row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
-        cameras = bpy.data.collections.get(COLLECTION)
-        if cameras is not None:
-            # the icon that Blender has one before this stands for the other state
-            row.prop(cameras, "hide_viewport", text="", icon="HIDE_OFF")
-        row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
-        row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
-        row.operator("robir.clear_capture", text="", icon="X")
-        if state.task == "look":
-            progress(layout, context)
-        elif state.recognised and _is_looked_at(context):
-            paragraph(layout, context, state.recognised, "CHECKMARK")
-        choices = split(layout)
-        choices.prop(settings, "masks")
-        row = choices.row(align=True)
-        row.prop(settings, "box")
-        if shown_box(settings) is None:
-            row.operator("robir.add_box", text="", icon="ADD")
-        draw_photographs(layout, settings)
+        header, body = layout.panel("ROBIR_steps", default_closed=True)
+        header.label(text="Photographs and Shape", icon="CHECKMARK")
+        if body is not None:
+            _draw_capture(body, context)
+            if settings.capture:
+                _draw_check(body, context)
+                _draw_choices(body, context)
+
+
+def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Choose a folder; then its name and what is in it."""
+    settings, state = context.scene.robir, context.window_manager.robir
+    if not settings.capture:
+        big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
+        layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
+        text = "Or drop a photograph, a video or a file of camera poses into the viewport"
+        paragraph(layout, context, words(text), "INFO")
+        for capture in recent_captures()[:_MOST_RECENT]:
+            recent = layout.operator(
+                "robir.choose_capture", text=_name(capture), icon="FILE_FOLDER", translate=False
+            )
+            recent.directory = capture
+        if not settings.result:
+            layout.operator("robir.import_result", icon="IMPORT")
+        return
+    row = layout.row(align=True)
+    row.label(text=_name(settings.capture), icon="FILE_FOLDER", translate=False)
+    cameras = bpy.data.collections.get(COLLECTION)
+    if cameras is not None:
+        # the icon that Blender has one before this stands for the other state
+        row.prop(cameras, "hide_viewport", text="", icon="HIDE_OFF")
+    row.operator("robir.choose_capture", text="", icon="FILEBROWSER")
+    row.operator("robir.look_at_capture", text="", icon="FILE_REFRESH")
+    row.operator("robir.clear_capture", text="", icon="X")
+    if state.task == "look":
+        progress(layout, context)
+    elif state.recognised and _is_looked_at(context):
+        paragraph(layout, context, state.recognised, "CHECKMARK")
+    header, body = layout.panel("ROBIR_object", default_closed=True)
+    header.label(text="Masks and Photographs")
+    if body is None:
+        return
+    choices = split(body)
+    choices.prop(settings, "masks")
+    row = choices.row(align=True)
+    row.prop(settings, "box")
+    if shown_box(settings) is None:
+        row.operator("robir.add_box", text="", icon="ADD")
+    draw_photographs(body, settings)
 
 
 class ROBIR_PT_check(Panel, bpy.types.Panel):
@@ -92,43 +105,34 @@ class ROBIR_PT_check(Panel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Once a capture was looked at."""
-        state = context.window_manager.robir
-        return _is_looked_at(context) and bool(state.recognised or state.findings)
+        return not _is_over(context) and _has_findings(context)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Faults in boxes; what is only good to know folded away."""
-        layout, settings = self.layout, context.scene.robir
-        findings = list(context.window_manager.robir.findings)
-        faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
-        notes = [f for f in findings if f.level == "note"]
-        if not faults:
-            layout.label(text="No faults found", icon="CHECKMARK")
-        place = layout
-        if faults and settings.result:  # out of the way of what comes next
-            header, place = layout.panel("ROBIR_faults", default_closed=True)
-            text = words("Faults ({count})", count=len(faults))
-            header.label(text=text, icon=_FAULT_ICONS[faults[0].level])
-        for fault in faults if place else ():
-            box = place.box()
-            paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
-            if fault.cure:
-                paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
-            if can_leave_out(fault, settings):
-                box.operator("robir.leave_out").finding = findings.index(fault)
-        if notes:
-            header, body = layout.panel("ROBIR_notes", default_closed=True)
-            header.label(text=words("Good to know ({count})", count=len(notes)))
-            for note in notes if body is not None else ():
-                paragraph(body, context, f"{note.text}. {note.cure}" if note.cure else note.text)
+        """All findings."""
+        _draw_check(self.layout, context)
 
 
-class ROBIR_PT_presets(PresetPanel, bpy.types.Panel):
-    """Sets of choices under a name."""
-
-    bl_label = "Reconstruction Presets"
-    preset_subdir = ROBIR_MT_presets.preset_subdir
-    preset_operator = ROBIR_MT_presets.preset_operator
-    preset_add_operator = ROBIR_OT_add_preset.bl_idname
+def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Faults in boxes; what is only good to know folded away."""
+    if not _has_findings(context):
+        return
+    settings, findings = context.scene.robir, list(context.window_manager.robir.findings)
+    faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
+    notes = [f for f in findings if f.level == "note"]
+    if not faults:
+        layout.label(text="No faults found", icon="CHECKMARK")
+    for fault in faults:
+        box = layout.box()
+        paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
+        if fault.cure:
+            paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+        if can_leave_out(fault, settings):
+            box.operator("robir.leave_out").finding = findings.index(fault)
+    if notes:
+        header, body = layout.panel("ROBIR_notes", default_closed=True)
+        header.label(text=words("Good to know ({count})", count=len(notes)))
+        for note in notes if body is not None else ():
+            paragraph(body, context, f"{note.text}. {note.cure}" if note.cure else note.text)
 
 
 class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
@@ -136,25 +140,18 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
 
     bl_label = "Reconstruct"
 
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """The list of presets."""
-        ROBIR_PT_presets.draw_panel_header(self.layout)
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there are photographs, or while the work goes on."""
+        at_work = context.window_manager.robir.task == "reconstruct"
+        return at_work or (bool(context.scene.robir.capture) and not _is_over(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Choices while nothing runs, progress while it does."""
-        state = context.window_manager.robir
-        if state.task == "reconstruct":
+        if context.window_manager.robir.task == "reconstruct":
             self._draw_running(context)
-            return
-        settings, layout = context.scene.robir, self.layout
-        column = split(layout)
-        column.prop(settings, "preset")
-        column.prop(settings, "device")
-        column.prop(settings, "out")
-        row = big(layout)
-        row.operator("robir.reconstruct", icon="PLAY")
-        row.operator("robir.attach", text="", icon="LINKED")
-        layout.operator("robir.delight", icon="SHADING_TEXTURE")
+        else:
+            _draw_choices(self.layout, context)
 
     def _draw_running(self, context: bpy.types.Context) -> None:
         state, layout = context.window_manager.robir, self.layout
@@ -166,28 +163,37 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
             pictures.template_icon(icon_value=icon, scale=5.5)
 
 
+def _draw_choices(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is asked for, and the button that begins."""
+    settings, column = context.scene.robir, split(layout)
+    column.prop(settings, "preset")
+    column.prop(settings, "device")
+    column.prop(settings, "out")
+    big(layout).operator("robir.reconstruct", icon="PLAY")
+    layout.operator("robir.delight", icon="SHADING_TEXTURE")
+
+
 class ROBIR_PT_result(Panel, bpy.types.Panel):
     """What came out, beside what went in."""
 
     bl_label = "Result"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once there is a result."""
+        return bool(context.scene.robir.result)
+
     def draw(self, context: bpy.types.Context) -> None:
-        """The result's name, what its report says, and ways to look at it."""
+        """The results, what the shown one's report says, and ways to look at it."""
         layout, settings = self.layout, context.scene.robir
-        if not settings.result:
-            layout.operator("robir.import_result", icon="IMPORT")
-            return
         row = layout.row(align=True)
-        row.label(text=_name(settings.result), icon="MESH_MONKEY", translate=False)
+        row.prop(settings, "shown", text="")
         row.operator("robir.import_result", text="", icon="FILEBROWSER")
         row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
         row.operator("robir.remove_result", text="", icon="X")
-        column = layout.column(align=True)
-        compare = column.row(align=True)
-        compare.operator("robir.compare", icon="IMAGE_REFERENCE")
-        compare.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
-        column.operator("robir.match_view_transform", icon="COLOR")
-        column.operator("robir.open_report", icon="URL")
+        row = layout.row(align=True)
+        row.operator("robir.compare", icon="IMAGE_REFERENCE")
+        row.operator("robir.open_report", icon="URL")
         summary = shown_summary(settings)
         if summary is None:
             return
@@ -197,6 +203,7 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
         header, body = layout.panel("ROBIR_details", default_closed=True)
         header.label(text="Details")
         if body is not None:
+            body.operator("robir.match_view_transform", icon="COLOR")
             facts = body.column(align=True)
             for fact in summary.facts:
                 paragraph(facts, context, fact, "DOT")
@@ -238,58 +245,37 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Lights to choose from, how they are turned, and a film of that."""
         layout, settings = self.layout, context.scene.robir
-        shown, strength = shown_light(context.scene), strength_of(context.scene)
-        pictures = light_pictures(settings.result)
-        if pictures:
-            self._draw_pictures(shown if strength is not None else None, pictures)
-        else:
-            self._draw_list(shown if strength is not None else None)
-        is_other = bool(shown) and all(shown != stem for stem, _, _ in STUDIO_LIGHTS)
-        layout.operator("robir.use_environment", icon="WORLD", depress=is_other)
+        strength, task = strength_of(context.scene), context.window_manager.robir.task
+        row = layout.row(align=True)
+        row.prop(settings, "light", text="")
+        row.operator("robir.use_environment", text="", icon="FILEBROWSER")
+        if light_pictures(settings.result):
+            layout.template_icon_view(settings, "light", show_labels=True, scale=7.0)
+        elif task != "lights":
+            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
         column = split(layout)
         if strength is not None:
             column.prop(strength, "default_value", text="Strength")
         column.prop(settings, "rotation")
-        column.prop(settings, "use_sun_lamp")
-        column.prop(settings, "turntable_frames")
-        if context.window_manager.robir.task in ("turntable", "lights"):
+        if task in ("turntable", "lights"):
             progress(layout, context)
-            return
-        layout.operator("robir.turntable", icon="RENDER_ANIMATION")
-        if not pictures:
-            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
-
-    def _draw_pictures(self, shown: str | None, pictures: dict[str, int]) -> None:
-        """This object under each light; the one that shines is pressed."""
-        grid = self.layout.grid_flow(columns=3, even_columns=True, row_major=True)
-        for stem, name, _ in SHOWN_LIGHTS:
-            cell = grid.column(align=True)
-            cell.template_icon(icon_value=pictures.get(stem, 0), scale=4.5)
-            look = {"text": words(name), "translate": False, "depress": stem == shown}
-            if stem:
-                cell.operator("robir.use_studio_light", **look).light = stem
-            else:
-                cell.operator("robir.use_recovered_light", **look)
-
-    def _draw_list(self, shown: str | None) -> None:
-        """The same by name, before there are pictures."""
-        column = self.layout.column(align=True)
-        column.operator("robir.use_recovered_light", icon="LIGHT_SUN", depress=shown == "")
-        studio = next((name for stem, name, _ in STUDIO_LIGHTS if stem == shown), "")
-        text = "Studio Light: {light}" if studio else "Studio Light"
-        column.operator_menu_enum(
-            "robir.use_studio_light",
-            "light",
-            text=words(text, light=words(studio)),
-            icon="LIGHTPROBE_SPHERE",
-        )
+        layout.operator("robir.into_photograph", icon="IMAGE_BACKGROUND")
+        header, body = layout.panel("ROBIR_film", default_closed=True)
+        header.label(text="Film and Own Lights")
+        if body is not None:
+            column = split(body)
+            column.prop(settings, "light_folder")
+            column.prop(settings, "use_sun_lamp")
+            column.prop(settings, "turns")
+            column.prop(settings, "turntable_frames")
+            column.prop(settings, "turntable_side")
+            body.operator("robir.turntable", icon="RENDER_ANIMATION")
 
 
 class ROBIR_PT_export(Panel, bpy.types.Panel):
     """The result in files for other programs."""
 
     bl_label = "Export"
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -297,12 +283,21 @@ class ROBIR_PT_export(Panel, bpy.types.Panel):
         return bool(context.scene.robir.result)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One button a kind of file."""
-        column = self.layout.column(align=True)
-        column.operator("robir.export_glb", icon="FILE_3D")
-        column.operator("robir.export_usd", icon="FILE_3D")
-        column.operator("robir.export_textures", icon="TEXTURE")
-        column.operator("robir.mark_asset", icon="ASSET_MANAGER")
+        """The file that most programs read, and a list of the others."""
+        row = self.layout.row(align=True)
+        row.operator("robir.export_glb", icon="FILE_3D")
+        row.menu("ROBIR_MT_exports", text="Other Files")
+
+
+class ROBIR_MT_exports(bpy.types.Menu):
+    """Kinds of files beside GLB."""
+
+    bl_label = "Other Files"
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """One entry a kind."""
+        for name in ("export_usd", "export_textures", "mark_asset"):
+            self.layout.operator(f"robir.{name}")
 
 
 class ROBIR_PT_library(Panel, bpy.types.Panel):
@@ -357,6 +352,17 @@ class ROBIR_PT_engine(Panel, bpy.types.Panel):
         preferences_button(layout, text=words("Preferences"))
 
 
+def _is_over(context: bpy.types.Context) -> bool:
+    """Whether photographs and their reconstruction are done, and what is next is the result."""
+    at_work = context.window_manager.robir.task == "reconstruct"
+    return bool(context.scene.robir.result) and not at_work
+
+
+def _has_findings(context: bpy.types.Context) -> bool:
+    state = context.window_manager.robir
+    return _is_looked_at(context) and bool(state.recognised or state.findings)
+
+
 def _is_looked_at(context: bpy.types.Context) -> bool:
     """Whether what is known is about the chosen capture, which undo may have changed."""
     looked_at = context.window_manager.robir.looked_at
@@ -368,7 +374,7 @@ def _name(folder: str) -> str:
 
 
 CLASSES = (
-    ROBIR_PT_presets,
+    ROBIR_MT_exports,
     ROBIR_PT_capture,
     ROBIR_PT_check,
     ROBIR_PT_reconstruct,

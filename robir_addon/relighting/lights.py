@@ -18,20 +18,18 @@ from ..engine import Sentence
 from ..errors import RequestError, ResultError
 from ..gateway import JobPaths
 
-STUDIO_LIGHTS = (
-    ("city", "City", "Street between buildings under an open sky"),
-    ("courtyard", "Courtyard", "Shaded courtyard, soft light from above"),
-    ("forest", "Forest", "Sky through trees, green from below"),
-    ("interior", "Interior", "Room lit by its windows"),
-    ("night", "Night", "Few small lamps in the dark"),
-    ("studio", "Studio", "Two large soft boxes"),
-    ("sunrise", "Sunrise", "Low sun and a clear sky; long shadows"),
-    ("sunset", "Sunset", "Warm light from the horizon"),
+SHOWN_LIGHTS = (
+    ("", Sentence("Recovered"), Sentence("Light of the photographs")),
+    ("city", Sentence("City"), Sentence("Street between buildings under an open sky")),
+    ("courtyard", Sentence("Courtyard"), Sentence("Shaded courtyard, soft light from above")),
+    ("forest", Sentence("Forest"), Sentence("Sky through trees, green from below")),
+    ("interior", Sentence("Interior"), Sentence("Room lit by its windows")),
+    ("night", Sentence("Night"), Sentence("Few small lamps in the dark")),
+    ("studio", Sentence("Studio"), Sentence("Two large soft boxes")),
+    ("sunrise", Sentence("Sunrise"), Sentence("Low sun and a clear sky; long shadows")),
+    ("sunset", Sentence("Sunset"), Sentence("Warm light from the horizon")),
 )
-"""Environment maps that Blender ships: file stem, name, tool-tip."""
-
-SHOWN_LIGHTS = (("", Sentence("Recovered"), "Light of the photographs"), *STUDIO_LIGHTS)
-"""What the lights' pictures show."""
+"""The recovered light and the maps that Blender ships: file stem, name, tool-tip."""
 
 _BEFORE = "robir_world_before"
 _WHOLE = "robir_whole_light"
@@ -221,12 +219,33 @@ def environment_file(world: bpy.types.World) -> Path:
 
 
 def shown_light(scene: bpy.types.Scene) -> str:
-    """Stem of the file whose light shines; empty for the recovered light or none of ours."""
+    """Stem of the shipped light that shines, or path of another file; empty for the recovered."""
     world = scene.world
     if world is None or MARK not in world or shows_recovered_light(world):
         return ""
     pictures = (n.image for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
-    return next((Path(image.filepath).stem for image in pictures if image is not None), "")
+    file = next((Path(bpy.path.abspath(i.filepath)) for i in pictures if i is not None), Path())
+    shipped = file.stem if "studiolights" in file.parts else str(file)
+    return shipped if file.name else ""
+
+
+def choose_light(scene: bpy.types.Scene, world: bpy.types.World, light: str) -> None:
+    """Light a scene by one of the lights to choose from, turned as its settings say.
+
+    Args:
+        scene: Scene to light.
+        world: One that `make_world` made.
+        light: Stem of a map that Blender ships, path of another; empty for the recovered light.
+
+    Raises:
+        AddonError: If the file is missing or damaged.
+    """
+    if light:
+        show_environment(scene, world, found_environment(Path(light)))
+    else:
+        show_recovered_light(scene, world, scene.robir.use_sun_lamp)
+        scene.robir.rotation = 0.0
+    turn_light(scene, scene.robir.rotation)
 
 
 def strength_of(scene: bpy.types.Scene) -> bpy.types.NodeSocket | None:

@@ -17,8 +17,11 @@ from ..gateway import JobPaths, of_tile
 from .glb import GlbMesh, corners_of, read_glb
 from .pictures import read_codes
 
-MAX_SIDE = 400
-"""Longer side of one picture, pixels; a ray is traced for each."""
+MAX_SIDE = 1000
+"""Longer side of one picture, pixels."""
+
+_TRACED_SIDE = 400
+"""The same of what the textures show, where a ray is traced for each pixel."""
 
 _MARGIN = 0.04
 _GAP = 0.02
@@ -35,12 +38,28 @@ class Comparison:
     Attributes:
         view: The view's name.
         rendered_by: "Cycles" or "RobIR", whichever made the re-render.
-        codes: (H, W, 4) all four beside each other, row 0 at the bottom.
+        pictures: (H, W, 4) each, row 0 at the bottom.
     """
 
     view: str
     rendered_by: str
-    codes: np.ndarray
+    pictures: tuple[np.ndarray, ...]
+
+    @property
+    def codes(self) -> np.ndarray:
+        """(H, V, 4) all four beside each other."""
+        height, width = self.pictures[0].shape[:2]
+        gap = np.zeros((height, max(1, round(_GAP * width)), 4))
+        beside = [part for picture in self.pictures for part in (gap, picture)][1:]
+        return np.concatenate(beside, axis=1)
+
+    def wiped(self, other: int, share: float) -> np.ndarray:
+        """(H, W, 4) the photograph up to a share of the width, there another of the pictures."""
+        photograph, over = self.pictures[0], self.pictures[other].copy()
+        edge = round(share * over.shape[1])
+        over[:, :edge] = photograph[:, :edge]
+        over[:, max(0, edge - 1) : edge] = 1.0
+        return over
 
 
 @dataclass(frozen=True)
@@ -113,14 +132,14 @@ def compare(paths: JobPaths, table: dict[str, Any], view: str = "") -> Compariso
     entry = again.entry
     longer = max(entry["width"], entry["height"])
     # small photographs are shown in whole multiples, so that the textures show more than they do
-    scale = MAX_SIDE / longer if longer > MAX_SIDE else MAX_SIDE // longer
+    scale = min(1.0, MAX_SIDE / longer) if longer > _TRACED_SIDE else _TRACED_SIDE // longer
     size = (max(1, round(entry["width"] * scale)), max(1, round(entry["height"] * scale)))
+    few = min(1.0, _TRACED_SIDE / max(size))
+    traced = (max(1, round(few * size[0])), max(1, round(few * size[1])))
     photo = read_codes(paths.cameras.parent / entry["image"])
-    textures = _seen_textures(paths, entry, size)
+    textures = [_scaled(picture, size) for picture in _seen_textures(paths, entry, traced)]
     pictures = _cut([_scaled(photo, size), _scaled(again.picture, size), *textures])
-    gap = np.zeros((pictures[0].shape[0], max(1, round(_GAP * pictures[0].shape[1])), 4))
-    beside = [part for picture in pictures for part in (gap, picture)][1:]
-    return Comparison(entry["name"], again.rendered_by, np.concatenate(beside, axis=1))
+    return Comparison(entry["name"], again.rendered_by, tuple(pictures))
 
 
 def _cycles_renders(paths: JobPaths) -> dict[str, Path]:

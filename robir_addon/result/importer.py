@@ -32,8 +32,8 @@ from ..relighting.lights import (
     world_of,
 )
 from .glb import GlbMesh, read_glb
-from .materials import add_asset, refresh_asset, texture_sockets
-from .placing import move_again
+from .materials import add_asset, mark_as_imported, refresh_asset, texture_sockets
+from .placing import drop_again, move_again
 
 _ROLE = "robir_role"
 
@@ -171,6 +171,8 @@ def _refresh(
     mark = mark_of(paths.root)
     asset, world = asset_of(paths.root), world_of(mark)
     refresh_asset(asset, mesh, paths)
+    drop_again(asset, table.get("ground"))
+    mark_as_imported(asset)
     refresh_world(world, paths)
     were_lit = are_lit(lamps_of(mark))
     chosen = scene.camera.get(VIEW) if scene.camera and scene.camera.get(MARK) == mark else None
@@ -236,6 +238,11 @@ def remove_result(root: Path) -> None:
 def asset_of(root: Path) -> bpy.types.Object | None:
     """The object of an imported result, if it is in the file."""
     return next((o for o in with_mark(bpy.data.objects, mark_of(root)) if o.type == "MESH"), None)
+
+
+def imported_objects() -> list[bpy.types.Object]:
+    """The objects of all results that are in the file and in one of its scenes."""
+    return [o for o in bpy.data.objects if o.type == "MESH" and MARK in o and o.users_scene]
 
 
 def active_result(context: bpy.types.Context) -> str:

@@ -14,6 +14,7 @@ from ..errors import RequestError, ResultError
 from ..gateway import JobPaths, read_record
 from .delight import has_own_layout, target_of
 from .importer import asset_of
+from .placing import SPOT
 
 FAR = 0.05
 """Farthest that a point may lie from the surface, shares of the object's longest side."""
@@ -56,6 +57,8 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
     Raises:
         RequestError: If the place is far from the object, or the object has no texture there.
     """
+    if not shown.visible_get():
+        raise _without_surface(shown)
     graph = bpy.context.evaluated_depsgraph_get()
     place, world = Vector(place), shown.matrix_world
     try:
@@ -86,6 +89,23 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
             name=shown.name,
         )
     return min(max(uv.x, 0.0), _MOST[0]), min(max(uv.y, 0.0), _MOST[1])
+
+
+def show_spot(shown: bpy.types.Object, place: Sequence[float]) -> None:
+    """Show a dot at a place of an object, world; it goes with the object."""
+    hide_spots()
+    dot = bpy.data.objects.new("RobIR spot", None)
+    dot[SPOT] = True
+    dot.empty_display_type, dot.empty_display_size = "SPHERE", 0.01 * max(shown.dimensions)
+    dot.show_in_front, dot.hide_select = True, True
+    dot.parent = shown
+    dot.location = shown.matrix_world.inverted_safe() @ Vector(place)
+    shown.users_collection[0].objects.link(dot)
+
+
+def hide_spots() -> None:
+    """Take the dots away."""
+    bpy.data.batch_remove([o for o in bpy.data.objects if SPOT in o])
 
 
 def _without_surface(shown: bpy.types.Object) -> RequestError:

@@ -7,6 +7,7 @@ photographs and the lamps go along.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import bmesh
@@ -25,6 +26,12 @@ _MOVED = "robir_moved"
 
 _STANDS = "robir_stands"
 """Custom property of the object: it was stood on the floor, and is again where its foot goes."""
+
+_DROPPED = "robir_dropped"
+"""Custom property of the object: the height up to which its ground was deleted, capture's unit."""
+
+SPOT = "robir_spot"
+"""Custom property of a dot that goes with the object's mesh."""
 
 _SAME = (1.0, 0.0, 0.0, 0.0)
 
@@ -52,6 +59,22 @@ def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> N
         ground: "normal" and "offset" of the plane that it stands on, capture frame. Where the
             object still has this ground, it is the foot, whatever hangs below.
     """
+    foot = _foot(asset, ground)
+    _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
+    _move_others(asset, 1.0, -foot)
+    placed = asset.matrix_world.copy()
+    placed.translation = (0.0, 0.0, 0.0)
+    asset.matrix_world = placed
+    asset[_STANDS] = True
+
+
+def ground_height(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> float:
+    """Where the object's foot is, world z; arguments as of `stand`."""
+    return _foot(asset, ground).z
+
+
+def _foot(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> Vector:
+    """Middle of the lower side of the object's bounds, or the ground below it; world."""
     # the bounds that Blender keeps are those of before a deletion
     points = _points(asset) @ np.array(asset.matrix_world.to_3x3()).T
     low, high = points.min(axis=0), points.max(axis=0)
@@ -63,12 +86,7 @@ def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> N
         up = asset.matrix_world.to_3x3().inverted().transposed() @ normal
         if up.z > _STEEP * up.length:
             foot.z = on_it.z + up.to_2d() @ (on_it - foot).to_2d() / up.z
-    _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
-    _move_others(asset, 1.0, -foot)
-    placed = asset.matrix_world.copy()
-    placed.translation = (0.0, 0.0, 0.0)
-    asset.matrix_world = placed
-    asset[_STANDS] = True
+    return foot
 
 
 def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> None:
@@ -83,8 +101,16 @@ def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float)
     crumbs = _crumbs(asset)
     if crumbs.any():
         delete_faces(asset, crumbs)
+    asset[_DROPPED] = most
     if asset.get(_STANDS):
         stand(asset)
+
+
+def drop_again(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> None:
+    """Take the ground off a newer mesh, if that was done to the one before."""
+    if ground is not None and _DROPPED in asset:
+        with suppress(ResultError):  # the newer one has no such ground
+            drop_ground(asset, ground, asset[_DROPPED])
 
 
 def fit_again(asset: bpy.types.Object, data: bpy.types.Mesh) -> None:
@@ -201,6 +227,9 @@ def _fit(asset: bpy.types.Object, factor: float, shift: Vector) -> None:
     """Scale and shift the mesh in the object's frame, and remember it."""
     asset.data.transform(Matrix.Translation(shift) @ Matrix.Scale(factor, 4), shape_keys=True)
     asset.data.update()
+    for dot in (child for child in asset.children if SPOT in child):
+        dot.location = factor * dot.location + shift
+        dot.empty_display_size *= factor
     asset[_FITTED] = _after(asset.get(_FITTED, _SAME), factor, shift)
 
 
@@ -214,6 +243,9 @@ def _move(others: Sequence[bpy.types.Object], factor: float, shift: Vector) -> N
     for other in others:
         if other.parent is None:  # what hangs on something else goes with that
             other.location = factor * other.location + shift
+            if other.type == "CAMERA":
+                for name in ("display_size", "clip_start", "clip_end"):
+                    setattr(other.data, name, factor * getattr(other.data, name))
 
 
 def _after(before: Sequence[float], factor: float, shift: Vector) -> list[float]:

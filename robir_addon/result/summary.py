@@ -39,6 +39,9 @@ class Summary:
 _known: dict[str, Summary] = {}
 """What was read, by the result's absolute path; the shown results only."""
 
+_active: list[str] = []
+"""Result of the object that was active last."""
+
 
 def shown_summary(settings: bpy.types.PropertyGroup) -> Summary | None:
     """Summary of the result that is shown, if it has a report; touches no file."""
@@ -99,39 +102,40 @@ def _facts(report: dict[str, Any]) -> list[str]:
     return facts
 
 
-def _follow() -> None:
-    """Show the result of the object that was made active."""
+@persistent
+def _follow(*_: object) -> None:
+    """Show the result of an object that became the active one, by a click for instance.
+
+    Blender's message bus does not tell of clicks any more after a file was opened.
+    """
     result = active_result(bpy.context)
+    if [result] == _active:
+        return
+    _active[:] = [result]
     if result and bpy.path.abspath(bpy.context.scene.robir.result) != result:
         bpy.context.scene.robir.result = result
 
 
-def _subscribe() -> None:
-    key = (bpy.types.LayerObjects, "active")
-    bpy.msgbus.subscribe_rna(key=key, owner=_known, args=(), notify=_follow)
-
-
 def register() -> None:
     """Follow what opens, what is undone and which object is active."""
-    for handlers in (bpy.app.handlers.load_post, *_undo_handlers()):
+    for handlers in _handlers():
         handlers.append(_read_again)
-    _subscribe()
+    bpy.app.handlers.depsgraph_update_post.append(_follow)
 
 
 def unregister() -> None:
     """Follow no longer."""
-    bpy.msgbus.clear_by_owner(_known)
-    for handlers in (bpy.app.handlers.load_post, *_undo_handlers()):
+    bpy.app.handlers.depsgraph_update_post.remove(_follow)
+    for handlers in _handlers():
         handlers.remove(_read_again)
     _known.clear()
 
 
-def _undo_handlers() -> tuple[list, list]:
-    return bpy.app.handlers.undo_post, bpy.app.handlers.redo_post
+def _handlers() -> tuple[list, list, list]:
+    known = bpy.app.handlers
+    return known.load_post, known.undo_post, known.redo_post
 
 
 @persistent
 def _read_again(*_: object) -> None:
-    bpy.msgbus.clear_by_owner(_known)  # a file that opens takes subscriptions away
-    _subscribe()
     read_shown()

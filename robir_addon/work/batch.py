@@ -6,6 +6,7 @@ A batch is a process of its own that `robir batch` leads; all that is known of i
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
@@ -99,7 +100,7 @@ def _read() -> Queue:
         state = library.read_batch(paths)
     except (OSError, ValueError):  # none yet, or a damaged one: the next look tells
         return Queue(is_live=is_live, text=words("starting") if is_live else "")
-    rows = [(row["name"], row["state"], row["message"]) for row in state["captures"]]
+    rows = [_row(row, is_live) for row in state["captures"]]
     first = library.preferred(paths)
     place = {name: number for number, name in enumerate(first)}
     rows.sort(
@@ -115,6 +116,15 @@ def _read() -> Queue:
             "{share}, {duration} left", share=text, duration=duration(state["seconds_left"])
         )
     return Queue(is_live, min(max(state["fraction"], 0.0), 1.0), text, tuple(rows))
+
+
+def _row(row: dict[str, Any], is_live: bool) -> tuple[str, str, str]:
+    """Name, state and message of a capture: nothing runs in a batch that is paused."""
+    if row["state"] == "dropped":
+        return row["name"], "dropped", words("left out")
+    if row["state"] == "running" and not is_live:
+        return row["name"], "waiting", words("paused")
+    return row["name"], row["state"], row["message"]
 
 
 @persistent

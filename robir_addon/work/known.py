@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import RequestError, ResultError
 from ..gateway import JobPaths, client
 from ..result.importer import mark_of, read_run
-from ..result.known import shape_of
+from ..result.known import hide_spots, shape_of
 from ..words import told
 
 AUTOMATIC = "auto"
@@ -53,6 +53,7 @@ def remember_spot(settings: Any, root: Path, texel: tuple[float, float]) -> None
 
 def forget_spot(settings: Any) -> None:
     """No spot is known any more; the colour stays for the next one."""
+    hide_spots()
     for name in _SPOT:
         settings.property_unset(name)
 

@@ -177,7 +177,6 @@ def reconstruct(capture, other, out):
     first = counts()
     answer["again"] = attempt(bpy.ops.robir.reconstruct)
     answer["is_same"] = counts() == first
-    answer["nothing_at_work"] = attempt(bpy.ops.robir.attach)
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What test_dropping.py has done in one Blender: a capture is dropped, presets are kept, all goes.
+"""What test_dropping.py has done in one Blender: a capture is dropped, and all goes.
 
 Runs inside Blender.
 """
@@ -25,7 +25,6 @@ def main(archive, engine, capture, model):
         "elsewhere": drop(capture, "transforms_train.json", area_type="OUTLINER"),
         "foreign": foreign(capture),
         "busy": busy(),
-        "preset": preset(),
         "reopened": reopened(),
         "there": traces(),
     }
@@ -90,22 +89,6 @@ def busy():
     may = bpy.ops.robir.drop_capture.poll()
     state.task = ""
     return may
-
-
-def preset():
-    """Choices kept under a name, changed, taken again, and the name removed."""
-    settings = bpy.context.scene.robir
-    settings.preset, settings.device, settings.use_sun_lamp = "high", "cpu", False
-    answer = [list(bpy.ops.robir.add_preset(name="Für gut"))]
-    (folder,) = bpy.utils.preset_paths("robir/reconstruct")
-    (file,) = Path(folder).iterdir()
-    settings.preset, settings.device, settings.use_sun_lamp = "draft", "auto", True
-    bpy.ops.script.execute_preset(filepath=str(file), menu_idname="ROBIR_MT_presets")
-    answer.append([settings.preset, settings.device, settings.use_sun_lamp])
-    bpy.ops.robir.add_preset(name=file.stem, remove_name=True)
-    answer.append([path.name for path in Path(folder).iterdir()])
-    settings.preset, settings.device, settings.use_sun_lamp = "draft", "auto", True
-    return answer
 
 
 def reopened():

@@ -165,7 +165,6 @@ def requests(result, capture, other):
     answer["same"] = asked()
     attempt(bpy.ops.robir.choose_capture, directory=other)
     answer["other"], answer["colour"] = asked(), list(settings().spot_albedo)
-    answer["presets"] = module("panels.presets").ROBIR_OT_add_preset.preset_values
     return answer
 
 

@@ -130,7 +130,7 @@ def knowing(settings, state, result):
 def relit(settings, state, result):
     done(settings, state, result)
     bpy.ops.robir.import_result(directory=result)
-    bpy.ops.robir.use_studio_light(light="forest")
+    settings.light = "forest"
 
 
 def pictured(settings, state, result):
@@ -208,9 +208,8 @@ def in_state(name, result):
 
 
 def panels():
-    """Our panels; the list of presets is Blender's own drawing."""
-    found = classes_of(MODULE, bpy.types.Panel)
-    return {name: cls for name, cls in found.items() if name != "ROBIR_PT_presets"}
+    """Our panels."""
+    return classes_of(MODULE, bpy.types.Panel)
 
 
 def draw_everything(state, result):

@@ -122,7 +122,7 @@ def main(archive):
         preferences.engine = engine
         for task in ("", "install", "failed"):
             state.task, state.message, state.engine_text = task, "torch, 3 of 9 MB", "All is well"
-            state.error, state.error_cure = "", ""
+            state.error, state.error_cure, state.engine_error = "", "", "Nobody offers it"
             if task == "failed":
                 state.task, state.error, state.error_cure = "", "Nobody offers it", "Choose another"
             shown = Shown(preferences)

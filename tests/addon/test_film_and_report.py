@@ -20,7 +20,7 @@ def main(archive, result):
     bpy.ops.preferences.addon_enable(module=MODULE)
     call("import_result", directory=result)
     settings, state = bpy.context.scene.robir, bpy.context.window_manager.robir
-    settings.turntable_frames = 2
+    settings.turntable_frames, settings.turntable_side, settings.turns = 2, 98, "object"
     answer = {"film": call("turntable"), "message": state.message, "task": state.task}
     answer["nobody"] = [call("turntable", view="nobody"), state.error]
     pictures = sys.modules[MODULE + ".relighting.pictures"].light_pictures
@@ -45,6 +45,7 @@ def test_a_film_is_made_by_a_process_that_knows_no_checkout(
         for k in (1, 2)
     ]
     assert not np.array_equal(*frames)
+    assert min(frames[0].shape[:2]) == 98
     assert answer["task"] == ""
     lights = sorted(file.stem for file in find_studio_lights(own_blender))
     assert answer["lights"] == [0, ["FINISHED"], ["", *lights], ""]

@@ -27,7 +27,7 @@ def main(archive, result):
     material = asset.data.materials[0]
     material.node_tree.nodes["Principled BSDF"].inputs["Coat Weight"].default_value = 0.25
     scene.camera = next(o for o in scene.objects if o.get("robir_view") == "train_001")
-    call("use_studio_light", light="city")
+    scene.robir.light = "city"
     scene.robir.rotation = 0.5
     # a newer result: half as rough, and with metal
     from pathlib import Path

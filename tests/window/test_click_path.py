@@ -107,7 +107,7 @@ def test_a_dropped_capture_is_looked_at_and_checked(window: BlenderWindow, captu
     window.run("bpy.ops.wm.save_as_mainfile(filepath={!r})".format(str(capture.parent / "a.blend")))
 
 
-def test_esc_stops_the_reconstruction_at_once(window: BlenderWindow) -> None:
+def test_esc_asks_and_stops_the_reconstruction_at_once(window: BlenderWindow) -> None:
     redraws = Redraws(window)
     clicked = window.press("bpy.ops.robir.reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
@@ -118,14 +118,18 @@ def test_esc_stops_the_reconstruction_at_once(window: BlenderWindow) -> None:
     place = window.view_centre()
     window.screen.move(place.x, place.y)
     time.sleep(0.4)
-    pressed = time.monotonic()
     window.screen.key("Escape")
+    time.sleep(1.0)
+    window.picture("asked_whether_to_stop")
+    assert window.get(f"{STATE}.task") == "reconstruct"
+    pressed = time.monotonic()
+    window.screen.key("Return")
     window.wait_until(f"not {STATE}.task or 'stop' in {STATE}.message.lower()", 5.0)
     answered = time.monotonic() - pressed
     window.picture("stopping")
     window.wait_until(f"not {STATE}.task", 15.0)
-    note("Esc answered, s", answered)
-    note("Esc to idle, s", time.monotonic() - pressed)
+    note("Esc and Return answered, s", answered)
+    note("Esc and Return to idle, s", time.monotonic() - pressed)
     window.picture("stopped")
     assert answered < 1.0
 
@@ -161,8 +165,6 @@ def test_the_worker_outlives_a_killed_blender(
     window.start(capture.parent / "a.blend")
     window.wait_until(f"{STATE}.job or {STATE}.task", 20.0)
     window.picture("found_again")
-    if not window.get(f"{STATE}.task"):
-        window.press("bpy.ops.robir.attach")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 5.0)
 
 
@@ -198,15 +200,11 @@ def test_the_view_transform_is_matched_when_asked_for(window: BlenderWindow) -> 
 
 def test_relit_in_five_clicks_from_the_drop(window: BlenderWindow) -> None:
     before = window.screen.clicks
-    above = window.find("bpy.ops.robir.use_recovered_light")
-    below = window.find("bpy.ops.robir.use_environment")
-    # Blender cannot tell what a menu is for; it lies between these two.
-    window.screen.click(above.x, (above.y + below.y) // 2)
+    choice = window.find("robir.light")
+    window.screen.click(choice.x, choice.y)
     time.sleep(1.0)
-    window.picture("studio_lights")
-    for key in ("Down", "Down", "Return"):
-        window.screen.key(key)
-        time.sleep(0.3)
+    window.picture("lights")
+    window.screen.key("f")  # underlined in Forest
     window.wait_until(f"'studiolights' in {WORLD_FILE}", 5.0)
     dropped_and_started = 2
     assert window.screen.clicks - before + dropped_and_started <= 5
@@ -222,8 +220,7 @@ def test_what_was_done_is_undone(window: BlenderWindow) -> None:
     window.wait_until(f"'studiolights' not in {WORLD_FILE}", 5.0)
     window.screen.key("ctrl+shift+z")
     window.wait_until(f"'studiolights' in {WORLD_FILE}", 5.0)
-    window.press("bpy.ops.robir.use_recovered_light")
-    window.wait_until(f"'studiolights' not in {WORLD_FILE}", 5.0)
+    window.run(f"{SETTINGS}.light = 'recovered'")
 
 
 def test_blender_has_nothing_to_complain_about(window: BlenderWindow) -> None:

@@ -80,7 +80,6 @@ def test_what_is_put_together_is_german(said):
 
     assert {"Aufnahme", "Aufnahme wählen", "Beispiel ausprobieren"} <= set(all_of("nothing"))
     assert "Fotos (2 von 3)" in all_of("lacking")
-    assert "Studiolicht: Wald" in all_of("relit")
     assert "42 %, noch 1 h 33 min" in all_of("running")
     assert "Form" in all_of("running")
     assert "Zweifelhaft" in all_of("doubtful")

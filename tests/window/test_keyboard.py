@@ -70,6 +70,8 @@ def test_a_reconstruction_is_started_and_stopped(window: BlenderWindow) -> None:
     search(window, "robir reconstruct")
     window.wait_until(f"{STATE}.task == 'reconstruct'", 20.0)
     window.screen.key("Escape")
+    time.sleep(1.0)
+    window.screen.key("Return")
     window.wait_until(f"not {STATE}.task", 30.0)
 
 

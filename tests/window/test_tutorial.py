@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,32 +45,34 @@ in the order of this page (`tests/window/test_tutorial.py`), under software rend
 STEPS = (
     (
         "sample",
-        "Press *Try the Sample*, or drop a capture of your own into the viewport: photographs in a "
-        "folder, or the output of COLMAP, nerfstudio, RealityScan and others. You see the cameras, "
-        "the format that was recognised, and any faults.",
+        "Press *Try the Sample*, or drop a capture of your own into the viewport: one of its "
+        "photographs, a video, or a file of COLMAP, nerfstudio, RealityScan and others. "
+        "You see the cameras, the format that was recognised, and any faults.",
     ),
     (
         "reconstructing",
         "Press *Reconstruct*. Photograph and reconstruction appear side by side and become more "
-        "alike, and the surface grows inside the bounds while it is fitted. Esc stops; pressing "
-        "again continues. You may work on, or close Blender.",
+        "alike, and the surface grows inside the bounds while it is fitted. Esc asks "
+        "whether to stop; pressing again continues. You may work on, or close Blender.",
     ),
     (
         "arrived",
         "The object arrives by itself, with its textures, the cameras and the recovered light as "
-        "the scene's World. The panel *Result* shows the quality and the model that was chosen.",
+        "the scene's World. The panel *Result* shows its quality. Click another result, and "
+        "the panels show that one.",
     ),
     (
         "lights",
         "Press *Picture All Lights*: this object under the recovered light and each that Blender "
-        "ships. Press one, turn it, make it stronger; *Environment File* loads a map of yours.",
+        "ships, to choose by. *Film and Own Lights* takes a folder of your maps. *Put into "
+        "Photograph* lays the photograph behind and a ground that catches the shadow.",
     ),
     (
         "placed",
         "In *Size and Place*: *Set Real Size* needs two clicks and a length, *Stand on Floor* "
         "moves the origin to the foot, *Drop Ground* deletes the ground around the object, "
         "and what stood stands again. "
-        "A newer result keeps size and place.",
+        "A newer result keeps size and place, and stays without its ground.",
     ),
 )
 END = """
@@ -79,9 +82,10 @@ END = """
 - **De-light Object** gives your own mesh a texture without light: [delight.md](delight.md).
 - **Good**, **Check this** or **Doubtful**, in *Result*, has one reason and one remedy. *Open
   Report* turns the asset in your browser.
-- **Compare**, in *Result*, shows photograph, re-render, albedo and roughness; arrow keys change the
-  view. **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale
-  of brightness: [uncertainty.md](uncertainty.md).
+- **Compare**, in *Result*, shows photograph, re-render, albedo and roughness. Arrow keys and the
+  buttons above change the view, show single pixels and wipe one picture over another.
+- **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale of
+  brightness: [uncertainty.md](uncertainty.md).
 - **Export** writes GLB (in levels of detail, if you like), USD and textures, and marks the object
   as an asset. **Library** runs many captures: [batch.md](batch.md).
 
@@ -154,16 +158,16 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.settle()
     keep(window, "arrived")
     shade(window, "SOLID")  # which a processor draws fast enough to click on
-    window.press("bpy.ops.robir.picture_lights")
-    window.wait_until(f"{STATE}.task == 'lights'", 20.0)
-    window.wait_until(f"not {STATE}.task", 600.0)
-    window.press("bpy.ops.robir.use_studio_light(light='sunset')")
+    place = window.find("robir.light")
+    window.screen.click(place.x, place.y)
+    time.sleep(1.0)
+    window.screen.key("e")  # underlined in Sunset
     window.wait_until(f"'sunset' in {WORLD_FILE}", 10.0)
     # from the bare panel to the sample under another light
     assert window.screen.clicks - clicks <= 4
-    for light in ("forest", "sunset"):
-        window.press(f"bpy.ops.robir.use_studio_light(light='{light}')")
-        window.wait_until(f"'{light}' in {WORLD_FILE}", 10.0)
+    window.press("bpy.ops.robir.picture_lights")
+    window.wait_until(f"{STATE}.task == 'lights'", 20.0)
+    window.wait_until(f"not {STATE}.task", 600.0)
     if IS_FOR_DOCS:
         shade(window, "MATERIAL")
     keep(window, "lights")

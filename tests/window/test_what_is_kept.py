@@ -111,7 +111,7 @@ def test_a_refresh_keeps_what_was_done(window: BlenderWindow, finished: Finished
         f"thing = {OBJECT}\n"
         "thing.location = (0.5, 0, 0)\n"
         "thing.modifiers.new('bent', 'SIMPLE_DEFORM')\n"
-        "bpy.ops.robir.use_studio_light(light='forest')"
+        "bpy.context.scene.robir.light = 'forest'"
     )
     window.press("bpy.ops.robir.refresh_result")
     window.wait_until(f"'newer result' in {STATE}.message", 30.0)
@@ -149,25 +149,6 @@ def test_an_edited_mesh_is_asked_about(window: BlenderWindow) -> None:
     window.picture("asked")
     window.screen.key("Escape")
     assert window.get(f"{OBJECT}.data.vertices[0].co.x") == moved
-
-
-def test_the_comparison_is_labelled_and_goes_on(window: BlenderWindow) -> None:
-    shown = "bpy.data.images['RobIR comparison']['robir_view']"
-    window.press("bpy.ops.robir.compare(")
-    window.wait_until("len(bpy.context.window_manager.windows) == 2", 20.0)
-    time.sleep(2.0)
-    first = window.get(shown)
-    window.picture("compared")
-    # a virtual screen without a window manager gives the new window no keyboard
-    keys = "bpy.context.window_manager.keyconfigs.addon.keymaps['Frames'].keymap_items"
-    assert window.get(f"[i.type for i in {keys} if i.idname == 'robir.compare_next']") == [
-        "RIGHT_ARROW",
-        "LEFT_ARROW",
-    ]
-    window.run("bpy.ops.robir.compare_next()")
-    window.wait_until(f"{shown} != {first!r}", 10.0)
-    window.picture("compared_next")
-    window.leave_other_windows()
 
 
 def test_a_notice_is_put_away(window: BlenderWindow) -> None:

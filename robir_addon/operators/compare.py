@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photograph, re-render, albedo and roughness of a view: beside each other, or one over another."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import IntProperty, StringProperty
+
+from ..blocks import MARK
+from ..capture.cameras import VIEW
+from ..errors import AddonError
+from ..gateway import JobPaths
+from ..result.captions import CAPTIONS
+from ..result.comparison import Comparison, compare, neighbour
+from ..result.importer import mark_of, read_cameras
+from ..result.pictures import put_image, show_image
+from ..words import told, words
+from .shared import ResultOperator, result_paths
+
+COMPARISON = "RobIR comparison"
+
+_shown: list[tuple[Path, Comparison]] = []
+"""The view that was compared last, and its result folder; a file that opens has none."""
+
+
+class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
+    """Photograph, re-render, albedo and roughness side by side."""
+
+    bl_idname = "robir.compare"
+    bl_label = "Compare"
+    bl_description = "Show a photograph, its re-render, albedo and roughness side by side"
+    bl_options = {"REGISTER", "UNDO"}
+
+    view: StringProperty(
+        name="View",
+        description="Name of the photograph; empty takes one that was kept aside",
+        options={"SKIP_SAVE"},
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Make one image of the four."""
+        paths = result_paths(context)
+        self.report({"INFO"}, _show_comparison(context, paths, read_cameras(paths), self.view))
+
+
+class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
+    """The comparison of another view."""
+
+    bl_idname = "robir.compare_next"
+    bl_label = "Compare Next View"
+    bl_description = "Compare the next view that was rendered again; arrow keys go on and back"
+    bl_options = {"REGISTER", "UNDO"}
+
+    step: IntProperty(name="Step", description="Views to go on by; negative goes back", default=1)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Once a view was compared; as a key only over an editor that shows the comparison."""
+        if not super().poll(context):
+            return False
+        shown = getattr(context.space_data, "image", None)
+        image = bpy.data.images.get(COMPARISON)
+        if image is None or VIEW not in image or shown not in (None, image):
+            cls.poll_message_set(told("Press Compare first"))
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Go on; a key over anything but the comparison is somebody else's."""
+        is_key = event.type in ("RIGHT_ARROW", "LEFT_ARROW")
+        if is_key and getattr(context.space_data, "image", None) != bpy.data.images[COMPARISON]:
+            return {"PASS_THROUGH"}
+        return self.execute(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Compare the view so many steps on."""
+        paths = result_paths(context)
+        table = read_cameras(paths)
+        view = neighbour(paths, table, bpy.data.images[COMPARISON][VIEW], self.step)
+        self.report({"INFO"}, _show_comparison(context, paths, table, view))
+
+
+def _show_comparison(
+    context: bpy.types.Context, paths: JobPaths, table: dict[str, Any], view: str
+) -> str:
+    """Show the four pictures of a view under their names; returns these for the report."""
+    _shown[:] = [(paths.root, compare(paths, table, view))]
+    names = _draw(context)
+    return told("View {name}: {pictures}", name=_shown[0][1].view, pictures=", ".join(names))
+
+
+def _draw(context: bpy.types.Context, *, is_fitted: bool = True) -> list[str]:
+    """Bring the view compared last to the image, as the header's choice has it; its names."""
+    (root, found), state = _shown[0], context.window_manager.robir
+    again = words("Re-render by {renderer}", renderer=found.rendered_by)
+    names = [words("Photograph"), again, words("Albedo"), words("Roughness")]
+    other = int(state.wipe_with)
+    codes = found.wiped(other, state.wipe) if other else found.codes
+    image = put_image(COMPARISON, codes, mark_of(root))
+    title = words("View {name}, arrow keys for others", name=found.view)
+    image[VIEW] = found.view
+    shown = [f"{names[0]} | {names[other]}"] if other else names
+    image[CAPTIONS] = "\n".join((title, *shown))
+    if is_fitted:
+        show_image(context, image)
+    return names
+
+
+def draw_again(context: bpy.types.Context, *, is_fitted: bool) -> None:
+    """Show the comparison as the header's choice has it now: wiped, or side by side."""
+    image = bpy.data.images.get(COMPARISON)
+    if image is None or VIEW not in image:
+        return
+    if not _shown:  # the file was opened with its comparison
+        try:
+            paths = JobPaths(Path(image[MARK]))
+            _shown.append((paths.root, compare(paths, read_cameras(paths), image[VIEW])))
+        except AddonError:
+            return
+    _draw(context, is_fitted=is_fitted)
+
+
+def _draw_header(header: bpy.types.Header, context: bpy.types.Context) -> None:
+    """Buttons over an editor that shows the comparison."""
+    image, state = context.space_data.image, context.window_manager.robir
+    if image is None or image.name != COMPARISON or VIEW not in image:
+        return
+    row = header.layout.row(align=True)
+    row.operator("robir.compare_next", text="", icon="TRIA_LEFT").step = -1
+    row.operator("robir.compare_next", text="", icon="TRIA_RIGHT").step = 1
+    row.operator("image.view_zoom_ratio", text="1:1").ratio = 1.0
+    row.operator("image.view_all", text="Fit").fit_view = True
+    row.prop(state, "wipe_with", text="")
+    if int(state.wipe_with):
+        row.prop(state, "wipe", slider=True)
+
+
+_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+
+
+def register() -> None:
+    """Let buttons and arrow keys over the comparison go from view to view.
+
+    The image editor asks "Frames", which steps the timeline by them, before its own keys.
+    """
+    bpy.types.IMAGE_HT_header.prepend(_draw_header)
+    keys = bpy.context.window_manager.keyconfigs.addon
+    if keys is None:  # without a window
+        return
+    keymap = keys.keymaps.new(name="Frames")
+    for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1)):
+        item = keymap.keymap_items.new(ROBIR_OT_compare_next.bl_idname, key, "PRESS")
+        item.properties.step = step
+        _keys.append((keymap, item))
+
+
+def unregister() -> None:
+    """Give the keys back."""
+    bpy.types.IMAGE_HT_header.remove(_draw_header)
+    _shown.clear()
+    while _keys:
+        keymap, item = _keys.pop()
+        keymap.keymap_items.remove(item)
+
+
+CLASSES = (ROBIR_OT_compare, ROBIR_OT_compare_next)
