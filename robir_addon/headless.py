@@ -177,8 +177,7 @@ def render_views(
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     files = []
     for index, camera in enumerate(cameras):
-        message = f"rendering view {camera[VIEW]}"
-        _say(reports, {"progress": index / len(cameras), "message": message})
+        _say(reports, {"progress": index / len(cameras), "message": f"rendering {camera[VIEW]}"})
         use_camera(scene, camera, options.max_side)
         files.append(_picture(paths.renders, f"rerender_{camera[VIEW]}.png"))
         render_still(scene, files[-1], table)
@@ -190,11 +189,10 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
     environment = found_environment(options.environment)
     paths, scene = _scene_to_render(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
-    turn = math.radians(options.rotation)
     if options.turntable:
         return _turntable(options, reports, environment, cameras[0]), ()
     show_environment(scene, scene.world, environment)
-    turn_light(scene, turn)
+    turn_light(scene, math.radians(options.rotation))
     files = []
     for index, camera in enumerate(cameras):
         message = f"relighting view {camera[VIEW]} with {environment.name}"
@@ -215,8 +213,7 @@ def picture_lights(
     use_close_up(scene, camera, _points_of_asset(scene), options.max_side)
     files = []
     for index, (light, name, _) in enumerate(SHOWN_LIGHTS):
-        message = f"light {index + 1} of {len(SHOWN_LIGHTS)}: {name}"
-        _say(reports, {"progress": index / len(SHOWN_LIGHTS), "message": message})
+        _say(reports, {"progress": index / len(SHOWN_LIGHTS), "message": f"light {name}"})
         if light:
             show_environment(scene, scene.world, found_environment(Path(light)))
             turn_light(scene, 0.0)
@@ -269,8 +266,7 @@ def _turntable(
     asset = next(o for o in scene.objects if o.type == "MESH" and MARK in o)
     start, middle, frames = asset.matrix_world.copy(), Vector(_points_of_asset(scene).mean(0)), []
     for index in range(count):
-        message = f"turntable, frame {index + 1} of {count}"
-        _say(reports, {"progress": index / count, "message": message})
+        _say(reports, {"progress": index / count, "message": f"frame {index + 1} of {count}"})
         turn = 2.0 * math.pi * index / count
         if options.turns != "light":
             about = Matrix.Translation(middle) @ Matrix.Rotation(turn, 4, "Z")
