@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.last_word import LastWord
@@ -56,25 +55,12 @@ _HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """Choose the tone curve, solve light and materials, bake the textures.
 
-    One thread, whatever the machine has: the sums of the solve are short, and a result that
-    changes with the number of threads could not be resumed or repeated.
-
     Args:
         context: Paths and settings.
 
     Returns:
         Figures for the manifest.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        return _run(context)
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
-    """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
     course = Course(config.without)

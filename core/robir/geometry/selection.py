@@ -27,6 +27,7 @@ from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.jobs.choice import Choice
+from robir.workers import side_by_side
 
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
 
@@ -140,7 +141,8 @@ class Selection:
         fitted = smooth_surface(field)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
-        compared = [reduce_view(view, self._config.stereo_side) for view in self._views]
+        side = self._config.stereo_side
+        compared = side_by_side(lambda view: reduce_view(view, side), self._views)
         stereo = stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
         surfaces = {STEREO: stereo, HULL: self._hulls[1]}
         for name, surface in surfaces.items():
@@ -166,7 +168,7 @@ class Selection:
 def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
     """A surface moved to where patches agree, if photographs then predict each other better."""
     mesh = best.mesh
-    photos = [reduce_view(view, max(config.refine_sides)) for view in views]
+    photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
     moved = refine(mesh, views, config.refine_sides)
     # at the size that it was refined by: half of it does not show what it gained
     predictions = Predictions(photos)

@@ -29,6 +29,7 @@ from robir.appearance.light.solver import Light, fit
 from robir.appearance.tone.highlight_evidence import highlight_tables
 from robir.appearance.tone.shoulder import CODE_ERROR, PlainLead, mismatch_table
 from robir.maths.tone_curve import AbstractToneCurve
+from robir.workers import side_by_side
 
 PLAIN = "standard"
 """Name of the plain curve, the sRGB transfer function."""
@@ -135,9 +136,9 @@ class Judged:
     @classmethod
     def of(cls, models: list[tuple[Problem, Light]], config: AppearanceConfig) -> Judged:
         """From the models alone."""
-        judged = [pair_errors(*model) for model in models]
+        judged = side_by_side(lambda model: pair_errors(*model), models)
         contrast = torch.stack([weight for _, weight in judged]).mean(0)
-        likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
+        likeness = torch.stack(side_by_side(lambda model: pair_likeness(*model), models)).mean(0)
         weight = (contrast * likeness).double().numpy()
         blocks = blocks_of(models[0][0].scene)
         tables = [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
@@ -159,17 +160,22 @@ class Judged:
         lead, unsettled = self._compared(index, shoulder, seed), {index, shoulder} - {*self.settled}
         if lead.total < _SETTLED_BELOW or not unsettled:
             return lead
-        for number in unsettled:
+
+        def settled(number: int) -> tuple[Problem, Light]:
             problem, light = self.models[number]
-            start = light.amplitudes
-            further = fit(problem, light.axes, light.sharpness, steps, start=start)
-            self.settled[number] = (problem, further)
+            further = fit(problem, light.axes, light.sharpness, steps, start=light.amplitudes)
+            return problem, further
+
+        numbers = sorted(unsettled)
+        self.settled.update(zip(numbers, side_by_side(settled, numbers), strict=True))
         return self._compared(index, shoulder, seed)
 
     def _compared(self, index: int, shoulder: int, seed: int) -> PlainLead:
         """The same with the lights as they are."""
         two = tuple(self.settled.get(n, self.models[n]) for n in (index, shoulder))
-        mine, other = (mismatch_table(*model, self.blocks, self.weight) for model in two)
+        mine, other = side_by_side(
+            lambda model: mismatch_table(*model, self.blocks, self.weight), two
+        )
         highlights = highlight_tables((two[0], two[1]), seed)
         names = (two[0][0].curve.name, two[1][0].curve.name)
         lead = PlainLead.of(names, (mine, other), highlights)
@@ -184,11 +190,13 @@ def ranked(
     seed: int,
 ) -> tuple[list[Candidate], PlainLead | None]:
     """The curves with their scores under the suns found, the chosen one first."""
-    models: list[tuple[Problem, Light]] = []
-    for curve in curves:
+
+    def solved(curve: AbstractToneCurve) -> tuple[Problem, Light]:
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
-        models.append((problem, replace(light, history=found.history)))
+        return problem, replace(light, history=found.history)
+
+    models = side_by_side(solved, curves)
     judged = Judged.of(models, config)
     chosen, lead = chosen_number(judged, [curve.name for curve in curves], config.iterations, seed)
     tables = judged.tables
