@@ -24,12 +24,21 @@ _state = threading.local()
 _chosen: list[int] = []
 
 
+CORES = "ROBIR_CORES"
+"""Environment variable by which who starts several runs at a time shares the cores out."""
+
+
 def available_cores() -> int:
-    """Cores that this process may use: of the machine, its affinity and its control groups."""
+    """Cores that this process may use: of the machine, its affinity and its control groups.
+
+    Fewer where whoever started it says so, see `CORES`.
+    """
     affinity = getattr(os, "sched_getaffinity", None)
     count = len(affinity(0)) if affinity else os.cpu_count() or 1
     quota = min(_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")), default=float(count))
-    return max(1, min(count, int(quota + 0.5)))
+    told = os.environ.get(CORES, "")
+    share = int(told) if told.isascii() and told.isdigit() else count
+    return max(1, min(count, int(quota + 0.5), share))
 
 
 def _quotas(told: Path, root: Path) -> Iterator[float]:
