@@ -17,6 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from robir.errors import CancelledError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -101,12 +103,18 @@ def side_by_side(
     Raises:
         Exception: That of the first item, in order, that raised one; no further item is begun then.
     """
-    listed = list(items)
+    listed, is_in_vain = list(items), getattr(_state, "is_in_vain", threading.Event())
+
+    def done(item: Item) -> Result:
+        if is_in_vain.is_set():
+            raise CancelledError("nobody waits for it any more")
+        return function(item)
+
     threads = min(num_workers(), len(listed), most or len(listed))
     if threads < 2:
-        return [function(item) for item in listed]
+        return [done(item) for item in listed]
     with ThreadPoolExecutor(threads, "robir", _become_worker) as pool:
-        begun = [pool.submit(function, item) for item in listed]
+        begun = [pool.submit(done, item) for item in listed]
         try:
             return [future.result() for future in begun]
         except BaseException:
@@ -123,14 +131,24 @@ def blocks(count: int, size: int) -> list[slice]:
 def meanwhile(function: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
     """Do something beside the block; yields what waits for it and gives its result.
 
-    With one worker it is done when its result is asked for.
+    With one worker it is done when its result is asked for. Where the block ends by a fault, it
+    ends at the next item that it has `side_by_side`.
     """
     if num_workers() < 2:
         yield function
         return
-    with ThreadPoolExecutor(1, "robir", _become_worker) as pool:
+    is_in_vain = threading.Event()
+
+    def begin() -> None:
+        _state.is_in_vain = is_in_vain
+
+    with ThreadPoolExecutor(1, "robir", begin) as pool:
         begun: Future[Result] = pool.submit(function)
-        yield begun.result
+        try:
+            yield begun.result
+        except BaseException:
+            is_in_vain.set()
+            raise
 
 
 def _become_worker() -> None:

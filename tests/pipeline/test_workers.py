@@ -11,7 +11,7 @@ from hostile.tiny_run import contents, words
 
 from robir import cli, workers
 from robir.specimen import write_specimen
-from robir.workers import available_cores, blocks, side_by_side, use_workers
+from robir.workers import available_cores, blocks, meanwhile, side_by_side, use_workers
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +44,29 @@ def test_the_first_fault_in_order_is_raised_and_what_waits_is_not_begun() -> Non
     with pytest.raises(ValueError, match="0"):
         side_by_side(fail, range(100))
     assert len(begun) < 20
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_is_done_meanwhile_gives_its_result(count) -> None:
+    use_workers(count)
+    with meanwhile(lambda: side_by_side(str, range(3))) as found:
+        pass
+    assert found() == ["0", "1", "2"]
+
+
+def test_what_nobody_waits_for_ends_at_its_next_item() -> None:
+    use_workers(2)
+    done, is_begun = [], threading.Event()
+
+    def slow(item: int) -> None:
+        is_begun.set()
+        time.sleep(0.02)
+        done.append(item)
+
+    with pytest.raises(KeyError), meanwhile(lambda: side_by_side(slow, range(1000))):
+        is_begun.wait()
+        raise KeyError
+    assert len(done) < 50
 
 
 def test_blocks_cover_everything_whatever_the_number_of_threads() -> None:
