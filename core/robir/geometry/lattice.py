@@ -173,7 +173,8 @@ class _Interpolate(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
-        return spread(ctx.count, *ctx.saved_tensors, gradients[0]), None, None
+        index, weight = ctx.saved_tensors
+        return spread(ctx.count, index, weight, gradients[0]), None, None
 
 
 def interpolate(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:

@@ -176,7 +176,7 @@ def _product_at(
     starts = np.searchsorted(row, np.arange(len(tables[0]) + 1))
 
     def entries(rows: slice) -> list[Tensor]:
-        own = slice(starts[rows.start], starts[rows.stop])
+        own = slice(int(starts[rows.start]), int(starts[rows.stop]))
         wanted = torch.sparse_csr_tensor(
             torch.from_numpy(starts[rows.start : rows.stop + 1] - own.start),
             column[own],

@@ -176,11 +176,9 @@ def _descend(
     size = _RAYS_TOGETHER if field.sdf.device.type == "cpu" else count
     intervals, losses, slopes = zip(*side_by_side(block, blocks(count, size)), strict=True)
     field.take_slopes(intervals, [one[:2] for one in slopes])
-    for values, parts in zip(
-        parameters, zip(*(one[2:] for one in slopes), strict=True), strict=True
-    ):
-        values.grad = sum(parts[1:], parts[0])
-    return sum(losses[1:], losses[0])
+    for values, *parts in zip(parameters, *(one[2:] for one in slopes), strict=True):
+        values.grad = torch.stack(parts).sum(0)
+    return torch.stack(losses).sum()
 
 
 def _steepness(share: float, longest: float) -> float:
