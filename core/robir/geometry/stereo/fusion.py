@@ -37,6 +37,7 @@ _BASELINE_DEGREES = 14.0
 # angle at the object up to which another photograph's depths can confirm or deny one (degrees)
 _WITNESS = 40.0
 _VIEWS = 48  # most photographs that get a depth map
+_AT_ONCE = 8  # of these at most: each takes some hundred megabytes meanwhile
 _LEAST_AGREEING = 3  # other depth maps that must agree with a depth
 _LEAST_CORRELATION = 0.4  # correlation that a depth must reach
 # difference of depth that counts as agreement, and the half width of the band in which distances
@@ -154,7 +155,7 @@ def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
         far = float(((hull.vertices - camera.position) @ camera.forward).max())
         return sweep(picture, [pictures[k] for k in sources[own]], entry, far)
 
-    maps = side_by_side(depths, farthest_points(positions, _VIEWS))
+    maps = side_by_side(depths, farthest_points(positions, _VIEWS), _AT_ONCE)
     return [one for one in maps if one is not None]
 
 
